@@ -22,7 +22,7 @@ from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.safety_action import SafetyAction
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatedRun
 
 OPERATOR_DELAY_S = 2.0
@@ -144,7 +144,7 @@ def fault_rows(
     state.
     """
     hand = hand_with_protocol(hand_name, protocol)
-    rate = default_rate(hand)
+    rate = default_control_rate(hand)
     motor = hand.motor[0]
     tendon = hand.tendon[0]
     words = {

@@ -31,7 +31,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
@@ -144,7 +144,7 @@ def excite_and_fit(
         log_folder: folder for the log.
     """
     hand = load_hand(hand_name)
-    plan = RunPlan(hand, gains, default_rate(hand), ())
+    plan = RunPlan(hand, gains, default_control_rate(hand), ())
     log = log_folder / f"{seed}.mcap"
     controller = make_controller(
         plan, ExciteProgram(excitation_steps(hand, (digit_name,))), None, arm_at_once=True

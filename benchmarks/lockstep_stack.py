@@ -75,7 +75,7 @@ class LockstepStack:
         self.simulation = self._open.enter_context(
             SimulatorSettings(hand_name, setup.scene, homed=True).begin_run(controller)
         )
-        self.simulation.record_ticks = False
+        self.simulation.are_ticks_recorded = False
         self.peer = self.simulation.simulated_hand
         self.engine = self.peer.world.plant.engine
 

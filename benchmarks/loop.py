@@ -173,7 +173,7 @@ def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, 
     from handctl.runtime.clocks.realtime_priority import request_priority
 
     clock = RealClock(round(1e9 / rate_hz))
-    clock.busy_wait = request_priority().realtime
+    clock.busy_wait = request_priority().is_realtime
     clock.start()
     late = []
     k = 1

@@ -143,7 +143,7 @@ def run_grasp(
     with SimulatorSettings(model.hand, scene_name, seed, homed=True).begin_run(
         homed_controller(model, TaskProgram(task))
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         plant = run.simulated_hand.world.plant
         if fault_text:
             run.simulated_hand.inject(fault_text)

@@ -27,10 +27,10 @@ from handctl.core.gains.gain_bounds import gains_with_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import SearchWorkers, make_workers
 
@@ -118,7 +118,7 @@ def compare_searches(
     hand, twin, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
-    rate = default_rate(hand)
+    rate = default_control_rate(hand)
     crew = make_workers(worker_count, None)
     try:
         with tempfile.TemporaryDirectory() as passing:
@@ -128,7 +128,7 @@ def compare_searches(
                 hand.to_toml(),
                 rate,
                 detuned,
-                draw_ensemble(plant_count, 0),
+                sample_ensemble(plant_count, 0),
                 1,
                 trial_count,
                 (packaged,),
@@ -142,7 +142,7 @@ def compare_searches(
                 twin.to_toml(),
                 rate,
                 detuned,
-                draw_ensemble(plant_count, 0, spread),
+                sample_ensemble(plant_count, 0, spread),
                 1,
                 trial_count,
                 (packaged,),

@@ -18,7 +18,7 @@ from typing import Any
 from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 from handctl.tune.search.workers import ProcessPool
 
 ScoringJob = dict[str, Any]
@@ -38,7 +38,7 @@ def scoring_jobs(job_count: int) -> list[ScoringJob]:
     plain = {
         "hand": load_hand("jamia").to_toml(),
         "rate_hz": RATE_HZ,
-        "plants": list(draw_ensemble(1, 0)),
+        "plants": list(sample_ensemble(1, 0)),
         "seed": 1,
     }
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]

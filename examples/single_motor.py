@@ -28,7 +28,7 @@ MOTOR_SPEC = Motor.model_validate({
 
 with bus_lock(BUS_SPEC):  # only one host may use the bus
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(BUS_SPEC, 0, 1_000_000, stamp=clock.run_time_of)
+    bus = open_bus(BUS_SPEC, 0, 1_000_000, convert_time=clock.run_time_of)
     rig = DriveRig(make_drive(MOTOR_SPEC, 0), bus, clock)
     try:
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
@@ -54,7 +54,7 @@ with bus_lock(BUS_SPEC):  # only one host may use the bus
                     f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go"
                 )
     finally:
-        off = rig.confirm_off(WATCHDOG_MS / 1e3)
+        off = rig.confirm_disabled(WATCHDOG_MS / 1e3)
         bus.close()
 print(
     "the drive has confirmed that it is off"

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, kill_summary
+from tests.runtime.killed_controllers import KillVerdict, disturb_in_batches, summary_of_kills
 
 
 def main() -> int:
@@ -32,7 +32,7 @@ def main() -> int:
             if not (run.torque_ended_in_time and run.has_complete_log):
                 print(run, flush=True)
         runs += batch
-        print(kill_summary(runs), flush=True)
+        print(summary_of_kills(runs), flush=True)
     return 0 if all(run.torque_ended_in_time and run.has_complete_log for run in runs) else 1
 
 

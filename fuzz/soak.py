@@ -152,7 +152,7 @@ class SoakTest:
         watcher = StatusWatcher(LOCAL_BUS)
         until = time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
-            line = watcher.request_line(0.2)
+            line = watcher.request_status_line(0.2)
             if line is not None and line["phase"] == "stay":
                 watcher.close()
                 return True

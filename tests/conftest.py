@@ -15,7 +15,7 @@ from tests.slow_tests import DurationRecorder, tests_slower_than
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
+SLOW_TEST_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
 """Longest duration of a test in an incomplete test run [s]. tests/slow_tests.txt has the durations."""
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """Property tests have no time limit per example.
@@ -32,7 +32,7 @@ settings.load_profile("nightly" if NIGHTLY else "every run")
 
 TIME_SCALE_PER_REPEAT = 0.5
 """Factor by which each repetition of a test reduces its time scale."""
-TIME_WITHOUT_STALL_S = 1.0
+STALL_FREE_TIME_S = 1.0
 """Time that must pass without a stall of the machine before a test is repeated [s]."""
 MAX_STALL_WAIT_S = 15.0
 """Longest wait for a time without a stall of the machine before a test is repeated [s]."""
@@ -116,7 +116,7 @@ class RepeatAfterStall:
     def __init__(self) -> None:
         """Start without a stall meter, because most runs have no test on the real clock."""
         self.stalls: list[tuple[str, float]] = []
-        self.meter: MachineStallMeter | None = None
+        self.stall_meter: MachineStallMeter | None = None
         self._test = ""
         self._start = 0.0
 
@@ -124,39 +124,39 @@ class RepeatAfterStall:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Store the start of a test on the real clock."""
         if item.get_closest_marker("realtime"):
-            self.meter = self.meter or MachineStallMeter()
+            self.stall_meter = self.stall_meter or MachineStallMeter()
             self._test = item.nodeid
             self._start = time.monotonic()
 
-    def failed_by_stall(self, error: BaseException | None) -> bool:
+    def is_failure_by_stall(self, error: BaseException | None) -> bool:
         """Return True if the present try failed and the machine stalled during it.
 
         ``error`` is None if the try passed.
         """
-        longest = self.meter.longest_since(self._start) if self.meter and error else 0.0
+        longest = self.stall_meter.longest_since(self._start) if self.stall_meter and error else 0.0
         if longest:
             self.stalls.append((self._test, longest))
             self.wait_without_stall()
         return longest > 0.0
 
     def wait_without_stall(self) -> None:
-        """Wait until the machine has had no stall for ``TIME_WITHOUT_STALL_S``, but for at most ``MAX_STALL_WAIT_S``.
+        """Wait until the machine has had no stall for ``STALL_FREE_TIME_S``, but for at most ``MAX_STALL_WAIT_S``.
 
         After a stall, other stalls often follow.
         """
-        assert self.meter
+        assert self.stall_meter
         until = time.monotonic() + MAX_STALL_WAIT_S
         while time.monotonic() < until:
             begin = time.monotonic()
-            time.sleep(TIME_WITHOUT_STALL_S)
-            if not self.meter.longest_since(begin):
+            time.sleep(STALL_FREE_TIME_S)
+            if not self.stall_meter.longest_since(begin):
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Mark the tests on the real clock as tests that may be repeated."""
         for item in items:
             if item.get_closest_marker("realtime"):
-                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.failed_by_stall))
+                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.is_failure_by_stall))
                 item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
@@ -168,8 +168,8 @@ class RepeatAfterStall:
 
     def pytest_unconfigure(self) -> None:
         """Close the stall meter."""
-        if self.meter:
-            self.meter.close()
+        if self.stall_meter:
+            self.stall_meter.close()
 
 
 @pytest.fixture
@@ -213,7 +213,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             raise pytest.UsageError(
                 f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source"
             )
-    slow = tests_slower_than(SLOW_S)
+    slow = tests_slower_than(SLOW_TEST_S)
     if left_out := [item for item in items if item.nodeid in slow]:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item.nodeid not in slow]

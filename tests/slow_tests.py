@@ -2,7 +2,7 @@
 
 `make test` leaves out the slow tests. CI or the nightly run executes the slow tests.
 
-    make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
+    make test SLOW_TEST_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
     python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
 
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
@@ -32,7 +32,7 @@ FUNCTION_BUDGET_S = 0.5
 """Processor time that the cases of one test function may take in `make test` [s]."""
 REAL_CLOCK_BUDGET_S = 3.0
 """Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
-CHEAP_CASE_S = 0.05
+CHEAP_TEST_CASE_S = 0.05
 """A test case that costs no more than this never counts as slow [s]."""
 FILE_LIMIT_S = 15.0
 """Largest cost of a file's cheapest test [s].
@@ -112,7 +112,7 @@ def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, f
         spent[function] = spent.get(function, 0.0) + cost
         if (
             spent[function] > (REAL_CLOCK_BUDGET_S if clock else FUNCTION_BUDGET_S)
-            and cost > CHEAP_CASE_S
+            and cost > CHEAP_TEST_CASE_S
         ):
             slow[test] = cost
     for tests in files.values():

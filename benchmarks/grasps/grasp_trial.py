@@ -16,7 +16,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import load_task_for_hand
 
@@ -32,7 +32,7 @@ def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel,
     A process computes the model of each hand only once.
     """
     described = load_hand(hand_name)
-    rate = default_rate(described)
+    rate = default_control_rate(described)
     return HandModel.from_hand(described, gains, rate), rate
 
 
@@ -126,7 +126,7 @@ def simulate_grasp(
         controller
     ) as simulation:
         plant = simulation.simulated_hand.world.plant
-        simulation.record_ticks = False
+        simulation.are_ticks_recorded = False
         for entry, out in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state

@@ -18,7 +18,7 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.program import ProgramProgress, motion_to
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
-from handctl.runtime.clocks.realtime_priority import awake_processors, request_priority
+from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
 from handctl.runtime.loop import ControlLoop
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.run import make_controller
@@ -87,7 +87,7 @@ def run_loop(
     clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
     priority = request_priority()
     if rate_hz:
-        clock.busy_wait = priority.realtime
+        clock.busy_wait = priority.is_realtime
     described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
         log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
@@ -108,7 +108,7 @@ def run_loop(
     )
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.take_events()), record,
-        counter, tick_priority=awake_processors,
+        counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
     state = loop.run(controller.initial_state())
     recorder.close("done")

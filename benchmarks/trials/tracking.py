@@ -28,7 +28,7 @@ from handctl.core.hand_model import HandModel
 from handctl.report.run_summary import mean_angles
 from handctl.tune.loops.gain_design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear_models import LoopKind
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 from trials import control_page, force_page, force_step, tracking_page
 from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
 from trials.control_laws import ABLATION_LAWS
@@ -209,7 +209,7 @@ def keeps_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float
         ABLATION_LAWS[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
         RATES_HZ[hand_name],
     )
-    plants = tuple(linear_factors(one) for one in draw_ensemble(DRAWN_PLANT_COUNT, 0))
+    plants = tuple(linear_factors(one) for one in sample_ensemble(DRAWN_PLANT_COUNT, 0))
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 

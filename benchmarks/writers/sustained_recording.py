@@ -118,7 +118,7 @@ def _on_separate_cores(recorder_pid: int) -> Iterator[bool]:
         os.sched_setaffinity(recorder_pid, {max(cores)})
         os.sched_setaffinity(0, {min(cores)})
     try:
-        yield request_priority().realtime
+        yield request_priority().is_realtime
     finally:
         restore_priority()
         if cores:

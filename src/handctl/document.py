@@ -151,10 +151,10 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
     arguments = get_args(type_annotation)
     # A list or a table adds a part to the location. A union or an annotated type adds none.
     is_container = get_origin(type_annotation) in (tuple, list, dict)
-    below = key_location[1:] if is_container else key_location
+    remaining_location = key_location[1:] if is_container else key_location
     if is_container and not key_location:
         return set()
-    return set[str]().union(*(_keys_at(argument, below) for argument in arguments))
+    return set[str]().union(*(_keys_at(argument, remaining_location) for argument in arguments))
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:

@@ -23,13 +23,13 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), (
         "commands, answers, tensions, SYNC"
     )
-    read_again = 4 * 2 * 135e-6 * 2.0
+    loads_read_again = 4 * 2 * 135e-6 * 2.0
     """Bus load that repeated reading of the drives' settings causes.
 
     The controller reads a setting of each drive twice a second. The request takes 135 us, and so
     does the reply.
     """
-    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
+    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + loads_read_again)
 
 
 def test_overloaded_bus_is_reported_and_split(capsys: pytest.CaptureFixture[str]) -> None:

@@ -113,22 +113,26 @@ def reimport_packaged_hand(format_option: str, hand_name: str) -> Hand:
 
     Tendons, springs and buses come from the packaged hand.
     """
-    exported = Path(FILE_BY_OPTION[format_option])
-    exported.unlink(missing_ok=True)
+    exported_file = Path(FILE_BY_OPTION[format_option])
+    exported_file.unlink(missing_ok=True)
     assert (
-        main(["config", "export", format_option, "--hand", hand_name, "--output", str(exported)])
+        main(
+            ["config", "export", format_option, "--hand", hand_name, "--output", str(exported_file)]
+        )
         == 0
     )
-    import_description(format_option, exported)
-    original = with_meshes_from(load_hand(hand_name).content, hand_path(hand_name).parent)
+    import_description(format_option, exported_file)
+    packaged_content = with_meshes_from(load_hand(hand_name).content, hand_path(hand_name).parent)
     digits = []
-    for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
-        lacks = {key for key, value in digit.items() if value == "TODO"}
-        assert lacks <= {*JOINT_KEYS, "coupling"}
+    for digit, known in zip(
+        hand_content("mine.toml")["digit"], packaged_content["digit"], strict=True
+    ):
+        missing_keys = {key for key, value in digit.items() if value == "TODO"}
+        assert missing_keys <= {*JOINT_KEYS, "coupling"}
         digits.append(
             digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known}
         )
-    content = original | {"digit": digits}
+    content = packaged_content | {"digit": digits}
     Path("mine.toml").write_text(toml_text(content))
     return hand_from_content(content, "mine.toml")
 
@@ -138,9 +142,9 @@ def reimport_packaged_hand(format_option: str, hand_name: str) -> Hand:
 def test_an_exported_hand_is_imported_unchanged(
     work_folder: Path, hand_name: str, format_option: str
 ) -> None:
-    hand, original = reimport_packaged_hand(format_option, hand_name), load_hand(hand_name)
-    assert hand.digit_names == original.digit_names
-    for digit, known in zip(hand.digit, original.digit, strict=True):
+    hand, packaged_content = reimport_packaged_hand(format_option, hand_name), load_hand(hand_name)
+    assert hand.digit_names == packaged_content.digit_names
+    for digit, known in zip(hand.digit, packaged_content.digit, strict=True):
         assert digit.mount_on == known.mount_on
         assert digit.link_length_m == pytest.approx(known.link_length_m, abs=1e-9)
         assert digit.link_radius_m == pytest.approx(known.link_radius_m)
@@ -202,8 +206,8 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
         )
         model.gravity.linear = turned @ np.array([0.0, 0.0, -9.81])
         torque = signs * pinocchio.computeGeneralizedGravity(model, data, signs * q)
-        still = tree.inverse_dynamics(q, np.zeros(6), np.zeros(6))
-        assert still == pytest.approx(torque, abs=1e-9)
+        torque_at_rest = tree.inverse_dynamics(q, np.zeros(6), np.zeros(6))
+        assert torque_at_rest == pytest.approx(torque, abs=1e-9)
 
 
 def test_each_missing_value_is_refused_until_it_is_given(

@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from tests.cli.command_refusals import refusal_line
 
 INIT_CASES = [
@@ -117,7 +117,7 @@ def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
     assert all(
         any(digit.spring_stiffness_N_m_per_rad) == (springs == "all") for digit in hand.digit
     )
-    assert default_rate(hand) >= 250.0
+    assert default_control_rate(hand) >= 250.0
     assert hand.sensor_node.tendons == (hand.tendon_names if cells == "all" else ())
     assert hand.sensor_node.joints == (hand.joints if encoders == "all" else ())
     text = (work_folder / "mine.toml").read_text()

@@ -119,7 +119,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
         f"default.digit.{right}\n"
     )
     messages: list[str] = []
-    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
     assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
@@ -128,7 +128,7 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_me
     with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_MESH_BYTES)
     messages: list[str] = []
-    plan = make_plan(RunChoice(copy_t42_with_meshes), tell=messages.append)
+    plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
     assert not plan.attachments
     (line,) = messages
     assert line.startswith(
@@ -177,13 +177,25 @@ def test_exported_meshes_come_back_to_their_places(
     write_meshes(work_folder / "hand")
     hand = hand_with_meshes(hand_name)
     Path("hand/hand.toml").write_text(hand.to_toml())
-    exported = f"hand/{FILE_BY_OPTION[format_option]}"
+    exported_file = f"hand/{FILE_BY_OPTION[format_option]}"
     assert (
-        main(["config", "export", format_option, "--hand", "hand/hand.toml", "--output", exported])
+        main(
+            [
+                "config",
+                "export",
+                format_option,
+                "--hand",
+                "hand/hand.toml",
+                "--output",
+                exported_file,
+            ]
+        )
         == 0
     )
     assert (
-        main(["config", "init", "--yes", format_option, exported, "--output", "mine/mine.toml"])
+        main(
+            ["config", "init", "--yes", format_option, exported_file, "--output", "mine/mine.toml"]
+        )
         == 0
     )
     assert "warning" not in capsys.readouterr().out

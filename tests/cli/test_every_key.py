@@ -33,7 +33,7 @@ class UnrepresentableNumber(float):
         return "1e400"
 
 
-ALWAYS_WRONG = {
+INVALID_NUMBERS = {
     "nan": float("nan"),
     "inf": float("inf"),
     "1e400": UnrepresentableNumber("inf"),
@@ -42,7 +42,7 @@ ALWAYS_WRONG = {
     "list": [[1.0]],
 }
 """Values that no number in an input file may have."""
-POSSIBLY_VALID = {
+NUMBER_CHANGES = {
     "-0.0": lambda x: -0.0,
     "negative": lambda x: -abs(x),
     "x1000": lambda x: 1000 * x,
@@ -142,7 +142,7 @@ def mistake_cases():
     for name, (content, _) in CONTENT_AND_OPTIONS.items():
         for path, value in content_leaves(content):
             if is_number(value):
-                yield from ((name, path, kind) for kind in (*ALWAYS_WRONG, *POSSIBLY_VALID))
+                yield from ((name, path, kind) for kind in (*INVALID_NUMBERS, *NUMBER_CHANGES))
             if isinstance(path[-1], str):
                 yield from ((name, path, kind) for kind in KEY_MISTAKES)
 
@@ -170,24 +170,24 @@ def text_with_mistake(file_content, key_path, mistake_kind):
         content_with_value(
             file_content,
             key_path,
-            ALWAYS_WRONG[mistake_kind]
-            if mistake_kind in ALWAYS_WRONG
-            else POSSIBLY_VALID[mistake_kind](old),
+            INVALID_NUMBERS[mistake_kind]
+            if mistake_kind in INVALID_NUMBERS
+            else NUMBER_CHANGES[mistake_kind](old),
         )
     )
 
 
-class OpenedError(Exception):
+class BusOpenedError(Exception):
     """Error that is raised when the command opens a bus."""
 
 
 @pytest.fixture(autouse=True)
 def refuse_to_open_buses(monkeypatch):
-    def raise_opened(*words, **options):
-        raise OpenedError
+    def raise_bus_opened(*words, **options):
+        raise BusOpenedError
 
     for name in ("open_bus", "Mailbox"):
-        monkeypatch.setattr(f"handctl.session.run.{name}", raise_opened)
+        monkeypatch.setattr(f"handctl.session.run.{name}", raise_bus_opened)
 
 
 def refusal_of_file(capsys, file_option, file_name):
@@ -198,7 +198,7 @@ def refusal_of_file(capsys, file_option, file_name):
     others = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:
         code = main(["run", "--bus", ABSENT_BUS, *file_option, file_name, *others])
-    except OpenedError:
+    except BusOpenedError:
         capsys.readouterr()
         return ""
     out, err = capsys.readouterr()
@@ -230,14 +230,14 @@ def test_every_wrong_key_is_refused(work_folder, capsys, content_name, key_path,
     if mistake_kind == "twice":
         assert "file.toml" in line
         assert "TOML" in line
-    elif mistake_kind in ALWAYS_WRONG or mistake_kind == "renamed":
+    elif mistake_kind in INVALID_NUMBERS or mistake_kind == "renamed":
         assert "file.toml: " in line, "the message names the file"
-        spoken = (
+        named_key = (
             key_path_text(content_without_key(content, key_path), key_path[:-1])
             if mistake_kind == "renamed"
             else key_path_text(content, key_path)
         )
-        assert spoken in line
+        assert named_key in line
         assert "expected" in line
     elif line:
         assert "file.toml" in line

@@ -24,15 +24,15 @@ EXAMPLE_BY_COMMAND = {
 }
 COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
 """Commands that may exit with code 1, because they may find a defect of the machine that runs the test."""
-EXAMPLES_ALONE = sorted(
+EXAMPLES_WITHOUT_OTHER_PROCESS = sorted(
     words for words, example in EXAMPLE_BY_COMMAND.items() if not example.parallel_commands
 )
-EXAMPLES_BESIDE_SIMULATOR = sorted(
+EXAMPLES_WITH_SIMULATOR = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
     if example.parallel_commands and RUNNING_HAND not in example.parallel_commands
 )
-EXAMPLES_BESIDE_RUN = sorted(
+EXAMPLES_WITH_RUNNING_HAND = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
     if RUNNING_HAND in example.parallel_commands
@@ -63,7 +63,7 @@ def run_example(run_in_shell, command_words):
     assert "Traceback" not in ended.stderr
 
 
-@pytest.mark.parametrize("command_words", EXAMPLES_ALONE)
+@pytest.mark.parametrize("command_words", EXAMPLES_WITHOUT_OTHER_PROCESS)
 def test_an_example_works_in_one_terminal(run_in_shell, command_words):
     run_example(run_in_shell, command_words)
 
@@ -107,11 +107,13 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(
     simulator, run = EXAMPLE_BY_COMMAND["stop"].parallel_commands
     start_in_background(f"{simulator} --time-scale {TIME_SCALE * repeat_time_scale:g}")
     repeat_until_success(run_in_shell, "handctl fault kinds --bus local:demo")
-    for words in EXAMPLES_BESIDE_SIMULATOR:
+    for words in EXAMPLES_WITH_SIMULATOR:
         if words != "fault inject":  # the injected fault would disturb the run of this example
             run_example(run_in_shell, words)
-    for words in sorted(EXAMPLES_BESIDE_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
-        if words == EXAMPLES_BESIDE_RUN[0]:
+    for words in sorted(
+        EXAMPLES_WITH_RUNNING_HAND, key=lambda one: one == "stop"
+    ):  # ``stop`` is last
+        if words == EXAMPLES_WITH_RUNNING_HAND[0]:
             start_in_background(run)
             repeat_until_success(
                 run_in_shell, "handctl gains set motion.force_N=11 --bus local:demo"

@@ -32,7 +32,7 @@ ESCAPE_SEQUENCES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
 TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
-def is_harmless(printed_text):
+def is_printable_text(printed_text):
     return all(c.isprintable() or c in "\n\t" for c in printed_text)
 
 
@@ -83,7 +83,7 @@ def test_escaped_stream_escapes_every_writer(capsys):
     out, err = capsys.readouterr()
     assert out.startswith("\\x1b[2J")
     assert "\tb\nc\n" in out
-    assert is_harmless(out + err)
+    assert is_printable_text(out + err)
 
 
 def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
@@ -97,7 +97,7 @@ def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
     console.file = io.StringIO()
     console.print(table)
     console.print(f"line{ESCAPE_SEQUENCES}")
-    assert is_harmless(console.file.getvalue())
+    assert is_printable_text(console.file.getvalue())
     assert console.file.getvalue().count("\\x1b[2J") == 4
     monkeypatch.setenv("FORCE_COLOR", "1")
     console = rich_console(min_width=80)
@@ -132,10 +132,10 @@ def test_argparse_messages_are_escaped_and_shortened(capsys, cli_verb):
     ):
         assert exit_code([cli_verb, *words, "--no-such-option", ESCAPE_SEQUENCES]) == 2
         out, err = capsys.readouterr()
-        assert is_harmless(out + err)
+        assert is_printable_text(out + err)
         assert len(err.splitlines()[-1]) < MAX_MESSAGE_CHARACTERS + 60
     assert exit_code([ESCAPE_SEQUENCES]) == 2
-    assert is_harmless(capsys.readouterr().err)
+    assert is_printable_text(capsys.readouterr().err)
 
 
 TEXT_BY_MISTAKE = {
@@ -190,7 +190,7 @@ def test_a_name_and_a_note_are_escaped_where_all_is_well(work_folder, capsys):
     ):
         assert main(words) == 0, words
         out, err = capsys.readouterr()
-        assert is_harmless(out + err), words
+        assert is_printable_text(out + err), words
 
 
 WIDE_NUMBERS = {
@@ -260,20 +260,20 @@ def test_invalid_node_number_is_refused(capsys, drive_text, number_form):
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert is_harmless(err)
+    assert is_printable_text(err)
     assert len(err.splitlines()[-1]) < MAX_MESSAGE_CHARACTERS + 60
 
 
 def test_a_pipe_without_a_reader_is_not_waited_for(work_folder, capsys):
     os.mkfifo(work_folder / "pipe")
-    golden = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
-    assert "nobody reads" in refusal_line(capsys, "report", str(golden), "--output", "pipe")
+    golden_log = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    assert "nobody reads" in refusal_line(capsys, "report", str(golden_log), "--output", "pipe")
 
 
 def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
     print_json({f"k{ESCAPE_SEQUENCES}\udcff": ["\ud800", ESCAPE_SEQUENCES, {"\udcff": "\x7f"}]})
     text = capsys.readouterr().out
-    assert is_harmless(text)
+    assert is_printable_text(text)
     found = json.loads(text)
     json.dumps(found, ensure_ascii=False).encode()
     assert ESCAPE_SEQUENCES in found[f"k{ESCAPE_SEQUENCES}\\udcff"], "only surrogates are replaced"
@@ -341,13 +341,13 @@ FORGED_LINE = "\nFORGED"
     ],
 )
 def test_a_line_end_in_a_file_makes_no_second_line(work_folder, capsys, command_words):
-    forged = "".join(
+    forged_lines = "".join(
         f"{key} = {json.dumps(key + FORGED_LINE)}\n"
         for key in ("note", "made", "version", "fit", "study")
     )
     text = (
         "schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\n"
-        f"log = [{json.dumps(FORGED_LINE)}]\n{forged}"
+        f"log = [{json.dumps(FORGED_LINE)}]\n{forged_lines}"
     )
     (work_folder / "g.toml").write_text(text)
     if command_words in (("gains", "log"), ("gains", "show")):

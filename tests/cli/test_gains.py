@@ -16,13 +16,13 @@ from handctl.log.read.reader import RunLog
 from handctl.session.calibration import write_calibration
 from tests.runtime.processes import time_scale_options
 
-PACKAGED_N = Gains().motion.force_N
+PACKAGED_FORCE_N = Gains().motion.force_N
 UNCHANGED_GAIN = f"tension.force_N={Gains().tension.force_N}"
 """Argument that sets a gain to its present value. The command must report no change."""
 
 
 @pytest.fixture
-def twice_changed_hand(work_folder):
+def hand_with_two_gain_changes(work_folder):
     """Apply two gain files to the hand, one after the other."""
     for newtons in (25, 30):
         (work_folder / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
@@ -41,7 +41,7 @@ def output_of(capsys, *command_words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
+def test_gains_show_tells_the_origin_of_each_value(hand_with_two_gain_changes, capsys):
     shown = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
     rows = shown["gains"]
     assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (
@@ -80,10 +80,10 @@ def test_gains_of_another_hand_are_refused(work_folder, capsys, cli_verb):
 def test_gains_of_an_earlier_hand_file_are_used_and_reported(work_folder, capsys):
     write_gains(work_folder / "new.toml", hand_name="jamia", hand_identity="1" * 64)
     assert main(["gains", "show", "--gains", "new.toml", "--json"]) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["provenance"]["identity"] == "1" * 64
     now = load_hand("jamia").identity[:12]
-    assert f"new.toml was made for jamia as 111111111111, which is now {now}" in said.err
+    assert f"new.toml was made for jamia as 111111111111, which is now {now}" in captured.err
 
 
 @pytest.mark.parametrize(
@@ -99,13 +99,17 @@ def test_gains_show_names_the_packaged_gains(capsys):
     assert output_of(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
 
 
-def test_rollback_changes_diff_and_log(twice_changed_hand, capsys):
-    assert output_of(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 30.0]}
+def test_rollback_changes_diff_and_log(hand_with_two_gain_changes, capsys):
+    assert output_of(capsys, "gains", "diff")["changed"] == {
+        "motion.force_N": [PACKAGED_FORCE_N, 30.0]
+    }
     assert output_of(capsys, "gains", "diff", "1", "2")["changed"] == {
         "motion.force_N": [25.0, 30.0]
     }
     assert output_of(capsys, "gains", "rollback")["provenance"]["restores"] == 1
-    assert output_of(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 25.0]}
+    assert output_of(capsys, "gains", "diff")["changed"] == {
+        "motion.force_N": [PACKAGED_FORCE_N, 25.0]
+    }
     history = output_of(capsys, "gains", "log")
     assert history["present"] == 3
     assert [entry["note"] for entry in history["entries"]] == ["25 N", "30 N", "rollback to 1"]
@@ -132,7 +136,9 @@ def test_mistakes_give_one_line_and_exit_code_2(command_words, expected_message,
     assert error.count("\n") == 1
 
 
-def test_a_damaged_gains_file_does_not_prevent_a_rollback(twice_changed_hand, work_folder, capsys):
+def test_a_damaged_gains_file_does_not_prevent_a_rollback(
+    hand_with_two_gain_changes, work_folder, capsys
+):
     (work_folder / "jamia.gains.toml").write_text("schema = [")
     capsys.readouterr()
     assert main(["gains", "log"]) == 0
@@ -173,9 +179,9 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
         *scale,
     ]
     log, hand_file = work_folder / "run.mcap", load_hand("jamia")
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     made = datetime.datetime.now(datetime.UTC).isoformat()
-    tendons = dict.fromkeys(hand_file.tendon_names, nothing)
+    tendons = dict.fromkeys(hand_file.tendon_names, tendon_calibration)
     known = Calibration(hand="jamia", identity=hand_file.identity, made=made, tendon=tendons)
     write_calibration(work_folder / "jamia.calibration.toml", known)
     with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
@@ -195,15 +201,15 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
             ]
             end = time.monotonic() + 60.0
             while (
-                said := subprocess.run([*change, "--json"], capture_output=True, text=True)
+                captured := subprocess.run([*change, "--json"], capture_output=True, text=True)
             ).returncode:
-                assert time.monotonic() < end, said.stderr
+                assert time.monotonic() < end, captured.stderr
             subprocess.run([*handctl, "stop", "--bus", "local:set"], check=True)
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
     # While a controller starts, it may execute a request late, without a reply to the command.
-    assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
+    assert json.loads(captured.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]
     assert [(event.where, event.text) for event in events] == [("motion.force_N", "26.0")]

@@ -38,8 +38,8 @@ def leaf_parsers() -> dict[str, VerbParser]:
     found = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
-        below = {f"{verb} {name}": one for name, one in sub_parsers(parser).items()}
-        found.update(below or {verb: parser})
+        leaf_by_words = {f"{verb} {name}": one for name, one in sub_parsers(parser).items()}
+        found.update(leaf_by_words or {verb: parser})
     return found
 
 

@@ -14,7 +14,7 @@ from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from tests.cli.command_refusals import refusal_line
 from tests.cli.test_config_init import SENSOR_CASES, sensor_options
 from tests.conftest import NIGHTLY
@@ -173,7 +173,7 @@ def test_no_bus_is_slower_than_250_hz(
         "--tendons",
         "each",
     )
-    assert default_rate(load_hand("mine.toml")) >= 250.0
+    assert default_control_rate(load_hand("mine.toml")) >= 250.0
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(
@@ -205,8 +205,8 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     words = ["--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells"]
     write_initial_hand(*words, "none")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
-    warned = [line for line in capsys.readouterr().out.splitlines() if "gain margin" in line]
-    [line] = {line.partition("warning: ")[2] for line in warned}
+    warning_lines = [line for line in capsys.readouterr().out.splitlines() if "gain margin" in line]
+    [line] = {line.partition("warning: ")[2] for line in warning_lines}
     assert line.startswith("motion.force_N: 13 N leave the motion loop of index_t1, which has no")
     assert f"a gain margin of {margin_db} dB instead of 6 dB at 400 Hz; expected" in line
     force = float(re.search(r"expected at most ([0-9.]+) N$", line)[1])
@@ -227,7 +227,7 @@ def test_antagonists_without_load_cells_need_a_higher_rate(
     words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
     write_initial_hand(*words, "--cells", "none")
     hand = load_hand("mine.toml")
-    assert default_rate(hand) >= 500.0
+    assert default_control_rate(hand) >= 500.0
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     assert "gain margin" not in capsys.readouterr().out
     text = Path("mine.toml").read_text()

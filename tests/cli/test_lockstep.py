@@ -104,12 +104,14 @@ def test_two_runs_write_the_same_bytes(equal_demos, file_name):
     (first, _), (second, _) = equal_demos
     one, other = (first / file_name).read_bytes(), (second / file_name).read_bytes()
     assert len(one) == len(other)
-    differ = (
+    differing_positions = (
         [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
         if one != other
         else []
     )
-    assert not differ, f"{len(differ)} bytes differ, the first at {differ[0]}"
+    assert not differing_positions, (
+        f"{len(differing_positions)} bytes differ, the first at {differing_positions[0]}"
+    )
 
 
 def test_lockstep_demo_writes_exactly_its_files(equal_demos):

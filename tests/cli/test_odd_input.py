@@ -12,24 +12,24 @@ from tests.cli.command_refusals import refusal_line
 ABSENT_BUS_OPTION = ("--bus", "local:nobody")
 
 
-def make_pipe(odd_path):
-    os.mkfifo(odd_path)
+def make_pipe(pipe_path):
+    os.mkfifo(pipe_path)
 
 
-def make_folder(odd_path):
-    odd_path.mkdir()
+def make_folder(folder_path):
+    folder_path.mkdir()
 
 
-def write_endless_number(odd_path):
-    odd_path.write_text("schema = " + "9" * 5000)
+def write_endless_number(file_path):
+    file_path.write_text("schema = " + "9" * 5000)
 
 
-def write_endless_nesting(odd_path):
-    odd_path.write_text("a = " + "[" * 3000 + "]" * 3000)
+def write_endless_nesting(file_path):
+    file_path.write_text("a = " + "[" * 3000 + "]" * 3000)
 
 
-def make_link_loop(odd_path):
-    odd_path.symlink_to(odd_path.name)
+def make_link_loop(link_path):
+    link_path.symlink_to(link_path.name)
 
 
 READING_COMMANDS = {

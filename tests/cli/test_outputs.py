@@ -143,15 +143,15 @@ def test_an_export_that_fails_leaves_nothing(work_folder, monkeypatch, capsys, e
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
 def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
-    def write_half(part):
-        part.parent.mkdir(exist_ok=True)
-        part.write_text("half of")
+    def write_and_interrupt(part_path):
+        part_path.parent.mkdir(exist_ok=True)
+        part_path.write_text("half of")
         raise interruption
 
     with pytest.raises(interruption), atomic_path(work_folder / "file") as part:
-        write_half(part)
+        write_and_interrupt(part)
     with pytest.raises(interruption), atomic_path(work_folder / "new", must_be_new=True) as part:
-        write_half(part / "deep")
+        write_and_interrupt(part / "deep")
 
 
 def test_a_device_is_written_to_and_not_replaced(work_folder):

@@ -41,9 +41,9 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     result = json.loads(out)
     assert result["table_sunk_mm"] > 50.0
     assert result["object_motion_mm"] < MAX_SLIP_MM
-    jaw = next(iter(result["joint_angles"].values()))
-    assert jaw["unit"] == "mm"
-    assert 0.0 <= jaw["error_deg"] < 0.2
+    jaw_result = next(iter(result["joint_angles"].values()))
+    assert jaw_result["unit"] == "mm"
+    assert 0.0 <= jaw_result["error_deg"] < 0.2
     truth = read_truth(gripper_hand_files / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"

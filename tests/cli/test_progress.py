@@ -13,7 +13,7 @@ from handctl.cli.console.progress import progress_bar
 GOLDEN_LOG_TEXT = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 
 
-def at_a_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[str, str]:
+def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[str, str]:
     """Run a command whose standard error is a terminal.
 
     Return the standard output of the command, and the text on the terminal.
@@ -39,7 +39,7 @@ def at_a_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[st
 
 
 def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
-    out, error_output = at_a_terminal(
+    out, error_output = run_at_terminal(
         ("replay", "execute", GOLDEN_LOG_TEXT, "--within", "1e-9"), tmp_path
     )
     assert "0 with other decisions" in out

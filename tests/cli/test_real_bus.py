@@ -82,8 +82,12 @@ def test_no_hand_is_the_default_on_a_real_bus(command_words, capsys):
 
 
 def test_without_a_terminal_a_hand_moves_only_with_yes(command_words, capsys):
-    said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
-    assert said in refusal_line(capsys, *command_words, *HAND_OPTION, "--bus", "socketcan:can0")
+    expected_text = (
+        "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
+    )
+    assert expected_text in refusal_line(
+        capsys, *command_words, *HAND_OPTION, "--bus", "socketcan:can0"
+    )
     assert main([*command_words, *HAND_OPTION, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
         "no motion in a dry run"
     )
@@ -117,7 +121,7 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
     assert main([*named, "local:a"]) == 0
 
 
-def at_a_terminal(typed_answer: str) -> tuple[int, str]:
+def run_at_terminal(typed_answer: str) -> tuple[int, str]:
     """Run ``handctl run`` in a terminal, and answer its question.
 
     Return the exit code and the text on the terminal.
@@ -152,7 +156,7 @@ def at_a_terminal(typed_answer: str) -> tuple[int, str]:
 
 @pytest.mark.parametrize(("typed_answer", "code"), [("y", 1), ("", 2)])
 def test_a_run_at_a_terminal_asks_once_for_consent(typed_answer, code):
-    exit_code, shown = at_a_terminal(typed_answer)
+    exit_code, shown = run_at_terminal(typed_answer)
     assert exit_code == code, shown
     assert shown.count("[y/N]") == 1
     assert ("not confirmed" in shown) == (code == 2)

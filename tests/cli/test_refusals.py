@@ -150,13 +150,13 @@ WRONG_TASKS = {
 
 
 @pytest.mark.parametrize("cli_verb", ["run", "demo", "config"])
-@pytest.mark.parametrize(("task_text", "named_key"), WRONG_TASKS.items())
-def test_a_bad_task_is_refused(work_folder, capsys, cli_verb, task_text, named_key):
+@pytest.mark.parametrize(("task_text", "expected_key"), WRONG_TASKS.items())
+def test_a_bad_task_is_refused(work_folder, capsys, cli_verb, task_text, expected_key):
     (work_folder / "task.toml").write_text(task_text)
     words = {"run": ABSENT_BUS_OPTION, "demo": (), "config": ("check",)}[cli_verb]
     line = refusal_line(capsys, cli_verb, *words, "--task", "task.toml")
     assert "task.toml" in line
-    assert named_key in line
+    assert expected_key in line
 
 
 UNDATED_CALIBRATION = (

@@ -38,12 +38,12 @@ def test_the_exit_code_reports_a_motor_left_enabled(
 
 
 def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, monkeypatch, capsys):
-    def failing(plan, controller, log):
+    def raise_power_error(plan, controller, log):
         raise PowerError(
             "REMOVE POWER: not confirmed disabled: index_motor"
         ) from ZeroDivisionError("in a tick")
 
-    monkeypatch.setattr(commission, "run_live", failing)
+    monkeypatch.setattr(commission, "run_live", raise_power_error)
     assert main(["commission", "--bus", "local:nobody", "--log", "run.mcap"]) == 71
     *before, last = capsys.readouterr().err.splitlines()
     assert "ZeroDivisionError: in a tick" in before
@@ -70,14 +70,14 @@ class SilentBus:
 def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(
     monkeypatch, capsys, drive_is_off, exit_code
 ):
-    def interrupted(subject):
+    def raise_interrupt(device):
         raise KeyboardInterrupt
         yield
 
-    monkeypatch.setattr(conformance, "run_checks", interrupted)
+    monkeypatch.setattr(conformance, "run_checks", raise_interrupt)
     monkeypatch.setattr(bench_drive, "open_bus", lambda *what: SilentBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
-    monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: drive_is_off)
+    monkeypatch.setattr(DriveRig, "confirm_disabled", lambda rig, watchdog_s: drive_is_off)
     words = (
         "--protocol",
         "mit",

@@ -29,8 +29,8 @@ def test_replay_execute_reports_its_result_in_json(capsys: pytest.CaptureFixture
 def test_rounding_of_another_machine_is_distinguished(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    compare = "handctl.replay.log_runner.are_outputs_equal"
-    monkeypatch.setattr(compare, lambda logged, numbers, out: logged.tick_in.k != 100)
+    compared_function = "handctl.replay.log_runner.are_outputs_equal"
+    monkeypatch.setattr(compared_function, lambda logged, numbers, out: logged.tick_in.k != 100)
     found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
     monkeypatch.setattr("handctl.replay.log_runner.differing_fields", lambda *what: iter([found]))
     assert main(["replay", "execute", GRASP_LOG]) == 1

@@ -33,7 +33,7 @@ class BenchBus:
     name = "bench"
 
     def __init__(self, drive_bench, foreign_frames=()):
-        self.bench, self.talk = drive_bench, list(foreign_frames)
+        self.bench, self.foreign_frames = drive_bench, list(foreign_frames)
         self.heard, self.waiting = [], []
 
     def send(self, frames):
@@ -45,7 +45,7 @@ class BenchBus:
     def drain(self):
         frames = [
             Frame(*frame) for frame in self.bench.take_unsolicited() + self.waiting
-        ] + 5 * self.talk
+        ] + 5 * self.foreign_frames
         self.waiting = []
         return frames
 
@@ -63,7 +63,7 @@ def scan_bench(
 ) -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
     bench = SimulatedDriveBench([drive_spec(*spec) for spec in drive_specs], fault=fault_command)
     bus = BenchBus(bench, foreign_frames)
-    return scan_bus(bus, force_scan, listen=advance_and_listen), bench, bus
+    return scan_bus(bus, force_scan, listen_function=advance_and_listen), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
@@ -128,7 +128,7 @@ def test_robstride_motors_are_found_by_their_identity():
 @pytest.mark.parametrize("protocol", ["moteus", "robstride"])
 def test_two_drives_with_one_number_are_named(protocol):
     bench = SimulatedDriveBench([drive_spec(protocol, 7)], fault="twin")
-    (node,) = scan_bus(BenchBus(bench), listen=advance_and_listen).found_nodes
+    (node,) = scan_bus(BenchBus(bench), listen_function=advance_and_listen).found_nodes
     assert node.twins
 
 
@@ -185,7 +185,7 @@ def test_scan_sends_no_frame_that_an_odrive_would_obey():
 def test_an_enabled_drive_stays_as_it_is():
     bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
-    result = scan_bus(BenchBus(bench), listen=advance_and_listen)
+    result = scan_bus(BenchBus(bench), listen_function=advance_and_listen)
     assert [node.state for node in result.found_nodes] == ["enabled"]
     assert bench.motors[0].servo.torque == 0.0
 
@@ -244,7 +244,7 @@ def test_two_drives_with_one_number_are_found(drive_spec):
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
     specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
-    result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen=advance_and_listen)
+    result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen_function=advance_and_listen)
     assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found_nodes] == [
         True,
         True,
@@ -277,7 +277,7 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
+        result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
         bench.simulated_hand.close()
         assert len([node for node in result.found_nodes if node.protocol == protocol]) == 4
         sensors = [node for node in result.found_nodes if node.protocol == "sensor"]
@@ -339,8 +339,8 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 
 def test_a_repeated_frame_of_another_host_is_printed_once(capsys):
     """Reproduce a defect: the output showed the same frame eight times, and no other frame."""
-    talk = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
-    result, _, _ = scan_bench(("odrive", 3), foreign_frames=talk)
+    foreign_frames = [Frame(0x6E, bytes(8)), Frame(0x67, bytes(8))]
+    result, _, _ = scan_bench(("odrive", 3), foreign_frames=foreign_frames)
     _print_scans({"main": "local:s"}, {"main": result}, "")
     line = capsys.readouterr().out.splitlines()[1]
     assert line.count("06E#") == line.count("067#") == 1
@@ -367,4 +367,4 @@ def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
     bench = SimulatedDriveBench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
-    assert scan_bus(bus, listen=advance_and_listen).foreign_frames == ()
+    assert scan_bus(bus, listen_function=advance_and_listen).foreign_frames == ()

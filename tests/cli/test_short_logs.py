@@ -78,16 +78,20 @@ def test_an_inconsistent_clock_in_a_log_is_refused(
     with RunLog(GRASP_LOG) as log:
         ticks, period_ns = tick_records_of(log), log.header.period_ns
         far = ticks[:300] + [_shifted_tick(tick, 10**11, period_ns) for tick in ticks[300:]]
-        odd = write_log(
+        inconsistent_log = write_log(
             work_folder / "odd.mcap",
             log,
             far if clock_mistake == "far apart" else ticks[311:] + ticks[:311],
         )
-    assert main(["log", "check", odd]) == 1
-    assert main(["report", odd]) == 0
+    assert main(["log", "check", inconsistent_log]) == 1
+    assert main(["report", inconsistent_log]) == 0
     output = capsys.readouterr().out
     assert "missing between 299" in output if clock_mistake == "far apart" else "gap" not in output
-    drive = ["replay", "drive", "--bus", "local:nobody", "--dry-run", odd]
-    for words in (["log", "diff", odd, odd], ["log", "export", "--lerobot", odd], drive):
+    drive = ["replay", "drive", "--bus", "local:nobody", "--dry-run", inconsistent_log]
+    for words in (
+        ["log", "diff", inconsistent_log, inconsistent_log],
+        ["log", "export", "--lerobot", inconsistent_log],
+        drive,
+    ):
         assert main(words) == 2, words
         assert len(capsys.readouterr().err.splitlines()) == 1

@@ -106,11 +106,11 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(
         one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
 
-    def interrupted(args):
+    def send_signal(args):
         os.kill(os.getpid(), signal_number)
         raise AssertionError("the signal was not felt")
 
-    monkeypatch.setattr("handctl.cli.checks.config.run", interrupted)
+    monkeypatch.setattr("handctl.cli.checks.config.run", send_signal)
     assert main(["config", "list"]) == exit_code
     out, err = capsys.readouterr()
     assert out == ""
@@ -131,11 +131,11 @@ def test_signal_ignored_through_nohup_stays_ignored():
 
 
 def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkeypatch, capsys):
-    def interrupted(entry, out):
+    def interrupt_at_tick_100(entry, out):
         if entry.k == 100:
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr("handctl.session.run._ignore_tick", interrupted)
+    monkeypatch.setattr("handctl.session.run._ignore_tick", interrupt_at_tick_100)
     assert main(["demo", "--lockstep", "--scene", "none", "--log", "run.mcap", "--json"]) == 130
     assert capsys.readouterr().out == ""
     assert main(["log", "info", "run.commission.mcap", "--json"]) == 0
@@ -145,10 +145,10 @@ def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkey
 
 
 def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
-    def interrupted(*words):
+    def send_termination(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("handctl.tune.search.search.run_search", interrupted)
+    monkeypatch.setattr("handctl.tune.search.search.run_search", send_termination)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == (

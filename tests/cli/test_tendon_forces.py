@@ -44,12 +44,12 @@ def gains_with_own_force(force_N: float) -> Gains:
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
     shared = design_motion(jamia_model.space, Gains(), jamia_model.period)
     own = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
-    all_five = design_motion(
+    design_with_common_force = design_motion(
         jamia_model.space,
         gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
         jamia_model.period,
     )
-    assert own.stiffness[0] == all_five.stiffness[0] < shared.stiffness[0]
+    assert own.stiffness[0] == design_with_common_force.stiffness[0] < shared.stiffness[0]
     assert np.array_equal(own.stiffness[1:], shared.stiffness[1:])
     assert np.array_equal(own.tension, shared.tension)
     tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")

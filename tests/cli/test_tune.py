@@ -58,10 +58,10 @@ def test_a_search_without_a_good_trial_prints_json(fake_search, work_folder, cap
 def test_a_design_without_stable_gains_writes_nothing(
     work_folder, capsys, monkeypatch, command_words
 ):
-    def refuses(*command_words):
+    def raise_value_error(*command_words):
         raise ValueError("no authority keeps the margins")
 
-    monkeypatch.setattr("handctl.tune.loops.gain_design.design_gains", refuses)
+    monkeypatch.setattr("handctl.tune.loops.gain_design.design_gains", raise_value_error)
     assert main(["tune", "design", "--plants", "1", *command_words]) == 1
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
@@ -121,31 +121,37 @@ def test_a_measure_is_worse_only_beyond_its_spread():
     ]
     assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]
     assert compare_rounds([runs[0]])[0].verdict == "worse"
-    noisy = [[gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)]
-    assert compare_rounds(noisy)[0].verdict == "same"
+    noisy_runs = [
+        [gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)
+    ]
+    assert compare_rounds(noisy_runs)[0].verdict == "same"
 
 
-@pytest.mark.parametrize(("accept_worse", "exit_code"), [(False, 1), (True, 0)])
+@pytest.mark.parametrize(("accepts_worse_gains", "exit_code"), [(False, 1), (True, 0)])
 def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
-    capsys, accept_worse, exit_code
+    capsys, accepts_worse_gains, exit_code
 ):
     from handctl.cli.tuning.tune_verify import _report_verification
 
     rounds = [gain_score(1.0), gain_score(1.0), gain_score(3.0), gain_score(3.0), gain_score(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p", "stopped": "", "amplitudes": (0.3, 1.0, 0.3, 0.6, 1.0)}
-    args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept_worse, json=False)
+    args = Namespace(
+        candidate="new.toml", hand="jamia", accept_worse=accepts_worse_gains, json=False
+    )
     assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == exit_code
     said = capsys.readouterr().out
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
-    assert ("gains apply" in said) == accept_worse
-    assert ("--accept-worse" in said) != accept_worse
+    assert ("gains apply" in said) == accepts_worse_gains
+    assert ("--accept-worse" in said) != accepts_worse_gains
     last = said.splitlines()[-1]
-    assert last.startswith("verified; " if accept_worse else "not verified: tracking worse than")
+    assert last.startswith(
+        "verified; " if accepts_worse_gains else "not verified: tracking worse than"
+    )
 
 
 @pytest.mark.parametrize(
-    ("failure_text", "rolls_back", "blocked", "expected_reason"),
+    ("failure_text", "rollback", "blocked", "expected_reason"),
     [
         ("T01 torn", None, None, "the run failed: T01 torn"),
         ("", GainsRollback(1.0, 500, 0.6, "safety: HOLD"), None, "safety: HOLD at amplitude 0.6"),
@@ -160,18 +166,18 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
     ],
 )
 def test_the_last_line_of_a_verification_is_its_verdict(
-    capsys, failure_text, rolls_back, blocked, expected_reason
+    capsys, failure_text, rollback, blocked, expected_reason
 ):
     """Reproduce a defect: `tune verify` printed no verdict if the run returned to the old gains."""
     from handctl.cli.tuning.tune_verify import _report_verification, _stop_reason
 
     amplitudes = (0.3, 1.0, 0.3, 0.6, 1.0)
-    observer = SimpleNamespace(rollback=rolls_back, blocked=blocked, amplitudes=amplitudes)
+    observer = SimpleNamespace(rollback=rollback, blocked=blocked, amplitudes=amplitudes)
     run = {
         "through": False,
         "stopped": _stop_reason(failure_text, observer, 1),
         "amplitudes": amplitudes,
-        "returned": asdict(rolls_back) if rolls_back else None,
+        "returned": asdict(rollback) if rollback else None,
         "failure": failure_text,
         "rounds": [gain_score(1.0)],
         "judged_by": "truth",
@@ -192,12 +198,12 @@ def test_the_last_line_of_a_verification_is_its_verdict(
 
 
 def test_an_existing_commissioning_log_is_accepted(work_folder):
-    from handctl.session.run_plan import commission_log
+    from handctl.session.run_plan import commissioning_log_path
 
-    first = commission_log(work_folder / "run.mcap")
+    first = commissioning_log_path(work_folder / "run.mcap")
     assert first.name == "run.commission.mcap"
     first.write_text("")
-    assert commission_log(work_folder / "run.mcap").name == "run.commission-2.mcap"
+    assert commissioning_log_path(work_folder / "run.mcap").name == "run.commission-2.mcap"
 
 
 def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
@@ -282,10 +288,10 @@ def test_an_identification_refuses_two_sources(capsys, command_words):
 def jamia_calibration(is_simulated: bool = False) -> Calibration:
     """Return a calibration of the packaged hand jamia without identified parameters."""
     hand = load_hand("jamia")
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     return Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00",
-        tendon=dict.fromkeys(hand.tendon_names, nothing), simulated=is_simulated,
+        tendon=dict.fromkeys(hand.tendon_names, tendon_calibration), simulated=is_simulated,
     )  # fmt: skip
 
 
@@ -297,7 +303,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
         own.read_bytes(),
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
-    outcome = SimpleNamespace(state=ended, check_finished=lambda where: None)
+    outcome = SimpleNamespace(state=ended, raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
         "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (made, outcome)
     )
@@ -341,7 +347,7 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
 
 def _replace_identification(monkeypatch, calibration, digit_results):
     """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
-    outcome = SimpleNamespace(check_finished=lambda where: None)
+    outcome = SimpleNamespace(raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
         "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (calibration, outcome)
     )

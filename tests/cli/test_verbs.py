@@ -63,11 +63,11 @@ DRY_RUN_WORDS = {
 
 @pytest.mark.parametrize("verb", DRY_RUN_WORDS)
 def test_every_verb_prints_json_without_hardware(capsys, verb):
-    dry = ("--dry-run",) if verb == "run" else ()
-    code, said = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry)
+    dry_run_option = ("--dry-run",) if verb == "run" else ()
+    code, printed_json = json_output(capsys, *verb.split(), *DRY_RUN_WORDS[verb], *dry_run_option)
     # doctor exits with 1 if it has a bad finding
     assert code in ((0, 1) if verb == "doctor" else (0,))
-    assert said
+    assert printed_json
 
 
 def test_config_show_and_run_plan_the_same_bus_load(capsys):
@@ -105,17 +105,19 @@ def test_a_dry_run_opens_and_writes_nothing(work_folder, capsys, verb):
     words = (*verb.split(), *DRY_RUN_CASES[verb], "--dry-run")
     assert main(words) == 0
     assert capsys.readouterr().out
-    code, said = json_output(capsys, *words)
+    code, printed_json = json_output(capsys, *words)
     assert code == 0
-    assert said
+    assert printed_json
     assert not any(work_folder.iterdir())
     assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
 
 
 def test_a_dry_run_prints_the_gains(work_folder, capsys):
     Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
-    code, said = json_output(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
-    assert (code, said["gains"]) == (0, "new.toml")
+    code, printed_json = json_output(
+        capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run"
+    )
+    assert (code, printed_json["gains"]) == (0, "new.toml")
 
 
 @pytest.fixture(scope="module")
@@ -147,16 +149,16 @@ def small_log(tmp_path_factory):
 
 
 def test_log_info_counts_the_ticks_of_a_complete_log(small_log, capsys):
-    code, said = json_output(capsys, "log", "info", str(small_log))
-    assert (code, said["whole"], said["ticks"]) == (0, True, 3000)
+    code, printed_json = json_output(capsys, "log", "info", str(small_log))
+    assert (code, printed_json["whole"], printed_json["ticks"]) == (0, True, 3000)
     assert main(["log", "info", str(small_log)]) == 0
     assert "3000" in capsys.readouterr().out
 
 
 def test_log_info_prints_gains_only_if_asked_and_no_none(capsys):
-    code, said = json_output(capsys, "log", "info", str(GOLDEN_LOG))
+    code, printed_json = json_output(capsys, "log", "info", str(GOLDEN_LOG))
     assert code == 0
-    assert said["gains"]
+    assert printed_json["gains"]
     assert main(["log", "info", str(GOLDEN_LOG)]) == 0
     text = capsys.readouterr().out
     assert "None" not in text
@@ -168,14 +170,14 @@ def test_log_info_prints_gains_only_if_asked_and_no_none(capsys):
 def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsys):
     data = small_log.read_bytes()
     (work_folder / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
-    code, said = json_output(capsys, "log", "info", "cut.mcap")
-    assert (code, said["whole"]) == (3, False)
-    assert 0 < said["ticks"] < 3000
+    code, printed_json = json_output(capsys, "log", "info", "cut.mcap")
+    assert (code, printed_json["whole"]) == (3, False)
+    assert 0 < printed_json["ticks"] < 3000
     code, found = json_output(capsys, "log", "recover", "cut.mcap")
     assert (code, found["status"]) == (3, "lossy")
     with RunLog(work_folder / "cut.recovered.mcap") as whole:
         assert not whole.warning
-        assert len(whole) == said["ticks"]
+        assert len(whole) == printed_json["ticks"]
 
 
 def test_a_complete_log_is_recovered_unchanged(small_log, work_folder, capsys):

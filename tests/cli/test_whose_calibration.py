@@ -22,7 +22,7 @@ from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock,
 from handctl.session.calibration import (
     find_calibration,
     load_calibration,
-    previous_identified,
+    previous_identified_parameters,
     run_commissioning,
     write_calibration,
 )
@@ -171,7 +171,7 @@ def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)
     write_calibration(path, bench.commission("made").model_copy(update={"made": made.isoformat()}))
     bench.peer.close()
-    calibration, why = find_calibration(path, bench.plan.hand, is_named=True)
+    calibration, why = find_calibration(path, bench.plan.hand, is_file_named=True)
     assert (calibration is None) == bool(reason)
     assert reason in why
 
@@ -182,10 +182,10 @@ def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
     bench.peer.close()
     hand = bench.plan.hand
     write_calibration(path, calibration)
-    assert previous_identified(path, hand, calibration.drive) == {}
+    assert previous_identified_parameters(path, hand, calibration.drive) == {}
     others = dict.fromkeys(calibration.drive, "0x1")
     capsys.readouterr()
-    assert previous_identified(path, hand, others) == {}
+    assert previous_identified_parameters(path, hand, others) == {}
     assert capsys.readouterr().err == "", "without identified values there is no notice"
 
 

@@ -41,7 +41,7 @@ In all earlier ticks the hand is kept active in spite of faults.
 LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
 BUS_NAMES, MOTORS_PER_BUS = ("main", "second"), 12
-CARRIED_FRACTION = 0.3
+CARRIED_DIGIT_FRACTION = 0.3
 """Fraction of digits that are mounted on another digit, which carries them."""
 RandomGenerator = np.random.Generator
 
@@ -62,21 +62,21 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         kinds = [arms for arms in _moment_arm_kinds(digit_joints, radii) if len(arms) <= left]
         arms = kinds[int(rng.integers(len(kinds)))]
         digits.append(_random_digit(finger, name, size, len(arms) == 1 < size, rng))
-        if len(digits) > 1 and rng.random() < CARRIED_FRACTION:
+        if len(digits) > 1 and rng.random() < CARRIED_DIGIT_FRACTION:
             # Tendons of a carried digit pass a joint of its carrier at a distance from the axis.
             carrier = digits[-2]["name"]
             digits[-1]["mount_on"] = carrier
             arms = [arm | {f"{carrier}_j1": float(rng.uniform(1e-3, 5e-3))} for arm in arms]
         joints += digit_joints
         for moment_arm in arms:
-            varied = {
+            varied_constants = {
                 key: tendon[key] * rng.uniform(0.8, 1.2)
                 for key in ("stiffness_N_per_m", "friction_coefficient")
             }
             number = len(entries)
             entries.append(
                 tendon
-                | varied
+                | varied_constants
                 | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm}
             )
     motors = [

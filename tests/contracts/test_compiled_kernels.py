@@ -82,9 +82,9 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import hash_of_execution, GOLDEN_LOGS; print(hash_of_execution(GOLDEN_LOGS / {name!r}))"
     with run_without_compiler("-c", script) as other:
-        mine = hash_of_execution(GOLDEN_LOGS / name)
+        compiled_hash = hash_of_execution(GOLDEN_LOGS / name)
         output, _ = other.communicate(timeout=120)
-    assert output.strip() == mine
+    assert output.strip() == compiled_hash
 
 
 def hash_of_frame_conversions() -> str:
@@ -138,9 +138,9 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in seeds_and_lengths]
     ) as other:
-        mine = [tick_hashes(*hand) for hand in seeds_and_lengths]
+        compiled_hashes = [tick_hashes(*hand) for hand in seeds_and_lengths]
         output, _ = other.communicate(timeout=60.0 * len(seeds_and_lengths))
-    for hand, one, two in zip(seeds_and_lengths, mine, json.loads(output), strict=True):
+    for hand, one, two in zip(seeds_and_lengths, compiled_hashes, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
         assert len(set(one)) == TICKS_PER_HAND, "all ticks differ"
@@ -171,9 +171,9 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
     with run_without_compiler(
         "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
     ) as other:
-        mine = hash_of_segments()
+        compiled_hash = hash_of_segments()
         output, _ = other.communicate(timeout=120)
-    assert output.strip() == mine
+    assert output.strip() == compiled_hash
 
 
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
@@ -219,7 +219,7 @@ def misses(block, at):
     return frame_losses.misses_every_second(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
-ASK_PROBE_CODE = """
+CALL_PROBE_CODE = """
 from handctl import compiled
 from handctl.core import state_block as s
 from handctl.core.probe import misses
@@ -259,7 +259,7 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
         "NUMBA_CACHE_DIR": str(cache_folder),
         "PYTHONPATH": str(package_folder.parent),
     }
-    command = [sys.executable, "-c", ASK_PROBE_CODE]
+    command = [sys.executable, "-c", CALL_PROBE_CODE]
     done = subprocess.run(
         command,
         env=environment,
@@ -280,20 +280,21 @@ def test_a_constant_changed_in_another_file_compiles_again(
 
     numba itself checks only the file of the kernel.
     """
-    cache = tmp_path / "cache"
-    assert run_copied_kernel(package_copy, cache) == (True, False, True)
-    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
+    cache_folder = tmp_path / "cache"
+    assert run_copied_kernel(package_copy, cache_folder) == (True, False, True)
+    assert run_copied_kernel(package_copy, cache_folder) == (True, True, True), (
         "positive control: unchanged code is not compiled again"
     )
     other = package_copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
-    assert "HALF_RATE_MISSES = 7\n" in text
+    assert "HALF_RATE_MISSING_REPLIES = 7\n" in text
     other.write_text(
-        text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8"
+        text.replace("HALF_RATE_MISSING_REPLIES = 7\n", "HALF_RATE_MISSING_REPLIES = 8\n"),
+        encoding="utf-8",
     )
-    assert run_copied_kernel(package_copy, cache) == (False, False, True)
+    assert run_copied_kernel(package_copy, cache_folder) == (False, False, True)
     other.write_text(text, encoding="utf-8")
-    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
+    assert run_copied_kernel(package_copy, cache_folder) == (True, True, True), (
         "the code of both versions is kept"
     )
 
@@ -302,25 +303,25 @@ def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
     """If two installations used one folder, each could load the stored code of the other."""
-    cache, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
+    cache_folder, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
     shutil.copytree(package_copy, other)
     for package in (package_copy, other):
-        assert run_copied_kernel(package, cache) == (True, False, True)
-    assert len(list((cache / "handctl").glob("kernels-*"))) == 2
+        assert run_copied_kernel(package, cache_folder) == (True, False, True)
+    assert len(list((cache_folder / "handctl").glob("kernels-*"))) == 2
 
 
 @pytest.mark.parametrize("cache_kind", ["missing", "a file", "read-only"])
 def test_without_a_writable_cache_each_process_compiles(
     package_copy: Path, tmp_path: Path, cache_kind: str
 ) -> None:
-    cache = Path("/dev/null/none") if cache_kind == "missing" else tmp_path / "cache"
+    cache_folder = Path("/dev/null/none") if cache_kind == "missing" else tmp_path / "cache"
     if cache_kind != "missing":
-        cache.mkdir()
+        cache_folder.mkdir()
     if cache_kind == "a file":
-        (cache / "handctl").write_text("")
+        (cache_folder / "handctl").write_text("")
     if cache_kind == "read-only":
-        cache.chmod(0o555)
-    result, hit, stored = run_copied_kernel(package_copy, cache)
+        cache_folder.chmod(0o555)
+    result, hit, stored = run_copied_kernel(package_copy, cache_folder)
     assert (result, hit) == (True, False)
     assert not stored or (cache_kind == "read-only" and os.geteuid() == 0), (
         "root can write into read-only folders"

@@ -14,7 +14,7 @@ import pytest
 
 REPOSITORY = Path(__file__).parents[2]
 CONTRIBUTING_PAGE = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
-READ_BACK = """
+READ_TOPIC_CODE = """
 import json, sys
 import varied_run
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -53,7 +53,7 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     insert_text(everything, "self._parts = (\n", part)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY / "tests" / "log", REPOSITORY)))
     ran = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", READ_BACK],
+        [sys.executable, "-W", "ignore", "-c", READ_TOPIC_CODE],
         env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
         cwd=tmp_path,
         capture_output=True,
@@ -112,7 +112,10 @@ def test_every_place_that_names_the_version_names_the_same() -> None:
         "version"
     ]
     changelog = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
-    released = re.findall(r"^## \[(\d[^\]]*)\] - (\S+)", changelog, re.MULTILINE)
+    released_versions = re.findall(r"^## \[(\d[^\]]*)\] - (\S+)", changelog, re.MULTILINE)
     citation = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
-    assert released[0] == (version, *re.findall(r"^date-released: (.*)", citation, re.MULTILINE))
+    assert released_versions[0] == (
+        version,
+        *re.findall(r"^date-released: (.*)", citation, re.MULTILINE),
+    )
     assert f"\nversion: {version}\n" in citation

@@ -11,9 +11,9 @@ from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,
-    DETECTED_FAULT,
-    NOT_VISIBLE,
-    WEAKER_SIGN,
+    INDIRECT_FAULT_SIGN,
+    INVISIBLE_FAULT,
+    VISIBLE_FAULT,
 )
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.markdown import (
@@ -21,8 +21,8 @@ from handctl.safety.faults.markdown import (
     fault_sections,
     fault_table_markdown,
     hardware_checklist,
-    is_late,
-    late_rows,
+    late_reaction_rows,
+    reacts_too_late,
 )
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
 
@@ -46,7 +46,7 @@ AUTOSAR_FAULTS = {
 Source: FAULTS, section 2.6.
 """
 PX4_FAILURE_KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
-PX4_FAILURES = {
+PX4_FAULTS_BY_QUANTITY = {
     "link": ("N02", "N15", "B08", "B06", "N15", "B04", "B03"),
     "joint encoder": ("N02", "N04", "N05", "N06", "N15", "B04", "B03"),
     "spool encoder": ("B02", "N04", "N05", "N06", "N15", "B04", "B03"),
@@ -83,17 +83,17 @@ def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in FAULT_CATALOGUE:
         for visibility in map(entry.visibility, GUARDED_PROTOCOLS):
             verdict, _, why = visibility.partition(": ")
-            assert verdict in (DETECTED_FAULT, WEAKER_SIGN, NOT_VISIBLE), entry.id
-            assert why or verdict == DETECTED_FAULT, f"{entry.id}: replaced by what, or lost why?"
+            assert verdict in (VISIBLE_FAULT, INDIRECT_FAULT_SIGN, INVISIBLE_FAULT), entry.id
+            assert why or verdict == VISIBLE_FAULT, f"{entry.id}: replaced by what, or lost why?"
 
 
 def test_every_fault_is_injected_or_has_a_reason() -> None:
     campaign = {row.id for row in FAULT_MATRIX}
     for entry in FAULT_CATALOGUE:
-        if entry.tested == "campaign":
+        if entry.tested_by == "campaign":
             assert entry.id in campaign, entry.id
-        elif entry.tested != "soak":
-            assert (REPOSITORY / entry.tested).exists(), entry.id
+        elif entry.tested_by != "soak":
+            assert (REPOSITORY / entry.tested_by).exists(), entry.id
     assert campaign <= set(CATALOGUE_IDS)
     assert UNTESTED_ROWS.keys() | campaign >= set(CATALOGUE_IDS) - {
         id_ for id_ in CATALOGUE_IDS if id_[0] == "I"
@@ -106,15 +106,15 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
         if row.accepted_faults[:1] == ("B11b",):  # second stage of the fault B11, after ten ticks
             assert row.max_ticks == 11
             continue
-        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.latest_ms(500.0), row
-        extra = {
+        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_ms(500.0), row
+        extra_ms_by_protocol = {
             p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
         }
-        assert extra.get("odrive", 0.0) <= entry.odrive_ms, row
+        assert extra_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
         for protocol in ("mit", "cia402"):
-            assert row.max_ticks * 2.0 + row.max_extra_ms + extra.get(
+            assert row.max_ticks * 2.0 + row.max_extra_ms + extra_ms_by_protocol.get(
                 protocol, 0.0
-            ) <= entry.latest_ms(500.0), row
+            ) <= entry.max_reaction_ms(500.0), row
 
 
 REQUIRED_TICKS = """\
@@ -131,8 +131,8 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
     required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in FAULT_CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
-        needs_why = (entry.ticks or entry.ms) and is_late(entry)
-        assert bool(entry.why) == bool(needs_why), (
+        needs_reason = (entry.ticks or entry.ms) and reacts_too_late(entry)
+        assert bool(entry.why) == bool(needs_reason), (
             f"{entry.id}: late detection, and no other, needs a reason"
         )
 
@@ -140,7 +140,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 def test_the_pages_agree_with_the_code() -> None:
     evidence = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
     assert catalogue_markdown() in evidence
-    assert late_rows() in evidence
+    assert late_reaction_rows() in evidence
     assert hardware_checklist() in evidence
     reference = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
     assert fault_table_markdown() in reference
@@ -164,7 +164,7 @@ def test_each_fault_of_the_autosar_list_is_a_fault_of_the_table(autosar_fault: s
 
 
 def test_each_cell_of_the_px4_table_is_a_fault_or_has_a_reason() -> None:
-    cells = [cell for row in PX4_FAILURES.values() for cell in row]
+    cells = [cell for row in PX4_FAULTS_BY_QUANTITY.values() for cell in row]
     assert len(AUTOSAR_FAULTS) == 11
     assert len(cells) == 6 * len(PX4_FAILURE_KINDS)
     for cell in cells:

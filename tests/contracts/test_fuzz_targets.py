@@ -48,14 +48,14 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path
     }
     ours = frame_targets.selectable_identifiers(motor, seen)
     for data in seed_inputs(target_name, tmp_path):
-        state, t_ns, recorded = seen[data[0]]
+        state, t_ns, received_frames = seen[data[0]]
         sent = [frame for frame, _ in frame_targets.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
-            (frame.can_id, frame.data) for frame in recorded
+            (frame.can_id, frame.data) for frame in received_frames
         ]
         after = functools.reduce(motor.receive, sent, state)
         assert after.misread == 0
-        assert after.phase == functools.reduce(motor.receive, recorded, state).phase
+        assert after.phase == functools.reduce(motor.receive, received_frames, state).phase
 
 
 def test_a_changed_field_of_a_log_is_found_by_its_check(
@@ -76,8 +76,8 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
     part, tick = next(messages)
     number = 22 + 4  # the tick number follows 22 bytes of message header and 4 bytes of encoding
     replaced, anywhere, given, one_byte = 3, 1, 0, 0
-    choices = (part, tick, replaced, number, anywhere, given, one_byte)
-    assert not target(b"".join(n.to_bytes(2, "little") for n in choices) + b"\x07")
+    mutation_choices = (part, tick, replaced, number, anywhere, given, one_byte)
+    assert not target(b"".join(n.to_bytes(2, "little") for n in mutation_choices) + b"\x07")
     assert len(error_lines) == 1
     assert "telemetry and ticks do not belong together" in error_lines[0]
 

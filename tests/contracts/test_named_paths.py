@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 REPOSITORY = Path(__file__).parents[2]
-FOLDERS = "benchmarks|docs|examples|firmware_sim|fuzz|logs|src|tests|tools"
-PATH_PATTERN = re.compile(rf"(?<![\w/.-])(?:{FOLDERS})/[\w/.*-]*[\w*]")
+CHECKED_FOLDERS_PATTERN = "benchmarks|docs|examples|firmware_sim|fuzz|logs|src|tests|tools"
+PATH_PATTERN = re.compile(rf"(?<![\w/.-])(?:{CHECKED_FOLDERS_PATTERN})/[\w/.*-]*[\w*]")
 """A path in a text. The path may contain the wildcard of a shell."""
 PLACEHOLDER_PATTERN = re.compile(r"[A-Z]{3,}|[.]{3}|RUN")
 """A path with a word in capital letters, such as NAME, is a pattern for the reader."""
@@ -17,7 +17,7 @@ DOCUMENTS = [
     *REPOSITORY.glob("*.md"),
     *(REPOSITORY / "docs").rglob("*.md"),
 ]
-HISTORY = "CHANGELOG.md"
+HISTORY_DOCUMENT = "CHANGELOG.md"
 """Document that also names files of earlier versions."""
 
 
@@ -31,7 +31,7 @@ def missing_paths(document_text: str) -> list[str]:
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_named_file_exists(document: Path) -> None:
     """Reproduce a defect: the settings of mutation testing named two files whose names had changed."""
-    if document.name != HISTORY:
+    if document.name != HISTORY_DOCUMENT:
         assert missing_paths(document.read_text()) == []
 
 

@@ -22,7 +22,7 @@ def module_files() -> dict[str, Path]:
     return files
 
 
-def imported_modules(source_text: str, modules_known: set[str]) -> set[str]:
+def imported_modules(source_text: str, known_modules: set[str]) -> set[str]:
     """Return the modules that a source text imports, including imports in functions and for type hints."""
     imported: set[str] = set()
     for node in ast.walk(ast.parse(source_text)):
@@ -30,9 +30,9 @@ def imported_modules(source_text: str, modules_known: set[str]) -> set[str]:
             case ast.Import(names=names):
                 imported |= {alias.name for alias in names}
             case ast.ImportFrom(module=str(module), names=names):
-                whole = {f"{module}.{alias.name}" for alias in names} & modules_known
+                whole = {f"{module}.{alias.name}" for alias in names} & known_modules
                 imported |= whole or {module}
-    return imported & modules_known
+    return imported & known_modules
 
 
 def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
@@ -51,9 +51,9 @@ def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
 def test_the_search_detects_circles_of_any_length() -> None:
     assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
     assert import_cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
-    modules_known = {"handctl.a", "handctl.b", "handctl.b.c"}
-    assert imported_modules("from handctl.b import c", modules_known) == {"handctl.b.c"}
-    assert imported_modules("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
+    known_modules = {"handctl.a", "handctl.b", "handctl.b.c"}
+    assert imported_modules("from handctl.b import c", known_modules) == {"handctl.b.c"}
+    assert imported_modules("def f():\n    import handctl.a", known_modules) == {"handctl.a"}
 
 
 @pytest.mark.parametrize("package_name", ["handctl", "firmware_sim"])

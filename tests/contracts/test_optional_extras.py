@@ -19,12 +19,12 @@ from handctl.extras import EXTRA_BY_MODULE, MissingExtraError, missing_extra, re
 
 REPOSITORY = Path(__file__).parents[2]
 PROJECT_TABLE = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
-PLACES_OF_EXTRAS = (
+PATHS_WITH_OPTIONAL_IMPORTS = (
     "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
     "src/handctl/tune/search/",
 )  # fmt: skip
 """Folders and files of the source that may import optional packages, except those of the extra ``controller``."""
-PARTS_OF_DEPENDENCIES = {"pydantic_core"}
+PACKAGES_OF_DEPENDENCIES = {"pydantic_core"}
 """Packages that are part of a dependency.
 
 The dependency itself pins the version of such a package.
@@ -67,14 +67,14 @@ COMMANDS_WITH_EXTRA = [
 
 
 @pytest.mark.parametrize(
-    ("words", "package_name", "needed_for", "extra_name"),
+    ("words", "package_name", "command_text", "extra_name"),
     COMMANDS_WITH_EXTRA,
     ids=[row[0] for row in COMMANDS_WITH_EXTRA],
 )
 def test_a_missing_extra_is_one_line_that_names_it(
     words: str,
     package_name: str,
-    needed_for: str,
+    command_text: str,
     extra_name: str,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -85,7 +85,7 @@ def test_a_missing_extra_is_one_line_that_names_it(
     assert main(words.split()) == 2
     assert capsys.readouterr() == (
         "",
-        f"handctl: {needed_for}: pip install 'handctl[{extra_name}]'\n",
+        f"handctl: {command_text}: pip install 'handctl[{extra_name}]'\n",
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -105,7 +105,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
     code = (
         f"{hide_packages_code({'sim'})}from handctl.session.simulate import SimulatorSettings\n"
-        "SimulatorSettings('jamia').check_constructible()"
+        "SimulatorSettings('jamia').check_hand_constructible()"
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ran.stderr.splitlines()[-1].endswith(
@@ -229,10 +229,10 @@ def test_verbs_for_logs_and_buses_need_no_controller(
 
 def test_each_extra_installs_what_it_is_named_for() -> None:
     extras = PROJECT_TABLE["optional-dependencies"]
-    distributions = packages_distributions()
+    distributions_by_package = packages_distributions()
     for package, extra in EXTRA_BY_MODULE.items():
         names = {re.split(r"[=<>\[]", line)[0] for line in extras[extra]}
-        assert names & set(distributions[package]), f"{extra} does not install {package}"
+        assert names & set(distributions_by_package[package]), f"{extra} does not install {package}"
     listed = set(re.split(r"[\[\],]", extras["all"][0])[1:-1])
     assert listed == set(extras) - {"all"}
 
@@ -240,18 +240,18 @@ def test_each_extra_installs_what_it_is_named_for() -> None:
 def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undeclared() -> None:
     extras = PROJECT_TABLE["optional-dependencies"]
     lines = PROJECT_TABLE["dependencies"] + extras["controller"]
-    declared = {re.split(r"[=<>]", line)[0] for line in lines}
-    distributions = packages_distributions()
+    declared_packages = {re.split(r"[=<>]", line)[0] for line in lines}
+    distributions_by_package = packages_distributions()
     for path in sorted((REPOSITORY / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             for name in imported_packages(node):
-                if name in {*sys.stdlib_module_names, *PARTS_OF_DEPENDENCIES, "handctl"}:
+                if name in {*sys.stdlib_module_names, *PACKAGES_OF_DEPENDENCIES, "handctl"}:
                     continue
                 place = str(path.relative_to(REPOSITORY))
                 if EXTRA_BY_MODULE.get(name, "controller") != "controller":
-                    assert place.startswith(PLACES_OF_EXTRAS), f"{place} imports {name}"
+                    assert place.startswith(PATHS_WITH_OPTIONAL_IMPORTS), f"{place} imports {name}"
                 else:
-                    assert declared & set(distributions[name]), (
+                    assert declared_packages & set(distributions_by_package[name]), (
                         f"{place} imports {name}, which is not a dependency"
                     )
 

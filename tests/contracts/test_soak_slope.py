@@ -18,12 +18,12 @@ from handctl.session.calibration import load_calibration
 
 
 def memory_samples(
-    duration_s: float, mib_per_h: float = 0.0, swings_mib: float = 0.0
+    duration_s: float, mib_per_h: float = 0.0, noise_mib: float = 0.0
 ) -> list[MemorySample]:
     chance = random.Random(1)
     times = [30.0 * i for i in range(int(duration_s / 30) + 1)]
     return [
-        MemorySample(t, 350.0 + mib_per_h * t / 3600 + swings_mib * chance.random(), 7)
+        MemorySample(t, 350.0 + mib_per_h * t / 3600 + noise_mib * chance.random(), 7)
         for t in times
     ]
 
@@ -63,15 +63,15 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
 
     The soak run reported this variation as a memory growth of 3 MiB per hour.
     """
-    falling_back = memory_samples(2400.0)
+    samples_with_drops = memory_samples(2400.0)
     low = [
         one._replace(
             rss_mib=one.rss_mib - 1.5 * (600 <= one.time_s < 1170 and one.time_s % 300 > 30)
         )
-        for one in falling_back
+        for one in samples_with_drops
     ]
     assert memory_slope(low) == pytest.approx(0.0, abs=1e-6)
-    assert memory_slope(memory_samples(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(
+    assert memory_slope(memory_samples(7200.0, mib_per_h=2.0, noise_mib=1.5)) == pytest.approx(
         2.0, abs=0.3
     )
 

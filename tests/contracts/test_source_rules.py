@@ -79,12 +79,15 @@ def test_only_one_module_builds_the_simulated_hand() -> None:
 
     The module of the lockstep clock defines the parts of this simulated hand.
     """
-    builders = {
+    building_modules = {
         str(path.relative_to(REPOSITORY))
         for path in source_files("src", "benchmarks", "fuzz")
         if re.search(r"\b(load_simulator|LockstepClock)\(", path.read_text(encoding="utf-8"))
     }
-    assert builders == {"src/handctl/runtime/clocks/lockstep.py", "src/handctl/session/simulate.py"}
+    assert building_modules == {
+        "src/handctl/runtime/clocks/lockstep.py",
+        "src/handctl/session/simulate.py",
+    }
 
 
 def test_no_folder_has_more_than_fourteen_modules() -> None:
@@ -124,9 +127,9 @@ def names_of_module(module_name: str) -> set[str]:
     places = [top / module_name.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)]
     place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
     if place.is_dir():
-        below, file = {path.stem for path in place.iterdir()}, place / "__init__.py"
+        known_names, file = {path.stem for path in place.iterdir()}, place / "__init__.py"
     else:
-        below, file = set(), place.with_suffix(".py")
+        known_names, file = set(), place.with_suffix(".py")
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")):
         match node:
             case (
@@ -134,10 +137,10 @@ def names_of_module(module_name: str) -> set[str]:
                 | ast.ClassDef(name=name)
                 | ast.Name(id=name, ctx=ast.Store())
             ):
-                below.add(name)
+                known_names.add(name)
             case ast.alias(name=name, asname=other):
-                below.add(other or name)
-    return below
+                known_names.add(other or name)
+    return known_names
 
 
 @pytest.mark.parametrize(

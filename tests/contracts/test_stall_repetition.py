@@ -27,29 +27,29 @@ def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
     assert repeat_time_scale == pytest.approx(expected), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
-        os.kill(repeats.meter.pids[0], signal.SIGSTOP)
+        os.kill(repeats.stall_meter.pids[0], signal.SIGSTOP)
         time.sleep(0.05)
-        os.kill(repeats.meter.pids[0], signal.SIGCONT)
+        os.kill(repeats.stall_meter.pids[0], signal.SIGCONT)
         time.sleep(0.05)
     assert TRIES.count(stalled) == 3
 """
 
 
 def test_a_stall_of_one_core_is_seen_once() -> None:
-    meter = MachineStallMeter()
+    stall_meter = MachineStallMeter()
     try:
         start = time.monotonic()
-        os.kill(meter.pids[-1], signal.SIGSTOP)
+        os.kill(stall_meter.pids[-1], signal.SIGSTOP)
         time.sleep(0.05)
-        os.kill(meter.pids[-1], signal.SIGCONT)
+        os.kill(stall_meter.pids[-1], signal.SIGCONT)
         longest = 0.0
         while not longest and time.monotonic() < start + 10.0:
-            longest = meter.longest_since(start)
+            longest = stall_meter.longest_since(start)
         assert 0.03 < longest < 10.0
-        assert meter.longest_since(time.monotonic()) == 0.0
+        assert stall_meter.longest_since(time.monotonic()) == 0.0
     finally:
-        meter.close()
-    assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
+        stall_meter.close()
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in stall_meter.pids)
 
 
 def test_a_test_is_repeated_only_after_a_stall(

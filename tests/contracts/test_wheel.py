@@ -97,11 +97,11 @@ class WheelEnvironment:
         """Return the size of the installed packages, except pip and setuptools [MB]."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
-        tools = {"pip", "setuptools", "pkg_resources"}
+        packaging_tools = {"pip", "setuptools", "pkg_resources"}
         files = (
             path
             for top in packages.iterdir()
-            if top.name not in tools
+            if top.name not in packaging_tools
             for path in [top, *top.rglob("*")]
         )
         return sum(path.lstat().st_blocks * 512 for path in files if path.is_file()) / 2**20

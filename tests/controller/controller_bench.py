@@ -133,8 +133,8 @@ class ToyHand:
         raw = [int(np.clip(round((f + 6.0) / 0.0625), 0, 4095)) for f in cells]
         frames = [(node.base_id, raw)]
         if node.joints and counter % node.joint_decimation == 0:
-            flicker = counter // node.joint_decimation % 2
-            frames.append((node.base_id + 0x10, [2048 + flicker] * len(node.joints)))
+            alternating_bit = counter // node.joint_decimation % 2
+            frames.append((node.base_id + 0x10, [2048 + alternating_bit] * len(node.joints)))
         return [
             frame
             for base, values in frames
@@ -161,7 +161,7 @@ def _pack_channels(
 
 
 def uncommissioned_controller(
-    model: HandModel, program: Program, arm_at_start: bool = True
+    model: HandModel, program: Program, arms_at_start: bool = True
 ) -> Controller:
     """Return a controller for all tendons of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
@@ -170,7 +170,7 @@ def uncommissioned_controller(
     drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
     sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
     return Controller(
-        model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm_at_start
+        model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arms_at_start
     )
 
 
@@ -257,10 +257,10 @@ class ControllerBench:
 
 
 def make_controller_bench(
-    model: HandModel, program: Program, arm_at_start: bool = True
+    model: HandModel, program: Program, arms_at_start: bool = True
 ) -> ControllerBench:
     """Return a bench that connects a controller with a simple hand ``ToyHand`` without faults."""
     return ControllerBench(
-        uncommissioned_controller(model, program, arm_at_start),
+        uncommissioned_controller(model, program, arms_at_start),
         ToyHand(model.hand, round(model.period * 1e9)),
     )

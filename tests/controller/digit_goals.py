@@ -20,7 +20,7 @@ def moving_goals(
 
     ``duration_s`` [s] is one number for all digits, or a tuple that has one number for each digit.
     """
-    durations = duration_s if isinstance(duration_s, tuple) else (duration_s,) * len(model.digits)
+    durations_s = duration_s if isinstance(duration_s, tuple) else (duration_s,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
         DigitGoal(
@@ -28,7 +28,7 @@ def moving_goals(
             MinimumJerk(np.full(n, start_angle), np.full(n, end_angle), own),
             since=start_time,
         )
-        for n, own in zip(sizes, durations, strict=True)
+        for n, own in zip(sizes, durations_s, strict=True)
     )
 
 

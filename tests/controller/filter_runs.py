@@ -32,11 +32,11 @@ class FilterState(NamedTuple):
         filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
         regimes: members of ``TendonRegime``.
         stopped: True if the tendon's digit is fully open and rests at its mechanical stop.
-        turning_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
+        regime_change_evidence: evidence that a slack tendon becomes taut, or that a taut tendon becomes
             slack.
-        length_known: True if the length of the tendon is known.
-        cell_surprise: last load-cell innovation, divided by its standard deviation.
-        nis_mean, nis_lately: slow and fast average of the normalised innovation squared.
+        is_length_known: True if the length of the tendon is known.
+        normalised_cell_innovation: last load-cell innovation, divided by its standard deviation.
+        nis_mean, nis_fast_average: slow and fast average of the normalised innovation squared.
         doubtful: True if the innovations are too large for the model, so the filter trusts its
             model less.
         doubt_time_s: remaining time for which the filter trusts its model less [s].
@@ -48,18 +48,18 @@ class FilterState(NamedTuple):
     filter_states: np.ndarray
     regimes: tuple[int, ...]
     stopped: tuple[bool, ...]
-    turning_evidence: tuple[int, ...]
-    length_known: tuple[bool, ...]
-    cell_surprise: np.ndarray
+    regime_change_evidence: tuple[int, ...]
+    is_length_known: tuple[bool, ...]
+    normalised_cell_innovation: np.ndarray
     nis_mean: np.ndarray
     doubtful: tuple[bool, ...]
-    nis_lately: np.ndarray
+    nis_fast_average: np.ndarray
     doubt_time_s: np.ndarray
     covariance: np.ndarray | None = None
     started: bool = True
 
     @staticmethod
-    def in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
+    def tendons_in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
         """Return a filter state with given tendon states (7N,) and all tendons in one regime."""
         n = len(x) // STATE_COUNT
         none = np.zeros(n)
@@ -70,16 +70,18 @@ class FilterState(NamedTuple):
         )
 
     @staticmethod
-    def before_first_reading(n: int) -> "FilterState":
+    def initial_filter_state(n: int) -> "FilterState":
         """Return the state that the filter of N tendons has before the first reading of a sensor."""
-        return FilterState.in_regime(
+        return FilterState.tendons_in_regime(
             np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True
         )._replace(started=False)
 
 
 BLOCK_FIELD_BY_ATTRIBUTE = {
-    "regimes": "regime", "stopped": "stopped", "turning_evidence": "turning", "length_known": "length_known",
-    "cell_surprise": "surprise", "nis_mean": "nis_mean", "doubtful": "doubtful", "nis_lately": "nis_lately",
+    "regimes": "regime", "stopped": "stopped", "regime_change_evidence": "turning",
+    "is_length_known": "length_known",
+    "normalised_cell_innovation": "surprise", "nis_mean": "nis_mean", "doubtful": "doubtful",
+    "nis_fast_average": "nis_lately",
     "doubt_time_s": "wary",
 }  # fmt: skip
 """Field of the state block for each attribute of ``FilterState``.
@@ -88,25 +90,25 @@ The seven filter states and the covariance have no entry.
 """
 
 
-def write_filter_state(state: ControllerState, filtered: FilterState) -> None:
+def write_filter_state(state: ControllerState, filter_state: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.filter_states.reshape(
+    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filter_state.filter_states.reshape(
         -1, STATE_COUNT
     ).T
     for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items():
-        state.view(row)[...] = getattr(filtered, name)
-    state.view("kind")[...] = state.view("regime") + 3 * (filtered.doubt_time_s > 0.0)
-    state.set_run_integer(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
-    if filtered.covariance is not None:
-        state.view("covariance")[...] = filtered.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_run_integer(s.FILTER_STARTED, filtered.started)
+        state.view(row)[...] = getattr(filter_state, name)
+    state.view("kind")[...] = state.view("regime") + 3 * (filter_state.doubt_time_s > 0.0)
+    state.set_run_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
+    if filter_state.covariance is not None:
+        state.view("covariance")[...] = filter_state.covariance.reshape(-1, STATE_COUNT**2).T
+    state.set_run_integer(s.FILTER_STARTED, filter_state.started)
 
 
 def filter_state_of(state: ControllerState) -> FilterState:
     """Return the part of a controller's state that belongs to the filter."""
-    booleans = ("stopped", "length_known", "doubtful")
+    boolean_fields = ("stopped", "is_length_known", "doubtful")
     found = {
-        name: tuple(map(bool if name in booleans else int, state.view(row)))
+        name: tuple(map(bool if name in boolean_fields else int, state.view(row)))
         if state.view(row).dtype == np.int64
         else state.view(row).copy()
         for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
@@ -150,7 +152,7 @@ def run_filter_tick(
             (winding up) to -1 (paying out). NaN if the fraction is unknown.
         missed_ticks: number of ticks that were missed since the last tick.
     """
-    controller_state = state_of(model, state)
+    controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
     controller_state.view("force")[...], controller_state.view("rate")[...] = (
         motor_force,
@@ -208,15 +210,17 @@ def noiseless_readings(
     )
 
 
-def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
+def state_with_tendons_in_regime(
+    model: HandModel, regime: TendonRegime, x: np.ndarray
+) -> FilterState:
     """Return a filter state in which every tendon has the same regime.
 
     In this state, no digit rests at the mechanical stop of its open end.
     """
-    return FilterState.in_regime(x.ravel(), regime, stopped=False)
+    return FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
 
-def no_contact(model: HandModel) -> tuple[bool, ...]:
+def flags_without_contact(model: HandModel) -> tuple[bool, ...]:
     """Return the contact flags of a hand whose digits touch no object: one False for each digit."""
     return (False,) * len(model.digits)
 
@@ -228,7 +232,7 @@ def state_after_first_readings(
 
     If ``with_load_cells`` is True, the load cells have also been read.
     """
-    controller_state = state_of(model, state)
+    controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
     controller_state.view("position")[...] = travel / model.space.spool
     controller_state.view("group_frames")[...] = with_load_cells
@@ -245,7 +249,7 @@ def corrected_state(
 
     In this state, no digit is in contact.
     """
-    controller_state = state_of(model, state)
+    controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
     tick_stages.correct_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
@@ -253,13 +257,13 @@ def corrected_state(
     return controller_state
 
 
-def state_of(model: HandModel, filtered: FilterState) -> ControllerState:
+def state_with_filter(model: HandModel, filter_state: FilterState) -> ControllerState:
     """Return a controller's state that contains the given filter state."""
     controller_state = active_state(model)
     controller_state.mode = (
         HandMode.ARMING
     )  # in this mode, the filter takes contacts from the plan, and detects none itself
-    write_filter_state(controller_state, filtered)
+    write_filter_state(controller_state, filter_state)
     return controller_state
 
 

@@ -59,7 +59,7 @@ class LawState(NamedTuple):
     friction_slider: np.ndarray | None = None
 
     @staticmethod
-    def before_first_command(n: int) -> "LawState":
+    def initial_law_state(n: int) -> "LawState":
         """Return the state of the control law of N tendons before its first command."""
         return LawState.idle_at_tensions(np.zeros(n))
 
@@ -143,7 +143,7 @@ def run_law_tick(
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
-    return law_state_of(state), command_of(state)
+    return law_state_of(state), law_command_of(state)
 
 
 def law_state_of(state: ControllerState) -> LawState:
@@ -156,7 +156,7 @@ def law_state_of(state: ControllerState) -> LawState:
     return LawState(**kept, trim=trim, held=held)
 
 
-def command_of(state: ControllerState) -> LawCommand:
+def law_command_of(state: ControllerState) -> LawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return LawCommand(*(state.view(name).copy() for name in names))

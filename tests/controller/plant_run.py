@@ -71,7 +71,7 @@ def run_on_plant(
     with SimulatorSettings(hand_name, scene, seed, plant_factors, homed=True).begin_run(
         homed_controller(model_of(hand_name), program)
     ) as run:
-        plant, run.record_ticks = run.simulated_hand.world.plant, False
+        plant, run.are_ticks_recorded = run.simulated_hand.world.plant, False
         for entry, out in run.run_ticks(duration_s):
             t = entry.k / CONTROL_RATE_HZ
             result.time_s.append(t)
@@ -83,7 +83,9 @@ def run_on_plant(
             result.measured_tension.append(out.telemetry.tension_raw)
             result.true_tension.append(list(plant.tensions()))
             result.events += [(t, event) for event in out.events]
-            gone = math.dist(result.object_position[-1], result.object_position[0]) > OBJECT_LOST_M
-            if run.state.mode == HandMode.RELAX or gone:
+            is_object_lost = (
+                math.dist(result.object_position[-1], result.object_position[0]) > OBJECT_LOST_M
+            )
+            if run.state.mode == HandMode.RELAX or is_object_lost:
                 break
     return result

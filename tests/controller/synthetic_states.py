@@ -161,13 +161,13 @@ class LoadStatics(NamedTuple):
         resistance: tension that balances springs and gravity.
         driving_force: tension minus friction, if the direction of friction always follows from the tendon
             speed at the spool.
-        joint_pull: tension minus friction. The friction follows from ``friction_state`` where this is
+        force_at_joints: tension minus friction. The friction follows from ``friction_state`` where this is
             known, and from the tendon speed at the spool otherwise.
     """
 
     resistance: np.ndarray
     driving_force: np.ndarray
-    joint_pull: np.ndarray
+    force_at_joints: np.ndarray
 
 
 @kernel("block", "layout", "constants", "layout")
@@ -194,9 +194,9 @@ def load_statics(
     """
     state, space = active_state(model), model.space
     state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
-    damped = space.damping * (table[:, V] - table[:, W])
+    damping_force = space.damping * (table[:, V] - table[:, W])
     state.view("stretch_offset")[...] = (
-        table[:, X] - table[:, S] - (tension - damped) / space.stiffness
+        table[:, X] - table[:, S] - (tension - damping_force) / space.stiffness
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
@@ -239,27 +239,27 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
         dq[digit.joints] = digit.excursion_to_joints @ x[tendons, W]
     space = model.space
     tension = space.stiffness * (x[:, X] - x[:, S]) + space.damping * (x[:, V] - x[:, W])
-    nothing = np.zeros(n)
+    zeros = np.zeros(n)
     return SyntheticEstimate(
         tension=np.maximum(tension, 0.0),
-        tension_sigma=nothing,
+        tension_sigma=zeros,
         travel=x[:, X].copy(),
         tendon_speed=x[:, V].copy(),
         excursion=x[:, S].copy(),
         excursion_rate=x[:, W].copy(),
-        motor_disturbance=nothing,
-        external_tension=nothing,
-        stretch_offset=nothing,
-        cell_error=nothing,
-        innovation=nothing,
-        nis=nothing,
+        motor_disturbance=zeros,
+        external_tension=zeros,
+        stretch_offset=zeros,
+        cell_error=zeros,
+        innovation=zeros,
+        nis=zeros,
         is_slack=np.zeros(n, dtype=bool),
         q=q,
         dq=dq,
         q_sigma=np.full(len(q), np.nan),
         contact_force=np.zeros(len(model.digits)),
-        grip_opening=nothing,
-        grip_travel=nothing,
+        grip_opening=zeros,
+        grip_travel=zeros,
     )
 
 
@@ -317,11 +317,11 @@ def detect_contacts(
     state.view("regime")[...] = state.view("kind")[...] = np.where(
         estimate.is_slack, SLACK_REGIME, 0
     )
-    borne = estimate.tension - model.space.damping * (
+    elastic_tension = estimate.tension - model.space.damping * (
         estimate.tendon_speed - estimate.excursion_rate
     )
     state.view("stretch_offset")[...] = (
-        estimate.travel - estimate.excursion - borne / model.space.stiffness
+        estimate.travel - estimate.excursion - elastic_tension / model.space.stiffness
     )
     tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
     seen = state.estimate

@@ -110,7 +110,7 @@ def begin_run(
     )
     run = SimulatedRun.begin(controller, simulated_hand)
     run.k = first_tick
-    run.record_ticks = False
+    run.are_ticks_recorded = False
     run.state.set_run_integer(s.K, first_tick - 1)
     return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
-from handctl.safety.faults.node import STUCK_GOAL_M
+from handctl.safety.faults.node import STUCK_SENSOR_GOAL_CHANGE_M
 from tests.controller.synthetic_states import active_state, stage_constants
 
 
@@ -21,9 +21,9 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     state, period = active_state(jamia), jamia.period
     far = np.full(len(jamia.hand.joints), math.radians(40.0))
 
-    def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:
+    def tick(goal: NDArray[np.float64], excursion_error_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
-        state.view("excursion")[...] = jamia.hand.moment_arms @ goal + apart_m
+        state.view("excursion")[...] = jamia.hand.moment_arms @ goal + excursion_error_m
         tick_stages.store_commands(state.block, state.layout.places, *stage_constants(jamia))
         return state.view("followed").copy()
 
@@ -34,7 +34,9 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
         resting = tick(far, 0.05e-3)
     for _ in range(round(2.0 / period)):
         touched = tick(far, 0.4e-3)
-    assert np.abs(touched - resting).max() < 0.5 * STUCK_GOAL_M
+    assert np.abs(touched - resting).max() < 0.5 * STUCK_SENSOR_GOAL_CHANGE_M
     for _ in range(round(0.5 / period)):
         away = tick(far * 1.2, 0.4e-3)
-    assert np.abs(away - touched).min() > STUCK_GOAL_M, "a goal that does move is still seen"
+    assert np.abs(away - touched).min() > STUCK_SENSOR_GOAL_CHANGE_M, (
+        "a goal that does move is still seen"
+    )

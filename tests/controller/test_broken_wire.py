@@ -8,7 +8,7 @@ import pytest
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.faults.tendon import RELAXED_S
+from handctl.safety.faults.tendon import RELAXING_TIME_S
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
@@ -46,12 +46,12 @@ def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandMo
     run = bench_with_saturated_cell(jamia)
     began = run.state.mode_since
     run.run_until_mode(HandMode.CUT)
-    assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
+    assert abs(run.state.mode_since - began - RELAXING_TIME_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
     run = bench_with_saturated_cell(jamia)
-    for _ in range(round(0.9 * RELAXED_S / jamia.period)):
+    for _ in range(round(0.9 * RELAXING_TIME_S / jamia.period)):
         assert run.tick().mode == HandMode.RELAX
     run.toy_hand.cell_bias[:] = 0.0
     run.run_until_mode(HandMode.DISARM)

@@ -19,7 +19,7 @@ from handctl.programs.requests import (
     is_routine_request,
     parse_request,
 )
-from tests.controller.test_target_streams import StreamClient, check_ticks_repeat, live_client
+from tests.controller.test_target_streams import StreamClient, check_ticks_are_repeated, live_client
 
 LEASE_S = 0.5
 
@@ -148,7 +148,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
         middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
         client.wait(2.2 * LEASE_S)
         assert client.tick_outputs[-1].mode >= HandMode.RELAX
-        check_ticks_repeat(client.run, middle, at)
+        check_ticks_are_repeated(client.run, middle, at)
 
 
 def test_alive_messages_are_requests() -> None:

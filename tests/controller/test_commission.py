@@ -26,7 +26,7 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import ProgramProgress
 from handctl.session.calibration import load_calibration
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (
@@ -196,11 +196,11 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 
     In this test, the zeros of all load cells drift by 0.1 N/s from the first tick.
     """
-    drifted = [0.0]
+    cell_drift_N = [0.0]
 
     def tension_by_pull(i: int) -> np.ndarray:
-        drifted[0] += 0.1 * jamia.period
-        return tensions_without_fault(jamia)(i) + drifted[0]
+        cell_drift_N[0] += 0.1 * jamia.period
+        return tensions_without_fault(jamia)(i) + cell_drift_N[0]
 
     progress = run_commissioning(jamia, tension_by_pull, noise=0.0)
     assert not progress.failure
@@ -401,7 +401,7 @@ def test_exchanged_drives_are_refused_and_both_tendons_named(
     The result then had the zeros of the wrong motors.
     """
     hand = hand_with_protocol(name, protocol)
-    rate = default_rate(hand)
+    rate = default_control_rate(hand)
     controller = make_controller(hand, packaged_gains(name), rate, CommissionProgram(), None, True)
     with SimulatorSettings(hand, None, seed).begin_run(controller) as run:
         if fault:

@@ -117,7 +117,7 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
     estimate = exact_estimate(model, x)
     law, moved = run_law_tick(
         model,
-        LawState.before_first_command(len(x)),
+        LawState.initial_law_state(len(x)),
         estimate,
         moving_goals(model, 0.2, 0.8, 1.0),
         2.0,
@@ -140,7 +140,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
     estimate = exact_estimate(model, x)
     law, command = run_law_tick(
         model,
-        LawState.before_first_command(len(x)),
+        LawState.initial_law_state(len(x)),
         estimate,
         (DigitGoal(),) * len(model.digits),
         0.0,
@@ -157,7 +157,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
     The integral part of the tension loop must not grow without limit while a load cell is silent.
     """
-    law = LawState.before_first_command(model.tendon_count)
+    law = LawState.initial_law_state(model.tendon_count)
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
         law, command = run_law_tick(
@@ -168,7 +168,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
-    law = LawState.before_first_command(model.tendon_count)
+    law = LawState.initial_law_state(model.tendon_count)
     slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         is_slack=np.ones(model.tendon_count, dtype=bool)
     )
@@ -202,7 +202,7 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
 
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     law, estimate = (
-        LawState.before_first_command(model.tendon_count),
+        LawState.initial_law_state(model.tendon_count),
         exact_estimate(model, balanced_state(model, 0.5)),
     )
     for k in range(3000):
@@ -240,7 +240,7 @@ class ClosedLoopPlant:
             filter_states.copy(),
             digits_are_fixed,
         )
-        self.law = LawState.before_first_command(model.tendon_count)
+        self.law = LawState.initial_law_state(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], tick_index: int) -> None:
         model, space = self.model, self.model.space
@@ -265,9 +265,13 @@ class ClosedLoopPlant:
             x += dt * v
             if self.digits_fixed:
                 continue
-            pull = tension * np.exp(-loss * np.tanh(w / 1e-3))
+            tension_after_friction = tension * np.exp(-loss * np.tanh(w / 1e-3))
             resistance = statics.resistance + space.load_stiffness * (s - base)
-            w += dt * (pull - resistance - space.load_damping * w) / space.load_mass
+            w += (
+                dt
+                * (tension_after_friction - resistance - space.load_damping * w)
+                / space.load_mass
+            )
             s += dt * w
         for one, value in zip((X, V, S, W), (x, v, s, w), strict=True):
             self.tendon_states[:, one] = value
@@ -293,7 +297,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
         goals = holding_goals(
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
-        law, command = run_law_tick(model, LawState.before_first_command(n), estimate, goals, 0.0)
+        law, command = run_law_tick(model, LawState.initial_law_state(n), estimate, goals, 0.0)
         asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
             friction = space.coulomb * np.tanh(v / 2.5e-3)
@@ -339,7 +343,7 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
 def test_arguments_are_not_changed(model: HandModel) -> None:
     estimate, state = (
         exact_estimate(model, balanced_state(model, 0.5)),
-        LawState.before_first_command(model.tendon_count),
+        LawState.initial_law_state(model.tendon_count),
     )
     before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
     first = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
@@ -354,7 +358,7 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, goal_kind: GoalKind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
     _, command = run_law_tick(
-        jamia, LawState.before_first_command(4), estimate, (DigitGoal(goal_kind),) * 4, 0.0
+        jamia, LawState.initial_law_state(4), estimate, (DigitGoal(goal_kind),) * 4, 0.0
     )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
@@ -383,7 +387,7 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
     _, command = run_law_tick(
-        bare, LawState.before_first_command(len(x)), exact_estimate(model, x), goals, 0.13
+        bare, LawState.initial_law_state(len(x)), exact_estimate(model, x), goals, 0.13
     )
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
@@ -407,7 +411,7 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
     estimate, goals, law = (
         exact_estimate(model, x),
         moving_goals(model, 0.2, 0.8, 0.4),
-        LawState.before_first_command(model.tendon_count),
+        LawState.initial_law_state(model.tendon_count),
     )
     law, first = run_law_tick(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
@@ -422,7 +426,7 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
 def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, law = exact_estimate(model, x), LawState.before_first_command(model.tendon_count)
+    estimate, law = exact_estimate(model, x), LawState.initial_law_state(model.tendon_count)
     for t, goals in (
         (0.2, moving_goals(model, 0.2, 0.8, 0.4)),
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),

@@ -90,9 +90,12 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
     for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
         assert name in found
         touched = np.flatnonzero(force[:, d] > 0.01)[0]
-        strong = np.flatnonzero(force[:, d] > 1.0)
+        ticks_with_strong_force = np.flatnonzero(force[:, d] > 1.0)
         assert run.time_s[touched] <= found[name], "not before there is any"
-        assert not len(strong) or found[name] <= run.time_s[strong[0]] + 0.02 + 1e-9
+        assert (
+            not len(ticks_with_strong_force)
+            or found[name] <= run.time_s[ticks_with_strong_force[0]] + 0.02 + 1e-9
+        )
 
 
 def count_contacts_in_free_motion(

@@ -110,7 +110,7 @@ def test_registers_are_written_before_any_torque(hand_bench: ControllerBench) ->
 
 
 def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
-    run = make_controller_bench(low_rate_jamia, LiveProgram(), arm_at_start=False)
+    run = make_controller_bench(low_rate_jamia, LiveProgram(), arms_at_start=False)
     run.run_until_mode(HandMode.READY)
     run.run(2.0)
     assert run.state.mode == HandMode.READY
@@ -192,7 +192,7 @@ def test_a_second_stop_does_not_lengthen_the_first(hand_bench: ControllerBench) 
     hand_bench.run_until_mode(HandMode.DONE, 2.0)
 
 
-def foreign_command(hand_bench: ControllerBench) -> Frame:
+def command_of_other_host(hand_bench: ControllerBench) -> Frame:
     """Return a torque command to the first motor.
 
     The controller under test does not send this frame, so a second controller has sent it.
@@ -204,7 +204,7 @@ def foreign_command(hand_bench: ControllerBench) -> Frame:
 
 def test_a_second_controller_that_is_heard_first_is_left_alone(hand_bench: ControllerBench) -> None:
     hand_bench.run(0.2)
-    hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
+    hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
     hand_bench.run_until_mode(HandMode.DONE, 1.0)
     assert "another controller" in hand_bench.state.failure
     assert "0x001" in hand_bench.state.failure
@@ -216,7 +216,7 @@ def test_a_second_controller_that_comes_before_arming_prevents_it(
     hand_bench: ControllerBench, mode: HandMode
 ) -> None:
     hand_bench.run_until_mode(mode)
-    hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
+    hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
     assert hand_bench.state.mode == HandMode.DONE
     assert "another controller" in hand_bench.state.failure
     assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
@@ -225,7 +225,10 @@ def test_a_second_controller_that_comes_before_arming_prevents_it(
 def test_a_second_controller_in_active_mode_causes_relax(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).action == SafetyAction.RELAX
+    assert (
+        hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),)).action
+        == SafetyAction.RELAX
+    )
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert "H13" in hand_bench.state.failure
@@ -249,7 +252,7 @@ def test_unknown_identifiers_are_not_signs_of_a_second_controller(
 
 
 def test_a_missing_motor_is_named(hand_bench: ControllerBench) -> None:
-    hand_bench.toy_hand.motors[2].sends_nothing = True
+    hand_bench.toy_hand.motors[2].is_silent = True
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.state.failure == "no answer from ring_motor"
     assert can_ids_with_payload(hand_bench, ENABLE_PAYLOAD) == []
@@ -261,7 +264,7 @@ def test_a_missing_motor_is_named(hand_bench: ControllerBench) -> None:
 def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(
     hand_bench: ControllerBench,
 ) -> None:
-    hand_bench.toy_hand.motors[0].sends_nothing = hand_bench.toy_hand.motors[3].sends_nothing = True
+    hand_bench.toy_hand.motors[0].is_silent = hand_bench.toy_hand.motors[3].is_silent = True
     hand_bench.toy_hand.silent_sensors = True
     hand_bench.run_until_mode(HandMode.DONE)
     for name in ("index_motor", "thumb_motor", "sensor node"):
@@ -362,7 +365,7 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
 ) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    hand_bench.toy_hand.motors[0].sends_nothing = True
+    hand_bench.toy_hand.motors[0].is_silent = True
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand_bench.state.unconfirmed == ("index_motor",)
@@ -399,7 +402,7 @@ def test_a_lost_bus_before_arming_ends_the_run(hand_bench: ControllerBench, mode
 
 def test_a_fault_while_arming_disarms(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ARMING)
-    hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
+    hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
     hand_bench.run_until_mode(HandMode.DONE)
     assert "H13" in hand_bench.state.failure
     assert all_motors_disabled(hand_bench)
@@ -410,7 +413,7 @@ def test_a_cut_during_relax_wins(hand_bench: ControllerBench) -> None:
     hand_bench.run(2.0)
     hand_bench.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     hand_bench.run(0.5)
-    assert hand_bench.tick(extra_frames=(foreign_command(hand_bench),)).mode == HandMode.RELAX
+    assert hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),)).mode == HandMode.RELAX
     assert hand_bench.tick(io_events=(IoEvent("bus_off", "local:x"),)).mode == HandMode.CUT
     hand_bench.run_until_mode(HandMode.DONE)
     assert "H13" in hand_bench.state.failure, "what began it"
@@ -451,7 +454,7 @@ def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
 
 def test_clear_resets_latched_faults_and_arms_no_drive(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
-    hand_bench.tick(extra_frames=(foreign_command(hand_bench),))
+    hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
     assert hand_bench.state.latched
     hand_bench.tick('{"do": "clear"}')
     assert not hand_bench.state.latched

@@ -92,11 +92,11 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
 
 
 def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
-    shuffle = random.Random(3)
+    random_generator = random.Random(3)
     checked = 0
     for before, entry, out in session_bench.tick_history[::3]:
         frames = list(entry.frames)
-        shuffle.shuffle(frames)
+        random_generator.shuffle(frames)
         _, again = session_bench.controller.tick(before, entry._replace(frames=tuple(frames)))
         assert comparable_outputs(again) == comparable_outputs(out)
         checked += frames != list(entry.frames)
@@ -166,13 +166,13 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(
         "motor": len(hand.motor),
         "digit": len(hand.digit),
     }
-    silent_here = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
+    constant_fields = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
     for name, axis in TELEMETRY_AXES.items():
         rows = [getattr(out.telemetry, name) for _, _, out in session_bench.tick_history]
         assert all(row.shape == (sizes[axis],) and row.dtype == np.float64 for row in rows), name
         values = np.array(rows)
         assert not np.isinf(values).any(), name
-        if name not in silent_here:
+        if name not in constant_fields:
             assert len(np.unique(values[~np.isnan(values)])) > 1 or name == "motor_temperature", (
                 name
             )

@@ -83,7 +83,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
 
 
-def hand_around_a_circle() -> Hand:
+def hand_with_fingers_on_circle() -> Hand:
     """Return a hand with three equal fingers of jamia around a circle, and without a thumb."""
     content = hand_content("jamia")
     for part in ("digit", "tendon", "motor"):
@@ -97,7 +97,7 @@ def hand_around_a_circle() -> Hand:
 
 
 def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
-    hand = hand_around_a_circle()
+    hand = hand_with_fingers_on_circle()
     hold = default_task(hand)[0].phase[2]
     assert isinstance(hold, HoldPhase)
     assert isinstance(hold.tension_N, dict)

@@ -39,11 +39,11 @@ def tension_limits_at(model: HandModel, temperatures_degC: tuple[float, ...]) ->
 def test_the_limit_falls_linearly_from_the_soft_to_the_hard_temperature(
     jamia: HandModel, temperature_degC: float, limit_fraction: float
 ) -> None:
-    most = tension_limits_at(jamia, (20.0, temperature_degC, math.nan, 70.0))
-    assert most[1] == pytest.approx(
+    tension_limits = tension_limits_at(jamia, (20.0, temperature_degC, math.nan, 70.0))
+    assert tension_limits[1] == pytest.approx(
         jamia.floor[1] + limit_fraction * (jamia.ceiling[1] - jamia.floor[1]), rel=1e-3
     )
-    assert most[[0, 2, 3]].tolist() == jamia.ceiling[[0, 2, 3]].tolist(), (
+    assert tension_limits[[0, 2, 3]].tolist() == jamia.ceiling[[0, 2, 3]].tolist(), (
         "cool, unknown, just at the limit"
     )
 
@@ -56,13 +56,18 @@ def test_a_cool_hand_is_not_restrained(
 
 
 def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -> None:
-    most, estimate = np.array([9.0, 140.0, 140.0, 12.0]), estimate_under_tension(jamia, 20.0)
+    tension_limits, estimate = (
+        np.array([9.0, 140.0, 140.0, 12.0]),
+        estimate_under_tension(jamia, 20.0),
+    )
     state = LawState.idle_at_tensions(estimate.tension)
     for _ in range(200):
-        state, command = run_law_tick(jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, most)
+        state, command = run_law_tick(
+            jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, tension_limits
+        )
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
     force = command.torque / jamia.space.spool
-    assert (force <= most + jamia.space.coulomb + 1e-9).all()
+    assert (force <= tension_limits + jamia.space.coulomb + 1e-9).all()
     assert force[1] > 30.0
     _, command = run_law_tick(
         jamia,
@@ -70,10 +75,10 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
         estimate,
         moving_goals(jamia, 1.0, 1.0, 1.0),
         2.0,
-        most,
+        tension_limits,
     )
     assert command.tension[0] <= 9.0 + 1e-9
-    assert (command.torque / jamia.space.spool <= most + jamia.space.coulomb + 1e-9).all()
+    assert (command.torque / jamia.space.spool <= tension_limits + jamia.space.coulomb + 1e-9).all()
 
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
@@ -99,10 +104,10 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 @pytest.fixture(scope="module")
 def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
-    with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
-        advance_to_stage(begun, GRASP_STAGE)
-        begun.run_until(lambda out: False, 0.6)  # the tensions settle
-        yield begun
+    with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as run:
+        advance_to_stage(run, GRASP_STAGE)
+        run.run_until(lambda out: False, 0.6)  # the tensions settle
+        yield run
 
 
 def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:

@@ -14,13 +14,13 @@ from handctl.core.tick_types import HandMode
 from tests.controller.filter_oracle import FILTER_STATE_UNITS
 from tests.controller.filter_runs import (
     FilterState,
-    all_in_regime,
-    no_contact,
+    flags_without_contact,
     noiseless_readings,
     run_filter_tick,
     run_unplanned_filter_tick,
     state_after_first_readings,
     state_at_rest,
+    state_with_tendons_in_regime,
 )
 from tests.controller.synthetic_states import (
     SensorReadings,
@@ -33,9 +33,9 @@ from tests.controller.synthetic_states import (
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = all_in_regime(model, TendonRegime.FREE, x)
+    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
     after, estimate = run_unplanned_filter_tick(
-        model, state, empty_readings(model), force, no_contact(model)
+        model, state, empty_readings(model), force, flags_without_contact(model)
     )
     for i, row in enumerate(after.filter_states.reshape(-1, STATE_COUNT)):
         block = model.filter.blocks[i][TendonRegime.FREE]
@@ -52,13 +52,17 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
 def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     whole = noiseless_readings(model, x, np.full(len(x), 26.0))
-    holed = whole._replace(tension=whole.tension.copy())
-    holed.tension[1] = np.nan
+    measurement_with_gap = whole._replace(tension=whole.tension.copy())
+    measurement_with_gap.tension[1] = np.nan
     results = [
         run_unplanned_filter_tick(
-            model, all_in_regime(model, TendonRegime.FREE, x), m, force, no_contact(model)
+            model,
+            state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+            m,
+            force,
+            flags_without_contact(model),
         )[0].filter_states
-        for m in (whole, holed)
+        for m in (whole, measurement_with_gap)
     ]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATE_COUNT).max(axis=1) > 1e-12
     tendons = next(s for s in model.digit_tendons if s.start <= 1 < s.stop)
@@ -71,10 +75,10 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
     state, estimate = run_unplanned_filter_tick(
         model,
-        FilterState.before_first_reading(n),
+        FilterState.initial_filter_state(n),
         readings_of(model, travel, cell),
         cell,
-        no_contact(model),
+        flags_without_contact(model),
     )
     assert not state.started, "not by itself"
     for unknown in (estimate.innovation, estimate.nis):
@@ -87,7 +91,7 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     state = state_after_first_readings(model, state, travel)
     assert state.started
     state, estimate = run_unplanned_filter_tick(
-        model, state, readings_of(model, partial, cell), cell, no_contact(model)
+        model, state, readings_of(model, partial, cell), cell, flags_without_contact(model)
     )
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
@@ -105,19 +109,21 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
     A drive sends its position only after the controller has read the drive's registers.
     """
     n = model.tendon_count
-    cell, state = np.full(n, 5.0), FilterState.before_first_reading(n)
+    cell, state = np.full(n, 5.0), FilterState.initial_filter_state(n)
     for _ in range(20):
         state, _ = run_unplanned_filter_tick(
             model,
             state,
             empty_readings(model)._replace(tension=cell),
             np.zeros(n),
-            no_contact(model),
+            flags_without_contact(model),
         )
     whole = readings_of(model, np.full(n, 2e-3), cell)
     state = state_after_first_readings(model, state, whole.travel)
     for k in range(20):
-        state, estimate = run_unplanned_filter_tick(model, state, whole, cell, no_contact(model))
+        state, estimate = run_unplanned_filter_tick(
+            model, state, whole, cell, flags_without_contact(model)
+        )
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 
 
@@ -128,7 +134,7 @@ def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[se
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
-    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     met = []
     for cell in cell_readings:
         measured = noiseless_readings(model, x, np.full(n, cell))
@@ -137,7 +143,7 @@ def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[se
             state,
             measured,
             np.full(n, max(cell, 0.0) if cell == cell else 0.0),
-            no_contact(model),
+            flags_without_contact(model),
         )
         met.append(set(state.regimes))
     return met
@@ -166,8 +172,12 @@ def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
     taut = [TAUT_ABOVE_N + 1.0] * 30
-    once = regimes_of_readings(model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]])
-    assert TendonRegime.SLACK not in set().union(*once[len(taut) :]), "one low sample is noise"
+    regimes_after_one_low_sample = regimes_of_readings(
+        model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]]
+    )
+    assert TendonRegime.SLACK not in set().union(*regimes_after_one_low_sample[len(taut) :]), (
+        "one low sample is noise"
+    )
     assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
 
 
@@ -175,18 +185,18 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
     x[:, X] = np.linspace(-2e-3, 2e-3, n)
-    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     cell = np.full(n, 4.0)
-    estimates = []
+    estimated_tensions = []
     for _ in range(60):
         state, estimate = run_unplanned_filter_tick(
-            model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
+            model, state, noiseless_readings(model, x, cell), cell, flags_without_contact(model)
         )
-        estimates.append(estimate.tension)
+        estimated_tensions.append(estimate.tension)
         assert (
             (np.abs(estimate.tension) < 1e-9) | (np.abs(estimate.tension - cell) < 2.0)
         ).all(), "no overshoot"
-    np.testing.assert_allclose(estimates[-1], cell, atol=0.5)
+    np.testing.assert_allclose(estimated_tensions[-1], cell, atol=0.5)
     np.testing.assert_allclose(
         estimate.stretch_offset, x[:, X] - cell / model.space.stiffness, atol=1e-5
     )
@@ -201,10 +211,10 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     n = model.tendon_count
     x, cell = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x[:, X] = 2e-3
-    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
+    state = state_with_tendons_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
         state, estimate = run_unplanned_filter_tick(
-            model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
+            model, state, noiseless_readings(model, x, cell), cell, flags_without_contact(model)
         )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-6)
     np.testing.assert_allclose(estimate.tension, cell, atol=0.01)
@@ -218,11 +228,15 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         x[:, X] = x[:, S] + balance / model.space.stiffness
     measured = noiseless_readings(model, x, balance)
     free, before = run_unplanned_filter_tick(
-        model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, no_contact(model)
+        model,
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        measured,
+        balance,
+        flags_without_contact(model),
     )
     held, after = run_unplanned_filter_tick(
         model,
-        all_in_regime(model, TendonRegime.FREE, x),
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         measured,
         balance,
         (True,) * len(model.digits),
@@ -247,7 +261,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     asked = load_statics(model, x, np.zeros(n)).resistance
     tension = asked + 10.0
     x[:, X] = x[:, S] + tension / model.space.stiffness
-    state = all_in_regime(model, TendonRegime.HELD, x)
+    state = state_with_tendons_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
         state, estimate = run_unplanned_filter_tick(
             model,
@@ -259,9 +273,9 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     np.testing.assert_allclose(estimate.external_tension, 10.0, atol=0.5)
     x0, rest = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
-    state = all_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
+    state = state_with_tendons_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = run_unplanned_filter_tick(
-        model, state, noiseless_readings(model, x0, rest), rest, no_contact(model)
+        model, state, noiseless_readings(model, x0, rest), rest, flags_without_contact(model)
     )
     np.testing.assert_allclose(
         estimate.external_tension, 0.0, err_msg="the open stop is no contact"
@@ -281,7 +295,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
         wrong = x.copy()
         wrong[:, S] += 2e-5
         wrong[:, O] -= 2e-5
-        state = all_in_regime(jamia11, TendonRegime.HELD, wrong)
+        state = state_with_tendons_in_regime(jamia11, TendonRegime.HELD, wrong)
         for k in range(500):
             measured = noiseless_readings(
                 jamia11, x, balance, excursion=with_encoders and k % 4 == 0
@@ -310,27 +324,33 @@ def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -
     joints = np.full(len(jamia11.hand.joints), 0.3)
     np.testing.assert_allclose(excursion_of(jamia11, joints), jamia11.hand.moment_arms @ joints)
     joints[1] = np.nan
-    unread = np.isnan(excursion_of(jamia11, joints))
-    assert unread.tolist() == (jamia11.hand.moment_arms[:, 1] != 0).tolist()
+    is_excursion_missing = np.isnan(excursion_of(jamia11, joints))
+    assert is_excursion_missing.tolist() == (jamia11.hand.moment_arms[:, 1] != 0).tolist()
     assert np.isnan(excursion_of(jamia, np.full(len(jamia.hand.joints), np.nan))).all()
 
 
 def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, measured = (
-        all_in_regime(model, TendonRegime.FREE, x),
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, np.full(len(x), 0.2)),
     )
-    copies = [
+    argument_copies = [
         state.filter_states.copy(),
         measured.travel.copy(),
         measured.tension.copy(),
         force.copy(),
     ]
-    first = run_unplanned_filter_tick(model, state, measured, force, no_contact(model))[0]
-    second = run_unplanned_filter_tick(model, state, measured, force, no_contact(model))[0]
+    first = run_unplanned_filter_tick(model, state, measured, force, flags_without_contact(model))[
+        0
+    ]
+    second = run_unplanned_filter_tick(model, state, measured, force, flags_without_contact(model))[
+        0
+    ]
     for now, before in zip(
-        (state.filter_states, measured.travel, measured.tension, force), copies, strict=True
+        (state.filter_states, measured.travel, measured.tension, force),
+        argument_copies,
+        strict=True,
     ):
         np.testing.assert_array_equal(now, before)
     np.testing.assert_array_equal(first.filter_states, second.filter_states)
@@ -349,10 +369,10 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     x[:, X] = x[:, S] + cell / model.space.stiffness
     state, _ = run_unplanned_filter_tick(
         model,
-        all_in_regime(model, TendonRegime.FREE, x),
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, cell),
         cell,
-        no_contact(model),
+        flags_without_contact(model),
     )
     assert not any(state.stopped)
 
@@ -368,10 +388,10 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
     x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
     state, estimate = run_unplanned_filter_tick(
         model,
-        all_in_regime(model, TendonRegime.HELD, x),
+        state_with_tendons_in_regime(model, TendonRegime.HELD, x),
         noiseless_readings(model, x, cell),
         cell,
-        no_contact(model),
+        flags_without_contact(model),
     )
     assert all(state.stopped)
     table = state.filter_states.reshape(-1, STATE_COUNT)
@@ -383,19 +403,24 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
 
 def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, none = all_in_regime(model, TendonRegime.FREE, x), np.zeros(model.tendon_count)
+    state, none = (
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        np.zeros(model.tendon_count),
+    )
     found = []
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
         args = (model, state, noiseless_readings(model, x, force), force, none)
-        after, estimate = run_filter_tick(*args, no_contact(model), friction_state=known)
+        after, estimate = run_filter_tick(*args, flags_without_contact(model), friction_state=known)
         assert set(after.regimes) == {TendonRegime.FREE}
         touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {TendonRegime.HELD}
         np.testing.assert_allclose(other.external_tension, estimate.external_tension, atol=0.02)
-        pull = load_statics(model, x, force, known).joint_pull
+        force_at_joints = load_statics(model, x, force, known).force_at_joints
         resistance = load_statics(model, x, force, known).resistance
-        np.testing.assert_allclose(estimate.external_tension, pull - resistance, atol=0.02)
+        np.testing.assert_allclose(
+            estimate.external_tension, force_at_joints - resistance, atol=0.02
+        )
         found.append(estimate.external_tension)
     assert (found[1] < found[0] - 0.5).all(), (
         "winding, friction takes from what the load cell shows"
@@ -405,10 +430,10 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = all_in_regime(model, TendonRegime.FREE, x)._replace(
-        turning_evidence=(1,) * model.tendon_count
+    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)._replace(
+        regime_change_evidence=(1,) * model.tendon_count
     )
     after, _ = run_unplanned_filter_tick(
-        model, state, noiseless_readings(model, x, force), force, no_contact(model)
+        model, state, noiseless_readings(model, x, force), force, flags_without_contact(model)
     )
-    assert after.turning_evidence == (0,) * model.tendon_count
+    assert after.regime_change_evidence == (0,) * model.tendon_count

@@ -33,14 +33,14 @@ from tests.controller.filter_oracle import (
     measurement_noise,
 )
 from tests.controller.filter_runs import (
-    all_in_regime,
     corrected_state,
     design_arrays_by_tendon,
-    no_contact,
+    flags_without_contact,
     noiseless_readings,
     run_filter_tick,
     run_unplanned_filter_tick,
     state_at_rest,
+    state_with_tendons_in_regime,
 )
 from tests.controller.synthetic_states import (
     SensorReadings,
@@ -120,7 +120,7 @@ def run_monte_carlo(
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
     closed, free = 0.5, regime == TendonRegime.FREE
     truth, _ = state_at_rest(model, 40.0, closed)
-    state = all_in_regime(model, regime, truth)
+    state = state_with_tendons_in_regime(model, regime, truth)
     contact = (not free,) * len(model.digits)
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
@@ -205,13 +205,13 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, sigma = all_in_regime(model, TendonRegime.FREE, x), []
+    state, sigma = state_with_tendons_in_regime(model, TendonRegime.FREE, x), []
     for k in range(300):
         measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
             measured.travel[0] = np.nan
         state, estimate = run_unplanned_filter_tick(
-            model, state, measured, force, no_contact(model)
+            model, state, measured, force, flags_without_contact(model)
         )
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
@@ -255,9 +255,17 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     The last digit of the hand stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
-    unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
-    after, _ = run_filter_tick(model, state, unread, force, none, touched, missed_ticks=4)
+    state, touched = (
+        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        (True, *flags_without_contact(model)[1:]),
+    )
+    readings_without_travel, none = (
+        empty_readings(model)._replace(tension=force),
+        np.zeros(model.tendon_count),
+    )
+    after, _ = run_filter_tick(
+        model, state, readings_without_travel, force, none, touched, missed_ticks=4
+    )
     first, last = 0, model.tendon_count - 1
     assert (after.regimes[first], after.regimes[last]) == (
         int(TendonRegime.HELD),
@@ -266,11 +274,19 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     assert after.covariance is not None
     steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
     np.testing.assert_array_equal(after.covariance[first], steady[first])
-    once, _ = run_filter_tick(model, state, unread, force, none, touched)
-    assert once.covariance is not None
-    grown = [after.covariance[last, X, X], once.covariance[last, X, X], steady[last][X, X]]
-    assert grown == sorted(grown, reverse=True), "what is not read is known less with every period"
-    assert grown[0] > grown[1] > grown[2]
+    state_after_one_tick, _ = run_filter_tick(
+        model, state, readings_without_travel, force, none, touched
+    )
+    assert state_after_one_tick.covariance is not None
+    tension_variances = [
+        after.covariance[last, X, X],
+        state_after_one_tick.covariance[last, X, X],
+        steady[last][X, X],
+    ]
+    assert tension_variances == sorted(tension_variances, reverse=True), (
+        "what is not read is known less with every period"
+    )
+    assert tension_variances[0] > tension_variances[1] > tension_variances[2]
     answers = []
     for covariance in (after.covariance, None):
         here = after._replace(filter_states=x.ravel(), covariance=covariance)
@@ -306,7 +322,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     slack = regime == TendonRegime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
-    state = all_in_regime(model, regime, x)._replace(length_known=(True,) * n)
+    state = state_with_tendons_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
     blocks = [own[regime] for own in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
@@ -331,16 +347,18 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
 
 
-@pytest.mark.parametrize(("missed_ticks", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
+@pytest.mark.parametrize(
+    ("missed_ticks", "prediction_time_s"), [(1, None), (4, None), (10_000, 0.05)]
+)
 def test_covariance_grows_over_skipped_ticks(
-    model: HandModel, missed_ticks: int, predicted_s: float | None
+    model: HandModel, missed_ticks: int, prediction_time_s: float | None
 ) -> None:
     """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
-    state = all_in_regime(model, TendonRegime.FREE, x)
+    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
     after, _ = run_filter_tick(
-        model, state, measured, force, none, no_contact(model), missed_ticks=missed_ticks
+        model, state, measured, force, none, flags_without_contact(model), missed_ticks=missed_ticks
     )
     assert set(after.regimes) == {TendonRegime.FREE}
     F, Q = (design_arrays_by_tendon(model, after.regimes, name) for name in "FQ")
@@ -352,7 +370,7 @@ def test_covariance_grows_over_skipped_ticks(
         ]
     )
     for _ in range(
-        1 + (missed_ticks if predicted_s is None else round(predicted_s / model.period))
+        1 + (missed_ticks if prediction_time_s is None else round(prediction_time_s / model.period))
     ):
         P = F @ P @ F.transpose(0, 2, 1) + Q
     assert after.covariance is not None
@@ -366,7 +384,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, second = all_in_regime(model, TendonRegime.FREE, x), x.copy()
+    state, second = state_with_tendons_in_regime(model, TendonRegime.FREE, x), x.copy()
     blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
     P = [block.P.copy() for block in blocks]
     compared = 0
@@ -380,7 +398,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             state,
             SensorReadings(*z.T, empty_readings(model).joints),
             push,
-            no_contact(model),
+            flags_without_contact(model),
         )
         if set(state.regimes) != {TendonRegime.FREE}:
             break

@@ -12,14 +12,14 @@ from tests.controller.filter_runs import (
     FilterState,
     design_arrays_by_tendon,
     run_filter_tick,
-    state_of,
+    state_with_filter,
 )
 from tests.controller.synthetic_states import SyntheticEstimate, empty_readings
 
-HELD_TENSION_N = 20.0
+HOLD_TENSION_N = 20.0
 
 
-class HeldHand:
+class HandAtConstantTension:
     """A hand whose tendons have a constant tension.
 
     The filter of this hand gets one reading in each call.
@@ -29,9 +29,9 @@ class HeldHand:
         self.model, n = model, model.tendon_count
         x = np.zeros((n, STATE_COUNT))
         x[:, 2] = 2e-3
-        x[:, X] = x[:, 2] + HELD_TENSION_N / model.space.stiffness
+        x[:, X] = x[:, 2] + HOLD_TENSION_N / model.space.stiffness
         self.travel = x[:, X]
-        self.state = FilterState.in_regime(x.ravel(), regime, stopped=False)
+        self.state = FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
     def run_sample(
         self,
@@ -43,29 +43,35 @@ class HeldHand:
         """Run one tick in which the load cell of tendon 0 reads ``cell_tension`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
-            travel=self.travel + extra_travel, tension=np.full(n, HELD_TENSION_N)
+            travel=self.travel + extra_travel, tension=np.full(n, HOLD_TENSION_N)
         )
         read = read._replace(saturated=saturated_tendons)
         read.tension[0] = cell_tension
-        push, still, contact = np.full(n, HELD_TENSION_N), np.zeros(n), (True,) * len(model.digits)
-        self.state, estimate = run_filter_tick(model, self.state, read, push, still, contact)
+        motor_force, zero_rates, contact = (
+            np.full(n, HOLD_TENSION_N),
+            np.zeros(n),
+            (True,) * len(model.digits),
+        )
+        self.state, estimate = run_filter_tick(
+            model, self.state, read, motor_force, zero_rates, contact
+        )
         return estimate
 
-    def settle(self) -> "HeldHand":
+    def settle(self) -> "HandAtConstantTension":
         """Return the hand after 200 readings without errors."""
         for _ in range(200):
-            self.run_sample(HELD_TENSION_N)
+            self.run_sample(HOLD_TENSION_N)
         return self
 
 
 def test_single_outlier_is_rejected(model: HandModel) -> None:
-    quiet, hit = HeldHand(model).settle(), HeldHand(model).settle()
-    before = quiet.run_sample(HELD_TENSION_N).tension
-    after = hit.run_sample(HELD_TENSION_N + 60.0)
+    quiet, hit = HandAtConstantTension(model).settle(), HandAtConstantTension(model).settle()
+    before = quiet.run_sample(HOLD_TENSION_N).tension
+    after = hit.run_sample(HOLD_TENSION_N + 60.0)
     np.testing.assert_allclose(after.tension, before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
-        hit.run_sample(HELD_TENSION_N).tension, quiet.run_sample(HELD_TENSION_N).tension, atol=0.02
+        hit.run_sample(HOLD_TENSION_N).tension, quiet.run_sample(HOLD_TENSION_N).tension, atol=0.02
     )
 
 
@@ -75,57 +81,57 @@ def test_two_outliers_in_a_row_are_accepted(model: HandModel, tension_jump_N: fl
 
     The filter therefore follows the second outlier at once.
     """
-    hand = HeldHand(model).settle()
-    hand.run_sample(HELD_TENSION_N + tension_jump_N)
-    estimate = hand.run_sample(HELD_TENSION_N + tension_jump_N)
-    assert abs(estimate.tension[0] - (HELD_TENSION_N + tension_jump_N)) < 0.35 * abs(tension_jump_N)
-    assert abs(estimate.tension[1] - HELD_TENSION_N) < 0.1, "the others are left alone"
+    hand = HandAtConstantTension(model).settle()
+    hand.run_sample(HOLD_TENSION_N + tension_jump_N)
+    estimate = hand.run_sample(HOLD_TENSION_N + tension_jump_N)
+    assert abs(estimate.tension[0] - (HOLD_TENSION_N + tension_jump_N)) < 0.35 * abs(tension_jump_N)
+    assert abs(estimate.tension[1] - HOLD_TENSION_N) < 0.1, "the others are left alone"
 
 
 def test_two_outliers_on_opposite_sides_are_rejected(model: HandModel) -> None:
-    hand = HeldHand(model).settle()
+    hand = HandAtConstantTension(model).settle()
     for k in range(6):
-        estimate = hand.run_sample(HELD_TENSION_N + (-1) ** k * 30.0)
-        assert abs(estimate.tension[0] - HELD_TENSION_N) < 0.1
+        estimate = hand.run_sample(HOLD_TENSION_N + (-1) ** k * 30.0)
+        assert abs(estimate.tension[0] - HOLD_TENSION_N) < 0.1
 
 
 def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
-    hand = HeldHand(model).settle()
+    hand = HandAtConstantTension(model).settle()
     for _ in range(20):
         estimate = hand.run_sample(243.9, saturated_tendons=(0,))
         assert np.isnan(estimate.innovation[0])
-        assert abs(estimate.tension[0] - HELD_TENSION_N) < 0.5
+        assert abs(estimate.tension[0] - HOLD_TENSION_N) < 0.5
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
 def slack_state(
-    held_hand: HeldHand, cell_error_N: float, slack_length_m: float, duration_s: float
+    hand: HandAtConstantTension, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
     The load cell of tendon 0 reads ``cell_error_N`` [N] although the tendon has no tension.
     """
-    model = held_hand.model
+    model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    held_hand.travel = np.full(model.tendon_count, -slack_length_m)
-    x[:, X] = held_hand.travel
+    hand.travel = np.full(model.tendon_count, -slack_length_m)
+    x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    held_hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
-        length_known=known
-    )
+    hand.state = FilterState.tendons_in_regime(
+        x.ravel(), TendonRegime.SLACK, stopped=True
+    )._replace(is_length_known=known)
     for _ in range(round(duration_s / model.period)):
         n = model.tendon_count
-        read = empty_readings(model)._replace(travel=held_hand.travel, tension=np.zeros(n))
+        read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = cell_error_N
         untouched = (False,) * len(model.digits)
-        held_hand.state, estimate = run_filter_tick(
-            model, held_hand.state, read, np.zeros(n), np.zeros(n), untouched
+        hand.state, estimate = run_filter_tick(
+            model, hand.state, read, np.zeros(n), np.zeros(n), untouched
         )
     return estimate
 
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
-    hand = HeldHand(model)
+    hand = HandAtConstantTension(model)
     estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(
         estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02
@@ -135,33 +141,39 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
 
 
 def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
-    assert not slack_state(HeldHand(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
+    assert not slack_state(
+        HandAtConstantTension(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0
+    ).cell_error.any()
 
 
 def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
-    hand = HeldHand(model)
+    hand = HandAtConstantTension(model)
     x = hand.state.filter_states.copy()
     x[E] = 0.7
     hand.state = hand.state._replace(filter_states=x)
     for _ in range(300):
-        estimate = hand.run_sample(HELD_TENSION_N + 0.7)
+        estimate = hand.run_sample(HOLD_TENSION_N + 0.7)
     np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)
-    np.testing.assert_allclose(estimate.tension, HELD_TENSION_N, atol=0.1)
+    np.testing.assert_allclose(estimate.tension, HOLD_TENSION_N, atol=0.1)
 
 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
-    hand = HeldHand(model).settle()
+    hand = HandAtConstantTension(model).settle()
     names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
-        hand.run_sample(HELD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
-        events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
+        hand.run_sample(HOLD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
+        events += consistency_events(
+            model, state_with_filter(model, before), state_with_filter(model, hand.state)
+        )
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
     for _ in range(round(5 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
-        hand.run_sample(HELD_TENSION_N)
-        events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
+        hand.run_sample(HOLD_TENSION_N)
+        events += consistency_events(
+            model, state_with_filter(model, before), state_with_filter(model, hand.state)
+        )
     assert [event.level for event in events].count("info") == len(names)
     assert len(events) == 2 * len(names)
 
@@ -176,15 +188,17 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 
     The filter applies the planned change of the tension for only one period.
     """
-    state, force = winding_state(model)
-    rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
+    state, force = state_while_winding(model)
+    rate, contact_flags = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
     after, estimate = run_filter_tick(
-        model, state, empty_readings(model), force, rate, nowhere, missed_ticks=missed_ticks
+        model, state, empty_readings(model), force, rate, contact_flags, missed_ticks=missed_ticks
     )
-    once, _ = run_filter_tick(model, state, empty_readings(model), force, rate, nowhere)
-    F, B = (design_arrays_by_tendon(model, once.regimes, name) for name in "FB")
+    state_after_one_tick, _ = run_filter_tick(
+        model, state, empty_readings(model), force, rate, contact_flags
+    )
+    F, B = (design_arrays_by_tendon(model, state_after_one_tick.regimes, name) for name in "FB")
     x, inputs = (
-        once.filter_states.reshape(-1, STATE_COUNT, 1),
+        state_after_one_tick.filter_states.reshape(-1, STATE_COUNT, 1),
         np.column_stack((force, np.zeros(model.tendon_count)))[..., None],
     )
     for _ in range(
@@ -195,10 +209,10 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
         x = F @ x + B @ inputs
     np.testing.assert_allclose(after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(estimate.travel, after.filter_states[X::STATE_COUNT])
-    assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
+    assert after[1:5] == state_after_one_tick[1:5], "nothing else is judged of what nobody saw"
 
 
-def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
+def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return the filter state of half-closed digits whose rotors turn, and the forces that balance them [N].
 
     All tendons have a tension of 20 N.
@@ -206,7 +220,7 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
-    return FilterState.in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
+    return FilterState.tendons_in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
         model.tendon_count, 20.0
     )
 
@@ -219,13 +233,13 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 
     A drive that was reset has, for example, sent its position only in every 11th tick.
     """
-    held = HeldHand(jamia).settle()
+    held = HandAtConstantTension(jamia).settle()
     chance = np.random.default_rng(7)
     for k in range(100 * ticks_per_position):
         travel = 2e-5 * chance.standard_normal() if k % ticks_per_position == 0 else np.nan
-        estimate = held.run_sample(HELD_TENSION_N, extra_travel=travel)
+        estimate = held.run_sample(HOLD_TENSION_N, extra_travel=travel)
         assert np.abs(estimate.travel - held.travel).max() < 0.05, k
     for _ in range(200):
-        estimate = held.run_sample(HELD_TENSION_N)
+        estimate = held.run_sample(HOLD_TENSION_N)
     np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
     np.testing.assert_allclose(estimate.tendon_speed, 0.0, atol=2e-3)

@@ -31,7 +31,7 @@ from tests.controller.filter_runs import (
     corrected_state,
     filter_state_of,
     run_unplanned_filter_tick,
-    state_of,
+    state_with_filter,
     write_readings,
 )
 from tests.controller.synthetic_states import (
@@ -50,15 +50,15 @@ SLACK_EVIDENCE_POINTS = (
 
 @pytest.mark.parametrize("was_at_stop", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was_at_stop: bool) -> None:
-    band, most = (
+    band, max_tension = (
         (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY)
         if was_at_stop
         else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
     )
-    at_stop = uncompiled_function(_is_at_stop)
-    assert at_stop(was_at_stop, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
-    assert not at_stop(was_at_stop, band, 0.0, 10.0)
-    assert not at_stop(was_at_stop, 0.0, most, 10.0)
+    is_at_stop = uncompiled_function(_is_at_stop)
+    assert is_at_stop(was_at_stop, np.nextafter(band, 0.0), np.nextafter(max_tension, 0.0), 10.0)
+    assert not is_at_stop(was_at_stop, band, 0.0, 10.0)
+    assert not is_at_stop(was_at_stop, 0.0, max_tension, 10.0)
 
 
 def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) -> FilterState:
@@ -69,10 +69,12 @@ def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) 
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in state_values.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
-    return FilterState.in_regime(x.ravel(), regime, stopped=False)
+    return FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
 
-def explained_by_contact(model: HandModel, regime: TendonRegime, tendon_speed: float) -> np.ndarray:
+def tension_explained_by_contact(
+    model: HandModel, regime: TendonRegime, tendon_speed: float
+) -> np.ndarray:
     """Return the tensions that a contact explains if all tendons have 20 N and move with a given speed [m/s].
 
     In this test, the filter gets no readings.
@@ -87,13 +89,17 @@ def explained_by_contact(model: HandModel, regime: TendonRegime, tendon_speed: f
 
 
 def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
-    still, moves = (explained_by_contact(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05))
-    np.testing.assert_allclose(moves - still, -0.05 * model.space.load_damping, rtol=1e-9)
-    assert still.all(), "20 N are more than springs ask here"
+    tension_at_rest, tension_in_motion = (
+        tension_explained_by_contact(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05)
+    )
+    np.testing.assert_allclose(
+        tension_in_motion - tension_at_rest, -0.05 * model.space.load_damping, rtol=1e-9
+    )
+    assert tension_at_rest.all(), "20 N are more than springs ask here"
 
 
 def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
-    assert not explained_by_contact(model, TendonRegime.SLACK, 0.0).any()
+    assert not tension_explained_by_contact(model, TendonRegime.SLACK, 0.0).any()
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
@@ -101,7 +107,7 @@ def used_measurements(model: HandModel, state: FilterState, measured: SensorRead
 
     An unused measurement is NaN.
     """
-    run = state_of(model, state)
+    run = state_with_filter(model, state)
     write_readings(run, measured)
     return uncompiled_function(_usable_measurements)(
         uncompiled_function(state_tables)(run.block, run.layout.places)
@@ -128,7 +134,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
             X=digit_excursion_m + more,
             S=spool_travel_m,
             O=stretch_offset_m,
-        )._replace(length_known=(True,) * n)
+        )._replace(is_length_known=(True,) * n)
         assert np.isfinite(used_measurements(model, state, measured)[:, 1]).all() == usable
     state = filter_state(
         model, TendonRegime.SLACK, X=digit_excursion_m, S=spool_travel_m, O=stretch_offset_m
@@ -153,11 +159,11 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell_tension: flo
 
 
 @pytest.mark.parametrize(
-    ("slack_length_m", "length_is_known", "becomes_taut"),
+    ("slack_length_m", "is_length_known", "is_taut_afterwards"),
     [(0.0, True, True), (2 * NEARLY_TAUT_M, True, False), (0.0, False, False)],
 )
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
-    model: HandModel, slack_length_m: float, length_is_known: bool, becomes_taut: bool
+    model: HandModel, slack_length_m: float, is_length_known: bool, is_taut_afterwards: bool
 ) -> None:
     """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
 
@@ -172,12 +178,12 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
         if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
-        length_known=(length_is_known,) * n
+        is_length_known=(is_length_known,) * n
     )
     after = regimes_after_sample(model, state, above + 1e-6)
-    assert after.regimes == ((TendonRegime.FREE if becomes_taut else TendonRegime.SLACK),) * n
-    assert (after.turning_evidence == (0,) * n) == becomes_taut
-    assert after.length_known == (length_is_known,) * n
+    assert after.regimes == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n
+    assert (after.regime_change_evidence == (0,) * n) == is_taut_afterwards
+    assert after.is_length_known == (is_length_known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
@@ -185,7 +191,7 @@ def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     state = filter_state(model, TendonRegime.SLACK, S=2e-3)
     for _ in range(POINTS_OF_TAUT):
         state = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1.0)
-    assert (state.regimes, state.length_known) == ((TendonRegime.FREE,) * n, (True,) * n)
+    assert (state.regimes, state.is_length_known) == ((TendonRegime.FREE,) * n, (True,) * n)
 
 
 def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
@@ -204,7 +210,7 @@ def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel)
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
     _, estimate = run_unplanned_filter_tick(
-        model, FilterState.before_first_reading(n), empty_readings(model), np.zeros(n), no
+        model, FilterState.initial_filter_state(n), empty_readings(model), np.zeros(n), no
     )
     shapes = {
         name: np.shape(value)

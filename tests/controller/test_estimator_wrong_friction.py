@@ -24,23 +24,23 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from tests.controller.filter_runs import (
-    all_in_regime,
-    no_contact,
+    flags_without_contact,
     noiseless_readings,
     run_unplanned_filter_tick,
     state_at_rest,
+    state_with_tendons_in_regime,
 )
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic_states import active_state, stage_constants, uncompiled_function
 
 TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
-EVALUATED_AFTER_S = 1.2
+EVALUATION_START_S = 1.2
 """Time from which the errors are evaluated [s].
 
 By this time, no tendon is slack, and the filter has noticed the wrong friction.
 """
-TAUT_N = 0.5
+TAUT_TENSION_N = 0.5
 BACK_AND_FORTH_TASK = {
     "schema": 1,
     "name": "back and forth",
@@ -49,7 +49,7 @@ BACK_AND_FORTH_TASK = {
         for n, angle in enumerate((20.0, 50.0, 15.0, 55.0, 20.0, 50.0, 15.0))
     ],
 }
-with_each_seed = pytest.mark.parametrize(
+for_each_seed = pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))]
 )
 
@@ -70,9 +70,9 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 
     The RMSE includes only taut tendons, and only the time while the hand moves.
     """
-    real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
+    real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATION_START_S
     raw = np.array(run.measured_tension)
-    kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
+    kept = later[:, None] & (real > TAUT_TENSION_N) & np.isfinite(raw)
     assert np.count_nonzero(kept) > 500
     estimate, cell = (
         float(np.sqrt(np.mean(np.square(way - real)[kept])))
@@ -81,7 +81,7 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     return estimate, cell
 
 
-@with_each_seed
+@for_each_seed
 @pytest.mark.parametrize("friction_factor", FRICTION_FACTORS)
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
@@ -106,14 +106,16 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
-    sure = all_in_regime(model, TendonRegime.FREE, x)
-    doubting = sure._replace(doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
+    state_without_doubt = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
+    state_in_doubt = state_without_doubt._replace(
+        doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S)
+    )
     (after, estimate), (after_doubt, estimate_doubt) = (
-        run_unplanned_filter_tick(model, state, read, force, no_contact(model))
-        for state in (sure, doubting)
+        run_unplanned_filter_tick(model, state, read, force, flags_without_contact(model))
+        for state in (state_without_doubt, state_in_doubt)
     )
     assert after.nis_mean == pytest.approx(after_doubt.nis_mean)
-    assert after.nis_lately == pytest.approx(after_doubt.nis_lately)
+    assert after.nis_fast_average == pytest.approx(after_doubt.nis_fast_average)
     assert (estimate_doubt.nis < estimate.nis).all()
     assert (estimate_doubt.tension_sigma > estimate.tension_sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
@@ -137,7 +139,7 @@ def _judge_innovations(
     )
 
 
-def averages_and_doubts(
+def recent_nis_and_doubt_times(
     model: HandModel, recent_nis: np.ndarray, doubt_time_s: np.ndarray, nis: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return two results of one tick (N,).
@@ -155,10 +157,10 @@ def averages_and_doubts(
 
 
 def test_a_slow_loop_does_not_adapt() -> None:
-    lately, wary = np.full(4, 2.0), np.zeros(4)
+    recent_nis, wary = np.full(4, 2.0), np.zeros(4)
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
-        lately, wary = averages_and_doubts(model, lately, wary, np.full(4, 50.0))
+        recent_nis, wary = recent_nis_and_doubt_times(model, recent_nis, wary, np.full(4, 50.0))
     assert not wary.any()
 
 
@@ -173,13 +175,13 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
         (np.array([2 * NOISE_NIS_LIMIT, *[1.5] * 10]), False),
         (np.full(11, NOISE_NIS_LIMIT_OF_HAND + 0.3), True),
     ):
-        lately, wary = usual, none
+        recent_nis, wary = usual, none
         for _ in range(round(5 * NOISE_NIS_S / period)):
-            lately, wary = averages_and_doubts(jamia11, lately, wary, odd)
+            recent_nis, wary = recent_nis_and_doubt_times(jamia11, recent_nis, wary, odd)
         assert wary[0] == MAX_ADDED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
-    assert not averages_and_doubts(jamia11, usual, none, nis)[1][1:].any()
+    assert not recent_nis_and_doubt_times(jamia11, usual, none, nis)[1][1:].any()
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:
@@ -188,13 +190,13 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     A missing reading (NaN) does not change the average of the innovations.
     """
     n = jamia11.tendon_count
-    lately, wary = averages_and_doubts(
+    recent_nis, wary = recent_nis_and_doubt_times(
         jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan)
     )
-    assert (lately == 2.0).all()
+    assert (recent_nis == 2.0).all()
     assert wary == pytest.approx(2 * jamia11.period)
     for _ in range(2):
-        lately, wary = averages_and_doubts(jamia11, lately, wary, np.full(n, 2.0))
+        recent_nis, wary = recent_nis_and_doubt_times(jamia11, recent_nis, wary, np.full(n, 2.0))
     assert not wary.any()
     state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)

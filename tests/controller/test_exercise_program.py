@@ -69,6 +69,6 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
         for stage, goals, _ in stages_of_exercise(model)
         if stage in ("close", "hold")
     ]
-    before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
-    assert before_hold == ("close", {usual if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
+    stage_before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
+    assert stage_before_hold == ("close", {usual if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
     assert all(found == {usual} for stage, found in rates if stage == "hold")

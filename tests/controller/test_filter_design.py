@@ -41,7 +41,7 @@ class FilterDesigns:
     def __init__(self, model_by_hand: dict[str, HandModel]) -> None:
         self.models = model_by_hand
 
-    def design_of(self, hand_name: str, rate_hz: float) -> FilterDesign:
+    def filter_design_of(self, hand_name: str, rate_hz: float) -> FilterDesign:
         model = self.models[hand_name]
         return design_filter(
             model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
@@ -113,15 +113,19 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
 def test_every_regime_is_stable_at_every_rate(
     hand_name: str, rate_hz: float, filter_designs: FilterDesigns
 ) -> None:
-    design = filter_designs.design_of(hand_name, rate_hz)
+    design = filter_designs.filter_design_of(hand_name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:
             error = block.F @ (np.eye(STATE_COUNT) - block.K @ block.H)
             assert np.abs(np.linalg.eigvals(error)).max() < 1.0
-            without = block.K.copy()
-            without[:, 2] = 0.0
+            gain_without_joint_encoder = block.K.copy()
+            gain_without_joint_encoder[:, 2] = 0.0
             assert (
-                np.abs(np.linalg.eigvals(block.F @ (np.eye(STATE_COUNT) - without @ block.H))).max()
+                np.abs(
+                    np.linalg.eigvals(
+                        block.F @ (np.eye(STATE_COUNT) - gain_without_joint_encoder @ block.H)
+                    )
+                ).max()
                 < 1.0
             ), "no joint frame"
 
@@ -130,10 +134,12 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
     jamia: HandModel, jamia11: HandModel
 ) -> None:
     gains = jamia11.gains.filter
-    cycle = jamia11.hand.sensor_node.joint_decimation
+    ticks_per_joint_frame = jamia11.hand.sensor_node.joint_decimation
     for blocks in jamia11.filter.blocks:
         for block in blocks:
-            kept = (1.0 - block.K[S, 2]) ** (gains.joint_time_s / (cycle * jamia11.period))
+            kept = (1.0 - block.K[S, 2]) ** (
+                gains.joint_time_s / (ticks_per_joint_frame * jamia11.period)
+            )
             np.testing.assert_allclose(kept, np.exp(-1.0), rtol=1e-9)
             assert block.K[O, 2] == -block.K[S, 2]
             assert not np.delete(block.K[:, 2], [S, O]).any()
@@ -209,9 +215,14 @@ def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> Non
 
 def test_asking_for_other_gains_gives_other_filters() -> None:
     hand = load_hand("jamia")
-    calm = HandModel.from_hand(hand, Gains(), 500.0)
-    wild = HandModel.from_hand(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
-    free = [m.filter.blocks[0][TendonRegime.FREE].tension_variance for m in (calm, wild)]
+    model_with_packaged_gains = HandModel.from_hand(hand, Gains(), 500.0)
+    model_with_larger_rate = HandModel.from_hand(
+        hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0
+    )
+    free = [
+        m.filter.blocks[0][TendonRegime.FREE].tension_variance
+        for m in (model_with_packaged_gains, model_with_larger_rate)
+    ]
     assert free[1] > free[0], "who trusts the model less knows the tension less"
 
 

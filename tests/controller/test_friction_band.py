@@ -66,7 +66,7 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    before = LawState.before_first_command(n)._replace(
+    before = LawState.initial_law_state(n)._replace(
         planned=np.full(n, 5e-324), friction_slider=np.ones(n)
     )
     law, _ = run_law_tick(
@@ -103,6 +103,8 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     assert len(ticks) == pytest.approx(
         len(starts) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(starts)
     )
-    mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))
-    assert mine < raw
+    estimate_error, raw = (
+        np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell)
+    )
+    assert estimate_error < raw
     assert np.abs(estimate - real)[ticks].max() < 2.5, "[N]"

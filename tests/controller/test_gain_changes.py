@@ -54,20 +54,20 @@ def noiseless_hand(model: HandModel) -> ControllerBench:
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_simulator("firmware_sim.lockstep_hand:LockstepHand", **options)
-    desk = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
-    desk.run_until_mode(HandMode.ACTIVE)
-    while desk.state.progress.phase != "live":
-        desk.tick()
-    return desk
+    bench = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
+    bench.run_until_mode(HandMode.ACTIVE)
+    while bench.state.progress.phase != "live":
+        bench.tick()
+    return bench
 
 
 @pytest.fixture
-def holding_bench(jamia: HandModel) -> ControllerBench:
+def bench_with_rising_tension(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
-    desk = noiseless_hand(jamia)
-    desk.tick(HOLD_REQUEST)
-    desk.run(0.1)
-    return desk
+    bench = noiseless_hand(jamia)
+    bench.tick(HOLD_REQUEST)
+    bench.run(0.1)
+    return bench
 
 
 def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
@@ -91,65 +91,67 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     "unsolvable_gain", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)]
 )
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
-    holding_bench: ControllerBench, unsolvable_gain: tuple[str, float]
+    bench_with_rising_tension: ControllerBench, unsolvable_gain: tuple[str, float]
 ) -> None:
-    before = holding_bench.state.decisions.gains
-    outs = [holding_bench.tick(gain_request(dict([unsolvable_gain])))]
-    outs += [holding_bench.tick() for _ in range(10)]
+    before = bench_with_rising_tension.state.decisions.gains
+    outs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
+    outs += [bench_with_rising_tension.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
-    decisions = holding_bench.state.decisions
-    assert (decisions.gains, decisions.pending, holding_bench.state.mode) == (
+    decisions = bench_with_rising_tension.state.decisions
+    assert (decisions.gains, decisions.pending, bench_with_rising_tension.state.mode) == (
         before,
         None,
         HandMode.ACTIVE,
     )
-    holding_bench.tick(gain_request({"tension.force_N": 6.0}))
-    holding_bench.run(0.1)
-    assert holding_bench.state.decisions.gains is not None
-    assert holding_bench.state.decisions.gains.tension.force_N == 6.0, "the next ones are taken"
+    bench_with_rising_tension.tick(gain_request({"tension.force_N": 6.0}))
+    bench_with_rising_tension.run(0.1)
+    assert bench_with_rising_tension.state.decisions.gains is not None
+    assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 6.0, (
+        "the next ones are taken"
+    )
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused during the commissioning, because the next run would not have the new gains."""
-    desk = ControllerBench(
+    bench = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
         load_simulator(
             "firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))
         ),
     )
-    desk.run_until_mode(HandMode.ACTIVE)
-    out = desk.tick(gain_request({"motion.force_N": 20.0}))
+    bench.run_until_mode(HandMode.ACTIVE)
+    out = bench.tick(gain_request({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
-    assert desk.state.decisions.pending is None
+    assert bench.state.decisions.pending is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(
-    holding_bench: ControllerBench, jamia: HandModel
+    bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
-    outs = [holding_bench.tick(gain_request({"tension.force_N": 45.0}))]
-    outs += [holding_bench.tick() for _ in range(design_piece_count(jamia.space) + 2)]
+    outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
+    outs += [bench_with_rising_tension.tick() for _ in range(design_piece_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
     at = [i for i, found in enumerate(events) if found]
     assert at == [design_piece_count(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
-    assert holding_bench.state.decisions.gains is not None
-    assert holding_bench.state.decisions.gains.tension.force_N == 45.0
+    assert bench_with_rising_tension.state.decisions.gains is not None
+    assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 45.0
     hashes = {out.state_hash for out in outs}
     assert len(hashes) == len(outs)
 
 
-LawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
+RecordedLawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
-def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
+def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedLawCall]:
     """Return a list that records each call of the control law.
 
     An entry contains the controller, its states before and after the call, the action of the safety
     monitor, and the number of ticks.
     """
-    calls, real = list[LawCall](), Controller._compute_torques
+    calls, real = list[RecordedLawCall](), Controller._compute_torques
 
     def record_call(
         self: Controller, state: ControllerState, action: SafetyAction, ticks: int
@@ -179,20 +181,20 @@ def test_a_change_makes_no_step_in_torque(
     gain_by_key: dict[str, float],
 ) -> None:
     """In the tick in which the gains change, a trim force keeps the commanded torque the same."""
-    desk = noiseless_hand(jamia)
-    desk.tick(request_text)
-    desk.run(0.1)
+    bench = noiseless_hand(jamia)
+    bench.tick(request_text)
+    bench.run(0.1)
     for _ in range(design_piece_count(jamia.space) - 1):
-        desk.tick(
+        bench.tick(
             gain_request(gain_by_key)
-        ) if desk.state.decisions.pending is None else desk.tick()
+        ) if bench.state.decisions.pending is None else bench.tick()
     calls = record_law_calls(monkeypatch)
-    out = desk.tick()
+    out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert desk.state.run_integer(s.TRIMMED)
+    assert bench.state.run_integer(s.TRIMMED)
     (_, before, _, action, ticks), (other, _, without, *_) = calls
     with_trim = before.copy()
-    with_trim.view("trim")[...] = desk.state.view("trim")
+    with_trim.view("trim")[...] = bench.state.view("trim")
     with_trim.set_run_integer(s.TRIMMED, 1)
     other._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
@@ -209,20 +211,20 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     Otherwise the difference between both commands would become a trim force that makes the tendon
     slack.
     """
-    desk = noiseless_hand(jamia)
-    desk.tick(MOVE_REQUEST)
-    desk.run(0.05)
-    judge = Controller._judge_faults
+    bench = noiseless_hand(jamia)
+    bench.tick(MOVE_REQUEST)
+    bench.run(0.05)
+    judge_faults = Controller._judge_faults
     monkeypatch.setattr(
         Controller,
         "_judge_faults",
-        lambda self, *words: (SafetyAction.HOLD, judge(self, *words)[1]),
+        lambda self, *words: (SafetyAction.HOLD, judge_faults(self, *words)[1]),
     )
     calls = record_law_calls(monkeypatch)
-    desk.tick(gain_request({"motion.force_N": 60.0}))
-    while desk.state.decisions.pending is not None:
+    bench.tick(gain_request({"motion.force_N": 60.0}))
+    while bench.state.decisions.pending is not None:
         calls.clear()
-        desk.tick()
+        bench.tick()
     (own, _, old, *_), (other, _, new, *_) = calls
     assert own is not other
     assert old.run_integer(s.HOLDING) == new.run_integer(s.HOLDING) == 1
@@ -235,31 +237,33 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         ).all()
 
 
-def test_the_trim_fades_and_the_goal_is_reached(holding_bench: ControllerBench) -> None:
-    holding_bench.tick(gain_request({"tension.tension_error_N": 1.4}))
-    holding_bench.run(2.5)
-    assert not holding_bench.state.run_integer(s.TRIMMED)
-    assert not holding_bench.state.view("trim").any()
-    tension = np.array([out.telemetry.tension for *_, out in holding_bench.tick_history[-200:]])
+def test_the_trim_fades_and_the_goal_is_reached(bench_with_rising_tension: ControllerBench) -> None:
+    bench_with_rising_tension.tick(gain_request({"tension.tension_error_N": 1.4}))
+    bench_with_rising_tension.run(2.5)
+    assert not bench_with_rising_tension.state.run_integer(s.TRIMMED)
+    assert not bench_with_rising_tension.state.view("trim").any()
+    tension = np.array(
+        [out.telemetry.tension for *_, out in bench_with_rising_tension.tick_history[-200:]]
+    )
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
 
 
 def test_two_changes_of_gains_add_up_and_can_be_undone(
-    holding_bench: ControllerBench, jamia: HandModel
+    bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
-    holding_bench.tick(gain_request({"tension.force_N": 30.0}))
-    holding_bench.tick(gain_request({"motion.tension_feedback": 0.1}))
-    holding_bench.run(0.1)
-    gains = holding_bench.state.decisions.gains
+    bench_with_rising_tension.tick(gain_request({"tension.force_N": 30.0}))
+    bench_with_rising_tension.tick(gain_request({"motion.tension_feedback": 0.1}))
+    bench_with_rising_tension.run(0.1)
+    gains = bench_with_rising_tension.state.decisions.gains
     assert gains is not None
     assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
-    holding_bench.tick(
+    bench_with_rising_tension.tick(
         gain_request(
             {"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}
         )
     )
-    holding_bench.run(0.1)
-    assert holding_bench.state.decisions.gains == jamia.gains
+    bench_with_rising_tension.run(0.1)
+    assert bench_with_rising_tension.state.decisions.gains == jamia.gains
 
 
 @pytest.mark.parametrize(
@@ -274,25 +278,25 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(
     ],
 )
 def test_impossible_gains_are_refused_in_one_line_without_effect(
-    holding_bench: ControllerBench, gain_by_key: dict[str, float], expected_message: str
+    bench_with_rising_tension: ControllerBench, gain_by_key: dict[str, float], expected_message: str
 ) -> None:
-    out = holding_bench.tick(gain_request(gain_by_key))
+    out = bench_with_rising_tension.tick(gain_request(gain_by_key))
     lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
     assert len(lines) == 1
     assert expected_message in lines[0].text
     assert "\n" not in lines[0].text
-    holding_bench.run(0.1)
-    assert holding_bench.state.decisions.gains is None
+    bench_with_rising_tension.run(0.1)
+    assert bench_with_rising_tension.state.decisions.gains is None
 
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
-    desk = make_controller_bench(jamia, LiveProgram(), arm_at_start=False)
-    desk.run_until_mode(HandMode.READY)
-    desk.tick(gain_request({"motion.force_N": 40.0}))
-    desk.run(0.1)
-    assert desk.state.decisions.gains is not None
-    assert not desk.state.run_integer(s.TRIMMED)
-    assert not desk.state.view("trim").any()
+    bench = make_controller_bench(jamia, LiveProgram(), arms_at_start=False)
+    bench.run_until_mode(HandMode.READY)
+    bench.tick(gain_request({"motion.force_N": 40.0}))
+    bench.run(0.1)
+    assert bench.state.decisions.gains is not None
+    assert not bench.state.run_integer(s.TRIMMED)
+    assert not bench.state.view("trim").any()
 
 
 def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:
@@ -306,9 +310,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
             bounds_after_check(key, bound.high * 1.01, "test")
 
 
-@pytest.mark.parametrize("at_upper_bound", [False, True])
+@pytest.mark.parametrize("uses_upper_bound", [False, True])
 def test_every_corner_of_the_live_bounds_can_be_designed(
-    jamia: HandModel, at_upper_bound: bool
+    jamia: HandModel, uses_upper_bound: bool
 ) -> None:
     """The test sets one gain at a time to its bound. The other gains keep their defaults.
 
@@ -319,7 +323,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
         if bound.live:
             value = (
                 bound.high
-                if at_upper_bound
+                if uses_upper_bound
                 else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
             )
             gains = gains_with_values(

@@ -63,10 +63,12 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
             state = targets_after_command(jamia, state, angle)
         return state
 
-    begun = state_after_goals(0.2, 1)
-    assert filtered_goal_of(begun) == pytest.approx(arms * 0.2), "the first goal is taken as it is"
+    first_state = state_after_goals(0.2, 1)
+    assert filtered_goal_of(first_state) == pytest.approx(arms * 0.2), (
+        "the first goal is taken as it is"
+    )
     seconds = 0.1
-    after = state_after_goals(0.4, round(seconds / jamia.period), begun)
+    after = state_after_goals(0.4, round(seconds / jamia.period), first_state)
     assert filtered_goal_of(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
     assert filtered_goal_of(state_after_goals(0.4, 1000, after)) == pytest.approx(
         arms * 0.4, rel=1e-6

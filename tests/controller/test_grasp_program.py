@@ -228,8 +228,8 @@ def test_motions_begin_where_the_digit_is(
 ) -> None:
     run = ProgramRun(model)
     run.run_until_phase("home", taut_estimate)
-    bent = estimate_under_tension(model, 5.0, 0.4)
-    run.run_until_phase("preshape", bent)
+    estimate_at_04_rad = estimate_under_tension(model, 5.0, 0.4)
+    run.run_until_phase("preshape", estimate_at_04_rad)
     names = model.hand.digit_names
     for d, name in enumerate(names):
         goal = run.progress.goals[d]
@@ -280,12 +280,12 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, -1.5 * threshold)}))
     assert not any(run.progress.contact), "never strong and long enough"
-    began, touch = (
+    began, estimate_in_contact = (
         run.t,
         hand_in_contact(model, {"index": tension_for_tip_force(model, 3.0 * threshold)}),
     )
     while not any(run.progress.contact):
-        events = run.tick(touch)
+        events = run.tick(estimate_in_contact)
         assert run.t - began < 0.02, "found in time"
     index = model.hand.digit_names.index("index")
     assert [i for i, c in enumerate(run.progress.contact) if c] == [index], (
@@ -380,11 +380,11 @@ def test_only_named_digits_in_contact_hold(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run = begin_closing(model, taut_estimate)
-    touch = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
-    run.run_until_contact(touch)
+    estimate_in_contact = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
+    run.run_until_contact(estimate_in_contact)
     names = model.hand.digit_names
     before = run.progress.goals[names.index("ring")]
-    run.run_until_phase("hold", touch)
+    run.run_until_phase("hold", estimate_in_contact)
     np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
     assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
     assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
@@ -394,9 +394,9 @@ def test_release_waits_for_the_tension_to_fall(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run = begin_closing(model, taut_estimate)
-    touch = hand_in_contact(model, {"index": 12.0})
-    run.run_until_contact(touch)
-    run.run_until_phase("release", touch)
+    estimate_in_contact = hand_in_contact(model, {"index": 12.0})
+    run.run_until_contact(estimate_in_contact)
+    run.run_until_phase("release", estimate_in_contact)
     for _ in range(round(1.0 / model.period)):
         run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.phase == "release"
@@ -418,10 +418,10 @@ def run_release(
             {**p, **release_fields} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]
         ],
     }
-    run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
+    run, estimate_in_contact = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
     run.run_until_phase("close", taut_estimate)
-    run.run_until_contact(touch)
-    run.run_until_phase("release", touch)
+    run.run_until_contact(estimate_in_contact)
+    run.run_until_phase("release", estimate_in_contact)
     return run, run.run_until_phase("open", estimate_under_tension(model, tension))
 
 
@@ -452,9 +452,12 @@ def test_released_digit_needs_a_new_contact_to_hold(
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
     run.run_until_phase("close", taut_estimate)
-    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
-    run.run_until_contact(touch)
-    run.run_until_phase("release", touch)
+    estimate_in_contact, index = (
+        hand_in_contact(model, {"index": 12.0}),
+        model.hand.digit_names.index("index"),
+    )
+    run.run_until_contact(estimate_in_contact)
+    run.run_until_phase("release", estimate_in_contact)
     run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.contact[index], "until it has let go"
     run.run_until_phase("again", taut_estimate)
@@ -477,9 +480,12 @@ def test_a_digit_that_is_held_stays_so_while_others_close(
     close, hold = GRASP_TASK["phase"][2:4]
     run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})
     run.run_until_phase("close", taut_estimate)
-    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
-    run.run_until_contact(touch)
-    run.run_until_phase("again", touch)
+    estimate_in_contact, index = (
+        hand_in_contact(model, {"index": 12.0}),
+        model.hand.digit_names.index("index"),
+    )
+    run.run_until_contact(estimate_in_contact)
+    run.run_until_phase("again", estimate_in_contact)
     assert run.progress.contact[index]
     assert run.progress.goals[index].kind == GoalKind.TENSION
 
@@ -490,13 +496,13 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
     run.run_until_phase("close", taut_estimate)
-    touch = hand_in_contact(model, {"index": 12.0})
-    run.run_until_contact(touch)
-    run.run_until_phase("hold", touch)
+    estimate_in_contact = hand_in_contact(model, {"index": 12.0})
+    run.run_until_contact(estimate_in_contact)
+    run.run_until_phase("hold", estimate_in_contact)
     d = model.hand.digit_names.index("index")
     digit, tension = model.digits[d], run.progress.goals[d].tension
     assert tension is not None
-    q = touch.q[digit.joints]
+    q = estimate_in_contact.q[digit.joints]
     static = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
     assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
 

@@ -102,19 +102,19 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
     An ODrive, for example, sends heartbeats even if its encoder messages are switched off.
     """
     known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
-    blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
-    hand_bench.controller.store_drive_state(unread, 1, blind)
-    unread.set_run_integer(s.FILTER_STARTED, 0)
-    assert mode_after_inventory(hand_bench, unread) == (
+    blind, state_without_position = known.drives[1]._replace(position=math.nan), known.copy()
+    hand_bench.controller.store_drive_state(state_without_position, 1, blind)
+    state_without_position.set_run_integer(s.FILTER_STARTED, 0)
+    assert mode_after_inventory(hand_bench, state_without_position) == (
         HandMode.DONE,
         "no position from middle_motor",
     )
-    late = unread.copy()
+    late = state_without_position.copy()
     hand_bench.controller.store_drive_state(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
     assert mode_after_inventory(hand_bench, late) == (
         HandMode.DONE,
         "middle_motor: not configured in time",
     )
-    unread.mode_since = 0.0
-    assert mode_after_inventory(hand_bench, unread)[0] == HandMode.INVENTORY
+    state_without_position.mode_since = 0.0
+    assert mode_after_inventory(hand_bench, state_without_position)[0] == HandMode.INVENTORY
     assert mode_after_inventory(hand_bench, known) == (HandMode.READY, "")

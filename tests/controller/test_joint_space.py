@@ -36,7 +36,7 @@ def final_joint_angles(hand_name: str, program: Task, duration_s: float) -> dict
     with SimulatorSettings(hand_name, None, 0, homed=True).begin_run(
         homed_controller(model_of(hand_name), TaskProgram(program))
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         for _entry, out in run.run_ticks(duration_s):
             angles = np.degrees(run.simulated_hand.world.plant.engine.q)
             if out.events and any(event.text == "task complete" for event in out.events):
@@ -100,20 +100,22 @@ def test_a_trajectory_can_name_single_joints() -> None:
 
 
 def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
-    by_joint = DigitModel.from_hand(load_hand("t42"), "left").with_joint_angles({1: 10.0}, [0.0])
-    assert by_joint.tolist() == pytest.approx([40.0])
+    coordinates_from_joint = DigitModel.from_hand(load_hand("t42"), "left").with_joint_angles(
+        {1: 10.0}, [0.0]
+    )
+    assert coordinates_from_joint.tolist() == pytest.approx([40.0])
 
 
 def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     times = (0.0, 0.4, 1.0, 1.7)
     points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
     both = CurveTrajectory.through_points(times, points, 2)
-    ones = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
+    curves = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
         assert both.motion_at(t) == pytest.approx(
-            np.hstack([one.motion_at(t) for one in ones]), abs=1e-12
+            np.hstack([one.motion_at(t) for one in curves]), abs=1e-12
         )
-    assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in ones))
+    assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in curves))
     assert both.duration == 1.7
 
 

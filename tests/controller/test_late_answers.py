@@ -24,7 +24,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     run.run(0.5)
     held: list[list[Frame]] = []
 
-    def drop_all(frames: list[Frame]) -> list[Frame]:
+    def hold_back_frames(frames: list[Frame]) -> list[Frame]:
         held.append(list(frames))
         return []
 
@@ -34,7 +34,7 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
 
     fault_texts = []
     for run.change_host_frames in (
-        drop_all,
+        hold_back_frames,
         frames_sent_before,
         lambda frames: [*held[1], *frames],
     ):
@@ -87,7 +87,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 
     In about this tick, the controller forgets the requests of the earlier ticks.
     """
-    run = active_on_a_bus_without_stamps()
+    run = active_bench_without_time_stamps()
     waiting: list[Frame] = []
     while (run.k + paused_ticks) % LOSS_WINDOW_TICKS:
         run.tick()
@@ -98,7 +98,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
     assert run.state.mode == HandMode.ACTIVE
 
 
-def active_on_a_bus_without_stamps() -> ControllerBench:
+def active_bench_without_time_stamps() -> ControllerBench:
     """Return a bench whose hand is active.
 
     On the bus of this bench, the time stamp of a frame is the time at which the host reads the
@@ -130,17 +130,17 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
 
     When the node becomes faster, a late reply and a reply in time arrive in the same tick.
     """
-    run = active_on_a_bus_without_stamps()
+    run = active_bench_without_time_stamps()
     held: list[list[Frame]] = [[]]
 
-    def a_tick_late(frames: list[Frame]) -> list[Frame]:
+    def delay_by_one_tick(frames: list[Frame]) -> list[Frame]:
         motors = [frame for frame in frames if frame.can_id in range(0x11, 0x15)]
         held.append(motors)
         return with_time_stamps(
             run, [*held[-2], *[frame for frame in frames if frame not in motors]]
         )
 
-    run.change_host_frames = a_tick_late
+    run.change_host_frames = delay_by_one_tick
     reported = [text for _ in range(50) for text in second_node_reports(run.tick())]
     run.change_host_frames = lambda frames: with_time_stamps(run, [*held[-1], *frames])
     reported += second_node_reports(run.tick())
@@ -150,7 +150,7 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
 
 
 def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
-    run = active_on_a_bus_without_stamps()
+    run = active_bench_without_time_stamps()
     run.change_host_frames = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )
@@ -165,7 +165,7 @@ def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
 
 
 def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
-    run = active_on_a_bus_without_stamps()
+    run = active_bench_without_time_stamps()
     run.change_host_frames = lambda frames: with_time_stamps(
         run, [frame for frame in frames if frame.can_id != 0x11]
     )

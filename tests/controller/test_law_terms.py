@@ -13,7 +13,7 @@ from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.digit_goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, command_of, law_state_of, run_law_tick
+from tests.controller.law_runs import LawState, law_command_of, law_state_of, run_law_tick
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
@@ -73,8 +73,8 @@ def test_the_planned_acceleration_is_fed_forward(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     """Without inertia feedforward, the commanded force is smaller by the inertia times the planned acceleration."""
-    without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
-    other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
+    gains_without_inertia = model.gains.motion.model_copy(update={"inertia_share": 0.0})
+    other = replace(model, gains=model.gains.model_copy(update={"motion": gains_without_inertia}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
         acceleration[tendons] = (
@@ -123,7 +123,7 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     tick_stages.compute_motor_torques(
         state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
     )
-    law, command = law_state_of(state), command_of(state)
+    law, command = law_state_of(state), law_command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:
         assert not part.any()
@@ -176,14 +176,15 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
 
 def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
     estimate, space = estimate_under_tension(model, 20.0), model.space
-    still = holding_goals(model, 20.0)
+    goals_at_rest = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
     ways = [
         MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0)
         for d in model.digits
     ]
     goals = tuple(
-        replace(goal, trajectory=one, since=since) for goal, one in zip(still, ways, strict=True)
+        replace(goal, trajectory=one, since=since)
+        for goal, one in zip(goals_at_rest, ways, strict=True)
     )
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
@@ -195,12 +196,14 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     )
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
-        motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, still),
+        motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, goals_at_rest),
         needed,
         rtol=1e-9,
     )
-    one_only = (goals[0], *still[1:])
-    change = motor_force_of(model, estimate, one_only) - motor_force_of(model, estimate, still)
+    goals_with_one_motion = (goals[0], *goals_at_rest[1:])
+    change = motor_force_of(model, estimate, goals_with_one_motion) - motor_force_of(
+        model, estimate, goals_at_rest
+    )
     first = model.digit_tendons[0]
     np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
     assert not np.delete(change, first).any(), "no other digit is in motion"
@@ -228,9 +231,14 @@ def test_the_goal_tension_of_a_motion_stays_within_its_limit(
         motion_goals,
         EVALUATION_TIME_S,
     )[1].tension
-    state, most = LawState.idle_at_tensions(estimate.tension), np.maximum(0.5 * free, model.floor)
-    held = run_law_tick(model, state, estimate, motion_goals, EVALUATION_TIME_S, most)[1].tension
-    np.testing.assert_allclose(held, most)
+    state, tension_limits = (
+        LawState.idle_at_tensions(estimate.tension),
+        np.maximum(0.5 * free, model.floor),
+    )
+    held = run_law_tick(model, state, estimate, motion_goals, EVALUATION_TIME_S, tension_limits)[
+        1
+    ].tension
+    np.testing.assert_allclose(held, tension_limits)
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:

@@ -37,7 +37,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     expected_limit: float,
 ) -> None:
     n = jamia.tendon_count
-    most, kept = (
+    tension_limits, kept = (
         None if value is None else np.full(n, value) for value in (temperature_limit, held_limit)
     )
     law, command = run_law_tick(
@@ -46,7 +46,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         estimate_under_tension(jamia, 0.0),
         holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
-        most,
+        tension_limits,
         kept,
     )
     np.testing.assert_allclose(command.tension, expected_limit)
@@ -106,20 +106,29 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
     plain = run_law_tick(
         jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
     )[1]
-    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    law, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
+    state_with_trim = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    law, command = run_law_tick(
+        jamia, state_with_trim, estimate_under_tension(jamia, 20.0), asked, 0.0
+    )
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
-    nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
+    state_with_small_trim = state_with_trim._replace(
+        trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2)
+    )
     assert (
-        run_law_tick(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
+        run_law_tick(jamia, state_with_small_trim, estimate_under_tension(jamia, 20.0), asked, 0.0)[
+            0
+        ].trim
+        is None
     )
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
     goals = (*holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)[:3], DigitGoal(GoalKind.LIMP))
-    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    _, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
+    state_with_trim = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    _, command = run_law_tick(
+        jamia, state_with_trim, estimate_under_tension(jamia, 20.0), goals, 0.0
+    )
     assert command.torque[3] == 0.0
     assert np.isnan(command.tension[3])

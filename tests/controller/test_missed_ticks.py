@@ -11,7 +11,7 @@ from handctl.core.tick_types import HandMode
 from handctl.programs.live_session import LiveProgram
 from tests.controller.controller_bench import make_controller_bench
 
-FAST_RAD_S = 28.0
+FAST_SPEED_RAD_S = 28.0
 """Speed of a rotor that pays out its tendon [rad/s]. The drive can report speeds up to 30 rad/s."""
 
 
@@ -27,7 +27,7 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
     def pay_out_and_advance() -> None:
         advance_tendons()
         run.toy_hand.spool_travel[0] -= (
-            FAST_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
+            FAST_SPEED_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
         )
 
     run.toy_hand._advance_tendons = pay_out_and_advance  # type: ignore[method-assign]
@@ -35,7 +35,7 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
         run.tick(missed_ticks=before)
     assert not [event.text for event in run.events if event.text[:3] == "N05"]
     run.toy_hand.spool_travel[0] -= (
-        3.0 * FAST_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
+        3.0 * FAST_SPEED_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s
     )
     run.tick()
     run.tick()

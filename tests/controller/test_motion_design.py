@@ -132,11 +132,15 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
     usual = design_motion(jamia.space, Gains(), period)
-    precise = design_motion(jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period)
+    design_with_small_position_error = design_motion(
+        jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period
+    )
     gentle = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
-    assert (precise.stiffness > usual.stiffness).all()
+    assert (design_with_small_position_error.stiffness > usual.stiffness).all()
     assert (gentle.stiffness < usual.stiffness).all()
-    firm = design_motion(jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period)
-    assert (firm.tension > usual.tension).all()
+    design_with_small_tension_error = design_motion(
+        jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period
+    )
+    assert (design_with_small_tension_error.tension > usual.tension).all()
     assert (usual.damping > 0).all()
     assert (usual.tension_speed > 0).all()

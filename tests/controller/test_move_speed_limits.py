@@ -53,14 +53,14 @@ def test_a_move_without_time_is_refused(
 
 
 def test_the_time_that_is_named_is_enough() -> None:
-    short_ways = (
+    short_moves = (
         {"kind": "release"},
         move_phase(60.0, 0.05),
         CLOSE_PHASE | {"angle_deg": 70.0},
         move_phase(65.0, 0.05),
     )
     check_speed(
-        task_of_phases(move_phase(70.0, 0.19), move_phase(70.0, 0.05), *short_ways),
+        task_of_phases(move_phase(70.0, 0.19), move_phase(70.0, 0.05), *short_moves),
         DigitModel.all_from_hand(JAMIA11),
         "t",
     )

@@ -71,7 +71,7 @@ def simulate_control_errors(
     external = list[float]()
     controller = homed_controller(model, TaskProgram(waving_task(assumed_hand)), simulated_hand)
     with SimulatorSettings(simulated_hand, None, seed, homed=True).begin_run(controller) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         for _, out in run.run_ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
                 return None
@@ -100,12 +100,16 @@ def test_a_digit_follows_while_the_wrist_turns(hand_name: str, seed: int) -> Non
     through the axis of the wrist.
     """
     hand = mount_on_wrist(hand_name)
-    aware = simulate_control_errors(hand, hand, seed)
-    assert aware is not None
-    assert aware.tracking_error_deg < TRACKING_LIMITS_DEG[hand_name]
-    assert aware.wrist_error_deg < 1.0
-    blind = simulate_control_errors(mount_on_wrist(hand_name, 0.0), hand, seed)
-    assert blind is None or blind.tracking_error_deg > 4.0 * aware.tracking_error_deg
+    errors_with_wrist_model = simulate_control_errors(hand, hand, seed)
+    assert errors_with_wrist_model is not None
+    assert errors_with_wrist_model.tracking_error_deg < TRACKING_LIMITS_DEG[hand_name]
+    assert errors_with_wrist_model.wrist_error_deg < 1.0
+    errors_without_wrist_model = simulate_control_errors(mount_on_wrist(hand_name, 0.0), hand, seed)
+    assert (
+        errors_without_wrist_model is None
+        or errors_without_wrist_model.tracking_error_deg
+        > 4.0 * errors_with_wrist_model.tracking_error_deg
+    )
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
@@ -115,11 +119,14 @@ def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     that pushes the wrist.
     """
     hand = mount_on_wrist("jamia")
-    aware = simulate_control_errors(hand, hand, 0)
-    blind = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)
-    assert aware is not None
-    assert blind is not None
-    assert aware.unexplained_tension_N < 0.5 * blind.unexplained_tension_N
+    errors_with_wrist_model = simulate_control_errors(hand, hand, 0)
+    errors_without_wrist_model = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)
+    assert errors_with_wrist_model is not None
+    assert errors_without_wrist_model is not None
+    assert (
+        errors_with_wrist_model.unexplained_tension_N
+        < 0.5 * errors_without_wrist_model.unexplained_tension_N
+    )
 
 
 def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:

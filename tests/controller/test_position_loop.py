@@ -48,7 +48,7 @@ Between two commands, an MIT drive keeps its position target constant. A moteus 
 position target with the commanded velocity.
 """
 RATE_HZ = 500.0
-STIFF_KP = 2.5
+STIFF_KP_N_M_PER_RAD = 2.5
 """Stiffness of a tendon of ``jamia`` at its spool [N m/rad].
 
 This stiffness is the largest position gain that the hand file may have.
@@ -65,7 +65,7 @@ def with_position_loop(hand: Hand, **drive_options: Any) -> Hand:
 
 
 def hand_with_position_loop(
-    hand_name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP
+    hand_name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP_N_M_PER_RAD
 ) -> Hand:
     """Return a packaged hand whose drives close the position loop.
 
@@ -198,7 +198,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                     + 0.5 * model.period * motor_direction * velocity
                 )
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
-                torque = STIFF_KP * kp * (target - ahead) + motor_direction * added
+                torque = STIFF_KP_N_M_PER_RAD * kp * (target - ahead) + motor_direction * added
                 torque += motor.kd_N_m_s_per_rad * kd * (motor_direction * velocity - v)
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
@@ -212,7 +212,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
 
 
 def test_a_position_command_makes_the_predicted_torque() -> None:
-    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP)
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD)
     with begin_to_and_fro(hand) as run:
         model, ranges = run.controller.model, FrameRanges(12.5, 50.0, 0.8)
         sent = 0
@@ -242,7 +242,9 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
 def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
     hand = load_hand("jamia")
     torque, _ = mean_errors(hand, seed)
-    position, peak = mean_errors(with_position_loop(hand, kp_N_m_per_rad=STIFF_KP), seed)
+    position, peak = mean_errors(
+        with_position_loop(hand, kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD), seed
+    )
     assert position.mean() < 0.7 * torque.mean(), f"{position} against {torque} deg"
     assert (position < torque).all(), f"{position} against {torque} deg"
     assert peak < 40.0
@@ -299,7 +301,7 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
         assert run.state.latched == ()
 
 
-@pytest.mark.parametrize("kp", [None, STIFF_KP])
+@pytest.mark.parametrize("kp", [None, STIFF_KP_N_M_PER_RAD])
 @pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: int) -> None:
     with begin_to_and_fro(hand_with_position_loop("jamia", protocol, kp), seed) as run:
@@ -319,10 +321,10 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
         assert peak < 60.0, f"{peak} N"
 
 
-@pytest.mark.parametrize("ahead_ms", [0, 10, 20])
+@pytest.mark.parametrize("time_until_loss_ms", [0, 10, 20])
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
 def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
-    ahead_ms: int, seed: int
+    time_until_loss_ms: int, seed: int
 ) -> None:
     """When the host dies, a moteus drive continues to move its position target until its watchdog fires after 50 ms.
 
@@ -332,25 +334,27 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
             run.run_tick()
         run.simulated_hand.inject("block digit=index")
-        for _ in range(round(1e-3 * ahead_ms * RATE_HZ)):
+        for _ in range(round(1e-3 * time_until_loss_ms * RATE_HZ)):
             run.run_tick()
         motors: Any = run.simulated_hand.world.plant.motors  # type: ignore[attr-defined]
-        in_loop = sent_stiffness(run) > 0.0
+        has_position_loop = sent_stiffness(run) > 0.0
         forces = np.abs(run.state.view("torque")) / run.controller.model.space.spool
-        limit = forces + LIMIT_MARGIN_N * in_loop
+        limit = forces + LIMIT_MARGIN_N * has_position_loop
         sent = run.state.view("servo_limit") / run.controller.model.space.spool
-        np.testing.assert_allclose(sent[in_loop], limit[in_loop])
-        assert in_loop.sum() >= 3, "only the blocked digit has a torque command"
-        at_host = np.array(run.simulated_hand.truth()["tension"])
+        np.testing.assert_allclose(sent[has_position_loop], limit[has_position_loop])
+        assert has_position_loop.sum() >= 3, "only the blocked digit has a torque command"
+        tension_at_loss = np.array(run.simulated_hand.truth()["tension"])
         peak = np.zeros(4)
         for _ in range(round(0.1 * RATE_HZ)):
-            run._step()
+            run._advance_simulated_hand()
             peak = np.maximum(peak, run.simulated_hand.truth()["tension"])
         assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, (
             "the watchdogs have fired"
         )
         # The kinetic energy of the moving rotor may raise the tension above the limit.
-        assert (peak < np.maximum(at_host, limit) + 10.0).all(), f"{peak} N, limits {limit} N"
+        assert (peak < np.maximum(tension_at_loss, limit) + 10.0).all(), (
+            f"{peak} N, limits {limit} N"
+        )
         assert peak.max() < 55.0
 
 
@@ -538,7 +542,7 @@ def test_a_stiffness_below_one_count_is_refused() -> None:
 
 
 def test_a_low_rate_lowers_the_stiffness() -> None:
-    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP)
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD)
     with begin_to_and_fro(hand, rate_hz=100.0) as run:
         for _ in range(20):
             run.run_tick()
@@ -566,7 +570,7 @@ def print_tracking(protocol: str, seed_count: int) -> None:
         hands = {
             "torque commands": hand_with_protocol(name, protocol),
             "kp and kd of the gains": hand_with_position_loop(name, protocol, None),
-            f"kp = {STIFF_KP} N m/rad": hand_with_position_loop(name, protocol),
+            f"kp = {STIFF_KP_N_M_PER_RAD} N m/rad": hand_with_position_loop(name, protocol),
         }
         for mode, hand in hands.items():
             runs = [mean_errors(hand, seed) for seed in range(seed_count)]

@@ -58,7 +58,7 @@ class PostureTick(NamedTuple):
     true_angles: np.ndarray
     q: np.ndarray
     sigma: np.ndarray
-    free_angles: np.ndarray
+    angles_of_free_hand: np.ndarray
     force: np.ndarray
 
 
@@ -87,7 +87,7 @@ def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> It
     with SimulatorSettings(hand_file, scene_name, seed, homed=True).begin_run(
         homed_controller(model, program)
     ) as run:
-        plant, run.record_ticks = run.simulated_hand.world.plant, False
+        plant, run.are_ticks_recorded = run.simulated_hand.world.plant, False
         for _, out in run.run_ticks():
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
@@ -125,7 +125,9 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: st
         hold = [one for one in seen if one.phase == "hold"]
         assert len(hold) > 1000
         error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
-        assumed = root_mean_square(np.array([one.free_angles - one.true_angles for one in hold]))
+        assumed = root_mean_square(
+            np.array([one.angles_of_free_hand - one.true_angles for one in hold])
+        )
         assert error < 0.7 * assumed, f"seed {seed}: {error:.1f} deg, free digit {assumed:.1f} deg"
         free = [one for one in seen if one.phase in FREE_PHASES]
         assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
@@ -188,16 +190,16 @@ def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
 
 def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel) -> None:
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
-    nothing = np.zeros(len(model.digits))
+    zero_force = np.zeros(len(model.digits))
 
-    def angles_after(touched: np.ndarray, seconds: float) -> JointAngles:
+    def angles_after_contact(touched: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
             angles = angles_of_tick(model, state, estimate, touched, k)
         return angles
 
     constants = constant_tables_of(model)
     free = bool(constants.run_int[h.HAS_NULL_SPACE])
-    first = angles_of_tick(model, state, estimate, nothing, 1)
+    first = angles_of_tick(model, state, estimate, zero_force, 1)
     if free:
         span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
         np.testing.assert_array_equal(constants.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
@@ -206,11 +208,11 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
         )
     sizes = []
     for force in (0.0, 3.0, 10.0):
-        sizes.append(float(angles_after(nothing + force, 0.5).sigma.mean()))
+        sizes.append(float(angles_after_contact(zero_force + force, 0.5).sigma.mean()))
     if free:
         assert sizes == sorted(sizes)
         assert sizes[-1] > 2.0 * sizes[0]
-    angles = angles_after(nothing, 3.0)
+    angles = angles_after_contact(zero_force, 3.0)
     assert float(angles.sigma.mean()) == pytest.approx(sizes[0], rel=0.1)
 
 

@@ -55,7 +55,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
         def begin(program: Program, calibration: Calibration | None, first: int) -> SimulatedRun:
             controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, True)
             run = SimulatedRun.begin(controller, peer)
-            run.record_ticks = False
+            run.are_ticks_recorded = False
             run.k = first
             return run
 

@@ -19,7 +19,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.live_session import LiveProgram
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_target_streams import StreamClient
 
@@ -34,7 +34,7 @@ STREAM_RATE_HZ = 100.0
 def model_of(hand_name: str) -> HandModel:
     """Return the model of a packaged hand at its default rate."""
     hand = load_hand(hand_name)
-    return HandModel.from_hand(hand, Gains(), min(default_rate(hand), 500.0))
+    return HandModel.from_hand(hand, Gains(), min(default_control_rate(hand), 500.0))
 
 
 def white_noise_targets(
@@ -117,9 +117,9 @@ def target_limits(
         low = np.array([np.degrees(bounds[0].max()) for bounds in reach])
         return hand.digit_names, low, np.array([np.degrees(bounds[1].min()) for bounds in reach])
     joints = hand.digit_named(digit).joints
-    ones = np.ones(len(joints))
-    low = np.array(hand.digit_named(digit).joint_min_deg) * ones
-    return joints, low, np.array(hand.digit_named(digit).joint_max_deg) * ones
+    ones_per_joint = np.ones(len(joints))
+    low = np.array(hand.digit_named(digit).joint_min_deg) * ones_per_joint
+    return joints, low, np.array(hand.digit_named(digit).joint_max_deg) * ones_per_joint
 
 
 known_fault = pytest.mark.xfail(
@@ -175,7 +175,7 @@ def test_random_targets_cause_no_fault(
     with SimulatorSettings(hand_name, None, seed, homed=True).begin_run(
         homed_controller(model, LiveProgram())
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         client = StreamClient(run, model)
         assert client.open_stream(target_space, names, rate_Hz=rate).startswith("stream")
         for i in range(len(times) * every):

@@ -29,14 +29,14 @@ def low_rate_jamia() -> HandModel:
     return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
-def holding_bench(model: HandModel) -> ControllerBench:
+def bench_holding_hand(model: HandModel) -> ControllerBench:
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.run(1.0)
     return run
 
 
-def foreign_command(bench: ControllerBench) -> Frame:
+def command_of_other_host(bench: ControllerBench) -> Frame:
     return Frame(bench.toy_hand.motors[0].node_id, bytes(8), t_ns=bench.k * bench.period_ns)
 
 
@@ -45,12 +45,12 @@ def foreign_command(bench: ControllerBench) -> Frame:
 def test_no_request_raises_the_tension_during_relax(
     low_rate_jamia: HandModel, request_text: str, with_fault: bool
 ) -> None:
-    run = holding_bench(low_rate_jamia)
+    run = bench_holding_hand(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
     run.tick(
         *() if with_fault else (STOP_REQUEST,),
-        extra_frames=(foreign_command(run),) if with_fault else (),
+        extra_frames=(command_of_other_host(run),) if with_fault else (),
     )
     since, before = len(run.tick_history), run.toy_hand.tension.max()
     while run.state.mode == HandMode.RELAX:
@@ -74,7 +74,7 @@ def test_no_request_raises_the_tension_during_relax(
 
 
 def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandModel) -> None:
-    run = holding_bench(low_rate_jamia)
+    run = bench_holding_hand(low_rate_jamia)
     run.tick(FAST_HOLD_REQUEST)
     known = run.tick().telemetry.tension
     assert run.state.view("setpoint")[0] > known[0] + 30.0, "the set-point is far ahead"
@@ -95,15 +95,15 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
     return float(-np.diff(goals).min() / bench.controller.model.period)
 
 
-@pytest.mark.parametrize("is_relaxing_already", [False, True])
+@pytest.mark.parametrize("was_relaxing_before", [False, True])
 def test_over_tension_is_relaxed_four_times_as_fast(
-    low_rate_jamia: HandModel, is_relaxing_already: bool
+    low_rate_jamia: HandModel, was_relaxing_before: bool
 ) -> None:
     """The faster ramp starts in the tick in which a load cell reads too much, even if the hand is already relaxing."""
-    run = holding_bench(low_rate_jamia)
+    run = bench_holding_hand(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)
-    if is_relaxing_already:
+    if was_relaxing_before:
         run.tick(STOP_REQUEST)
         run.run(0.02)
         assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
@@ -119,15 +119,15 @@ def test_over_tension_is_relaxed_four_times_as_fast(
 def test_a_fault_during_relax_makes_the_run_fail(
     low_rate_jamia: HandModel, ending_request: str
 ) -> None:
-    run = holding_bench(low_rate_jamia)
+    run = bench_holding_hand(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
     if ending_request == STOP_REQUEST:
         run.tick(ending_request)
-        run.tick(extra_frames=(foreign_command(run),))
+        run.tick(extra_frames=(command_of_other_host(run),))
         assert run.state.mode == HandMode.RELAX
     else:
-        run.tick(ending_request, extra_frames=(foreign_command(run),))
+        run.tick(ending_request, extra_frames=(command_of_other_host(run),))
     run.run_until_mode(HandMode.DONE)
     assert run.state.failure == "fault H13 0x001"
     assert any(
@@ -141,16 +141,16 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
     run.toy_hand.motors[1].ignored_commands.add(0xFC)
     run.run_until_mode(HandMode.ARMING)
-    run.tick(extra_frames=(foreign_command(run),))
+    run.tick(extra_frames=(command_of_other_host(run),))
     assert run.state.mode == HandMode.DISARM
     since = len(run.tick_history)
     run.run_until_mode(HandMode.DONE)
-    enable = b"\xff" * 7 + b"\xfc"
+    enable_payload = b"\xff" * 7 + b"\xfc"
     assert not [
         frame
         for _, _, out in run.tick_history[since - 1 :]
         for frame in out.frames
-        if frame.data == enable
+        if frame.data == enable_payload
     ]
     assert run.state.failure == "fault H13 0x001"
 

@@ -99,7 +99,7 @@ json_values = st.recursive(
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     max_leaves=8,
 )
-likely_requests = st.fixed_dictionaries(
+almost_valid_requests = st.fixed_dictionaries(
     {"do": st.sampled_from(["arm", "stop", "cut", "clear", "move", "hold"])},
     optional={
         "angle_deg": json_values,
@@ -113,7 +113,7 @@ likely_requests = st.fixed_dictionaries(
 @given(
     st.text()
     | json_values.map(json.dumps)
-    | likely_requests.map(json.dumps)
+    | almost_valid_requests.map(json.dumps)
     | st.binary().map(lambda b: b.decode("utf-8", "replace"))
 )
 def test_nothing_raises_and_every_number_is_finite(request_text: str) -> None:

@@ -16,9 +16,9 @@ from tests.controller.synthetic_states import active_state, uncompiled_function
 SLACK_REGIME = int(TendonRegime.SLACK)
 
 
-@pytest.mark.parametrize(("length_is_known", "sample_count"), [(True, 1), (False, 3)])
+@pytest.mark.parametrize(("is_length_known", "sample_count"), [(True, 1), (False, 3)])
 def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
-    length_is_known: bool, sample_count: int
+    is_length_known: bool, sample_count: int
 ) -> None:
     """In this test at 200 Hz, the tension grows by 1 N from one load-cell reading to the next.
 
@@ -27,7 +27,7 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
     points, taken = 0, 0
     while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):
         points = uncompiled_function(regime_evidence)(
-            SLACK_REGIME, points, 0.0, 1.6, 0.0, length_is_known
+            SLACK_REGIME, points, 0.0, 1.6, 0.0, is_length_known
         )
         taken += 1
     assert taken == sample_count

@@ -26,7 +26,7 @@ from tests.controller.synthetic_states import (
     estimate_under_tension,
 )
 
-HELD_TENSION_N = 20.0
+HOLD_TENSION_N = 20.0
 
 
 class GripRun:
@@ -40,11 +40,11 @@ class GripRun:
     ) -> None:
         self.model, self.resting_estimate = (
             model,
-            estimate_under_tension(model, HELD_TENSION_N, 0.5),
+            estimate_under_tension(model, HOLD_TENSION_N, 0.5),
         )
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
         held = [
-            DigitGoal(GoalKind.TENSION, tension=np.full(size, HELD_TENSION_N)) for size in sizes
+            DigitGoal(GoalKind.TENSION, tension=np.full(size, HOLD_TENSION_N)) for size in sizes
         ]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(grip_stiffness, np.full(model.tendon_count, grip_limit))
@@ -59,10 +59,10 @@ class GripRun:
         for _ in range(round(duration_s / self.model.period)):
             self.state.goal_time = self.t
             self.state.set_run_number(s.SLIP_JUDGED_FROM, self.grip.ready)
-            felt = detect_contacts(self.model, self.state, estimate)
+            estimate_with_contacts = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(
-                self.model, self.grip, self.plan, self.goals, felt, self.t
+                self.model, self.grip, self.plan, self.goals, estimate_with_contacts, self.t
             )
             self.events += events
 
@@ -87,7 +87,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
-        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * HELD_TENSION_N)
+        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * HOLD_TENSION_N)
     assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
 
 
@@ -105,7 +105,7 @@ def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
-    assert held.commanded_tension == HELD_TENSION_N
+    assert held.commanded_tension == HOLD_TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
@@ -127,9 +127,9 @@ def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
     held = GripRun(model, grip_limit=np.nan, grip_stiffness=5e3)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(HELD_TENSION_N + 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(HOLD_TENSION_N + 1.0, abs=0.01)
     held.tick(held.estimate_after_winding(0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(HELD_TENSION_N - 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(HOLD_TENSION_N - 1.0, abs=0.01)
 
 
 PULLED_CYLINDER_SCENE = """name = "pull"

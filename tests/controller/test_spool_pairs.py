@@ -62,8 +62,8 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
     # A second net tension, with half the tension of the first tendon and twice that of the second,
     # gives a second equation for the two tensions.
-    halved = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
-    first = (2.0 * net - halved) / 1.5
+    net_tension_at_half_ratio = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
+    first = (2.0 * net - net_tension_at_half_ratio) / 1.5
     second = first - net
     assert min(first, second) >= -1e-9
     assert (min(first, second) < 1e-9) == (abs(net) >= 2.0 * pretension)
@@ -129,7 +129,7 @@ def begin_run(
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.begin(controller, simulated_hand)
     run.k = first_tick
-    run.record_ticks = False
+    run.are_ticks_recorded = False
     run.state.set_run_integer(s.K, first_tick - 1)
     return run
 

@@ -146,7 +146,7 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
 
     The function reads the names from the source text of a module.
     """
-    declared = {}
+    constant_by_field = {}
     for node in ast.parse(inspect.getsource(constant_module)).body:
         if (
             isinstance(node, ast.Assign)
@@ -156,8 +156,8 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
             function, first = node.value.func, node.value.args[:1]
             if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
                 assert isinstance(first[0], ast.Constant)
-                declared[str(first[0].value)] = node.targets[0].id
-    return declared
+                constant_by_field[str(first[0].value)] = node.targets[0].id
+    return constant_by_field
 
 
 @pytest.mark.parametrize(
@@ -168,11 +168,11 @@ def test_every_field_is_declared_once_and_found_by_its_name(
 ) -> None:
     names = field_names(schema.fields)
     assert len(set(names)) == len(names) > 50
-    declared = constants_by_field(constant_module)
-    assert set(declared) == set(names)
-    assert len(set(declared.values())) == len(names)
+    constant_by_field = constants_by_field(constant_module)
+    assert set(constant_by_field) == set(names)
+    assert len(set(constant_by_field.values())) == len(names)
     for field in schema.fields:
-        assert getattr(constant_module, declared[field.name]) == field.first, field.name
+        assert getattr(constant_module, constant_by_field[field.name]) == field.first, field.name
         assert field.meaning, field.name
 
 

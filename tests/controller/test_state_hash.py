@@ -22,11 +22,11 @@ def hashed_bytes(hashed_value: object) -> bytes:
 def test_values_of_same_objects_are_taken_over() -> None:
     asked = list[object]()
 
-    def noted_bytes(item: object) -> bytes:
+    def bytes_of_recorded_item(item: object) -> bytes:
         asked.append(item)
         return hashed_bytes(item)
 
-    cache = SequenceCache[object](noted_bytes)
+    cache = SequenceCache[object](bytes_of_recorded_item)
     one, two, three = [1], [2], [3]
     assert cache((one, two)) == [b"[1]", b"[2]"]
     assert cache((one, three)) == [b"[1]", b"[3]"]

@@ -74,27 +74,29 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
 def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model: HandModel) -> None:
     theta = [np.full(digit.coupling.shape[1], 0.6) for digit in model.digits]
     tension = np.full(model.tendon_count, 20.0)
-    still, closing, opening = (
+    at_rest, closing, opening = (
         load_statics(model, filter_table_at(model, theta, v), tension) for v in (0.0, 0.05, -0.05)
     )
-    np.testing.assert_allclose(still.joint_pull, tension)
-    assert (closing.joint_pull < tension).all()
-    assert (opening.joint_pull > tension).all()
-    np.testing.assert_allclose(closing.joint_pull * opening.joint_pull, tension**2, rtol=0.12)
+    np.testing.assert_allclose(at_rest.force_at_joints, tension)
+    assert (closing.force_at_joints < tension).all()
+    assert (opening.force_at_joints > tension).all()
+    np.testing.assert_allclose(
+        closing.force_at_joints * opening.force_at_joints, tension**2, rtol=0.12
+    )
     known = load_statics(
         model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
     )
     np.testing.assert_allclose(
-        known.joint_pull,
-        closing.joint_pull,
+        known.force_at_joints,
+        closing.force_at_joints,
         err_msg="what is known of friction goes before the speed",
     )
     np.testing.assert_allclose(
         known.driving_force,
-        opening.joint_pull,
+        opening.force_at_joints,
         err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost",
     )
-    np.testing.assert_array_equal(still.resistance, closing.resistance)
+    np.testing.assert_array_equal(at_rest.resistance, closing.resistance)
 
 
 def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
@@ -121,7 +123,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
                 arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
             )
     found = load_statics(model, filter_table_at(model, theta), tension, developed)
-    np.testing.assert_allclose(found.joint_pull, model.torque_to_tension @ torque, rtol=1e-9)
+    np.testing.assert_allclose(found.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
 
 
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:

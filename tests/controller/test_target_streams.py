@@ -220,10 +220,10 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
             client.tick(*([client.target_request(*angles, 10.0)] if i % 5 == 0 else []))
             if i == 50:
                 middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
-        check_ticks_repeat(client.run, middle, at)
+        check_ticks_are_repeated(client.run, middle, at)
 
 
-def check_ticks_repeat(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
+def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
     """Check that the ticks repeat to the last bit, from the start and from a snapshot after ``snapshot_tick`` ticks."""
     controller = run.controller
     for state, ticks in (
@@ -330,8 +330,8 @@ def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
         client.tick_outputs.clear()
         client.wait(0.06)
         angle = np.degrees(client.goal_history("q_goal"))
-        braking = 50.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
-        assert angle.max() <= last + braking + 0.2
+        braking_distance_deg = 50.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
+        assert angle.max() <= last + braking_distance_deg + 0.2
         assert angle[-1] == pytest.approx(last, abs=1e-6)
         assert np.degrees(client.goal_history("dq_goal"))[-1] == pytest.approx(0.0, abs=1e-9)
 
@@ -654,14 +654,16 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
             "stream tension of 1 values"
         )
         for i in range(2000):  # the motion is slow, because 1 N moves a free finger by 12 deg
-            wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
-            client.tick(*([client.target_request(wave)] if i % 5 == 0 else []))
+            target_tension = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
+            client.tick(*([client.target_request(target_tension)] if i % 5 == 0 else []))
         goal = np.array([out.telemetry.tension_goal[0] for out in client.tick_outputs[-1000:]])
-        felt = np.array([out.telemetry.tension[0] for out in client.tick_outputs[-1000:]])
+        measured_tension = np.array(
+            [out.telemetry.tension[0] for out in client.tick_outputs[-1000:]]
+        )
         assert np.ptp(goal) == pytest.approx(6.0, abs=0.3)
         # The tolerance is 1.5 N, half of the motor's Coulomb friction of 3 N. This friction opposes
         # a freely moving finger in both directions.
-        assert np.sqrt(np.mean((goal - felt) ** 2)) < 1.5
+        assert np.sqrt(np.mean((goal - measured_tension) ** 2)) < 1.5
         rate = np.abs(np.diff(goal)).max() / jamia.period
         assert rate < 1.5 * 3.0 * math.pi, "a ramp between targets, no steps"
         for value in (1e4, -5.0, 500.0):
@@ -746,7 +748,7 @@ PUSH_FORCE_N = 1.5
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
     """A constant push on the last link opens a soft digit further than a stiff digit."""
-    yielded = {}
+    yield_by_softness = {}
     for softness in (None, 0.2):
         with live_client(jamia) as client:
             client.send_command("move", angle_deg={"index": 40.0})
@@ -757,9 +759,9 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             engine = client.run.simulated_hand.world.plant.engine
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
-            yielded[softness] = start - true_angle(client.run)
+            yield_by_softness[softness] = start - true_angle(client.run)
             assert client.tick_outputs[-1].mode == HandMode.ACTIVE
-    assert yielded[0.2] > 1.5 * yielded[None] > 0.0, yielded
+    assert yield_by_softness[0.2] > 1.5 * yield_by_softness[None] > 0.0, yield_by_softness
 
 
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
@@ -776,8 +778,8 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
         held = nearest_holdable_posture(digit, wanted, floor)
         tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ held))
         assert (tension >= floor).all(), angles
-    even = np.radians([30.0, 30.0, 30.0])
-    np.testing.assert_array_equal(nearest_holdable_posture(digit, even, floor), even)
+    even_angles = np.radians([30.0, 30.0, 30.0])
+    np.testing.assert_array_equal(nearest_holdable_posture(digit, even_angles, floor), even_angles)
     with live_client(jamia11) as client:
         client.open_stream("joint", ("index_j1", "index_j2", "index_j3"))
         for i in range(300):

@@ -102,14 +102,14 @@ def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) 
             "t",
             {"index": ONE_JOINT_DIGIT, "thumb": ONE_JOINT_DIGIT},
         )
-    tense = load_task(
+    tension_task = load_task(
         _write_task_file(
             tmp_path, VALID_TASK.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")
         )
     )
     with pytest.raises(ConfigError, match="120 N"):
         check_task(
-            tense,
+            tension_task,
             ("index", "thumb"),
             110.0,
             "t",

@@ -90,13 +90,13 @@ def test_no_admissible_bump_has_less_jerk() -> None:
     """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
     acceleration = np.array([move.motion_at(one)[2][0] for one in t])
-    bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
+    acceleration_bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
 
     def squared_jerk(a: np.ndarray) -> float:
         return float(np.trapezoid(np.gradient(a, t)[100:-100] ** 2, t[100:-100]))
 
     for size in (-0.5, 0.5):
-        assert squared_jerk(acceleration + size * bump) > squared_jerk(acceleration)
+        assert squared_jerk(acceleration + size * acceleration_bump) > squared_jerk(acceleration)
 
 
 @pytest.mark.parametrize(("distance_rad", "peak_speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])

@@ -97,9 +97,9 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
                 np.testing.assert_allclose(
                     found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3
                 )
-            square = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
+            joint_block = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
             np.testing.assert_allclose(
-                view["compliance"][square], _joint_compliance(here), rtol=1e-4, atol=1e-4
+                view["compliance"][joint_block], _joint_compliance(here), rtol=1e-4, atol=1e-4
             )
             balance = view["balance"][digit.tendons]
             if model.redundancy.surplus[digit.tendons.start]:
@@ -156,7 +156,7 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
     with SimulatorSettings(hand, None, seed, homed=True).begin_run(
         homed_controller(model, task, hand)
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         for _, out in run.run_ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
@@ -177,7 +177,11 @@ def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int
     """
     hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
     constant = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
-    with_arms = tracking_error_deg(HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed)
-    with_mean = tracking_error_deg(HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed)
-    assert with_arms < 1.0
-    assert with_mean > 3.0 * with_arms
+    error_with_varying_arms = tracking_error_deg(
+        HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed
+    )
+    error_with_mean_arms = tracking_error_deg(
+        HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed
+    )
+    assert error_with_varying_arms < 1.0
+    assert error_with_mean_arms > 3.0 * error_with_varying_arms

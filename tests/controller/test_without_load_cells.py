@@ -110,7 +110,11 @@ class RunWithoutCells:
 
 
 def run_without_sensors(
-    program: Program, scene: str | None, seed: int, *fault_commands: str, limit_s: float = 30.0
+    program: Program,
+    scene: str | None,
+    seed: int,
+    *fault_commands: str,
+    max_duration_s: float = 30.0,
 ) -> RunWithoutCells:
     """Run a program on a hand without load cells and encoders.
 
@@ -121,10 +125,10 @@ def run_without_sensors(
     with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).begin_run(
         homed_controller(model_of(), program)
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         for fault in fault_commands:
             run.simulated_hand.inject(fault)
-        for _, out in run.run_ticks(limit_s):
+        for _, out in run.run_ticks(max_duration_s):
             rows.phase_name.append(out.phase)
             rows.tension.append(run.state.view("tension").copy())
             rows.sigma.append(run.state.view("sigma").copy())

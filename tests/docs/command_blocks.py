@@ -56,7 +56,7 @@ def is_file_block(block: FencedBlock) -> bool:
     )
 
 
-def stays_open(block: FencedBlock) -> bool:
+def keeps_running(block: FencedBlock) -> bool:
     """Return True for a block whose command continues to run while later commands run."""
     return "stays open" in block.title
 
@@ -82,17 +82,17 @@ def run_blocks(
     if prepare:
         prepare(folder)
     for block in filter(is_file_block, page_blocks):
-        (folder / block.title).write_text(with_local_bus(block.text))
+        (folder / block.title).write_text(replace_socketcan_buses(block.text))
     try:
         for command in parallel_commands:
-            start_beside(command, others, words)
+            start_in_background_shell(command, others, words)
         for block in page_blocks:
             if block.language != "sh" or not is_executed(block):
                 continue
-            if stays_open(block):
-                start_beside(with_local_bus(block.text), others, words)
+            if keeps_running(block):
+                start_in_background_shell(replace_socketcan_buses(block.text), others, words)
                 continue
-            script = f"set -e\n{with_local_bus(block.text)}"
+            script = f"set -e\n{replace_socketcan_buses(block.text)}"
             ran = subprocess.run(
                 ["bash", "-c", script],
                 capture_output=True,
@@ -110,7 +110,7 @@ def run_blocks(
             shutil.rmtree(made, ignore_errors=True)
 
 
-def start_beside(
+def start_in_background_shell(
     command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]
 ) -> None:
     """Start a command in the background, and wait until it prints its first line."""
@@ -122,7 +122,7 @@ def start_beside(
     assert select.select([stdout], [], [], READY_TIMEOUT_S)[0], command
 
 
-def with_local_bus(text: str) -> str:
+def replace_socketcan_buses(text: str) -> str:
     """Return the commands with a local bus in place of each SocketCAN bus.
 
     Not every Linux kernel has SocketCAN.

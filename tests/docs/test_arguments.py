@@ -17,7 +17,7 @@ DOCUMENTS = [REPOSITORY_ROOT / "README.md", *sorted((REPOSITORY_ROOT / "docs").r
 FENCE_PATTERN = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 
 
-def commands_in(text: str) -> list[list[str]]:
+def commands_in_text(text: str) -> list[list[str]]:
     """Return the words of each handctl command in a document.
 
     Command lines that contain placeholders or redirections are left out.
@@ -33,7 +33,9 @@ def commands_in(text: str) -> list[list[str]]:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_every_argument_is_known(path: Path) -> None:
-    refused = [parser_refusal(words) for words in commands_in(path.read_text(encoding="utf-8"))]
+    refused = [
+        parser_refusal(words) for words in commands_in_text(path.read_text(encoding="utf-8"))
+    ]
     assert [text for text in refused if "unknown" in text] == []
 
 
@@ -52,6 +54,6 @@ def parser_refusal(words: list[str]) -> str:
 
 
 def test_a_wrong_argument_is_unknown() -> None:
-    ((verb, *words),) = commands_in("`handctl log info move.mcap move.log`")
+    ((verb, *words),) = commands_in_text("`handctl log info move.mcap move.log`")
     with pytest.raises(ConfigError, match="unknown argument"):
         verb_parser(verb).parse_args(words)

@@ -15,9 +15,9 @@ from tests.docs.command_blocks import (
     REPOSITORY_ROOT,
     is_executed,
     is_file_block,
+    keeps_running,
     read_blocks,
     run_blocks,
-    stays_open,
 )
 
 PAGE_FILES = sorted(
@@ -36,7 +36,7 @@ EXECUTED_BLOCKS = {
 
 The title of such a block is the name of the file.
 """
-LONG_PAGES = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
+PAGES_WITH_LONG_COMMANDS = ("start/first-hand.md", "tutorials/policy.md", "tutorials/tune-gains.md")
 """Pages whose commands run only in nightly test runs.
 
 Each of these pages takes a minute. Ordinary test runs execute the same commands on other pages.
@@ -50,8 +50,10 @@ def page_cases() -> Iterator[Any]:
     """
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" for block in parts):
-            marks = [pytest.mark.realtime, pytest.mark.alone] if any(map(stays_open, parts)) else []
-            if page in LONG_PAGES:
+            marks = (
+                [pytest.mark.realtime, pytest.mark.alone] if any(map(keeps_running, parts)) else []
+            )
+            if page in PAGES_WITH_LONG_COMMANDS:
                 marks.append(pytest.mark.nightly)
             yield pytest.param(page, marks=marks)
 
@@ -69,7 +71,7 @@ def test_every_block_has_a_known_kind() -> None:
 
 
 def test_most_blocks_are_run() -> None:
-    shell = [
+    shell_blocks = [
         block for parts in BLOCKS_BY_PAGE.values() for block in parts if block.language == "sh"
     ]
-    assert sum("not run" in block.title for block in shell) < len(shell) / 3
+    assert sum("not run" in block.title for block in shell_blocks) < len(shell_blocks) / 3

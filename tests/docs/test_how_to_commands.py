@@ -21,9 +21,9 @@ from tests.docs.command_blocks import (
     FencedBlock,
     is_executed,
     is_file_block,
+    keeps_running,
     read_blocks,
     run_blocks,
-    stays_open,
 )
 
 DOCS_FOLDER = REPOSITORY_ROOT / "docs"
@@ -40,7 +40,7 @@ BLOCKS_BY_PAGE = {
 EXECUTED_BLOCKS = {
     page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
 }
-SHORT_PAGES = ("how-to/logs.md", "how-to/other-tools.md")
+PAGES_WITH_SHORT_COMMANDS = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run in ordinary test runs.
 
 The commands of the other pages run in nightly test runs, because each page takes from ten seconds
@@ -76,7 +76,7 @@ def prepare_folder(golden_log: str, work_folder: Path) -> None:
     (work_folder / "stiffer.toml").write_text(STIFFER_GAINS, encoding="utf-8")
 
 
-def files_for(page: str) -> Callable[[Path], None]:
+def file_writer_for_page(page: str) -> Callable[[Path], None]:
     """Return the function that writes the files which a page needs.
 
     The page about ended runs needs a log that contains a fault.
@@ -89,14 +89,14 @@ def files_for(page: str) -> Callable[[Path], None]:
 def page_cases() -> Iterator[Any]:
     """Yield one test case of pytest for each page that contains commands."""
     for page, parts in EXECUTED_BLOCKS.items():
-        if any(block.language == "sh" and not stays_open(block) for block in parts):
-            live = page in SIMULATOR_COMMANDS or any(map(stays_open, parts))
+        if any(block.language == "sh" and not keeps_running(block) for block in parts):
+            live = page in SIMULATOR_COMMANDS or any(map(keeps_running, parts))
             yield pytest.param(
                 page,
                 marks=REALTIME_MARKS
                 if live
                 else []
-                if page in SHORT_PAGES
+                if page in PAGES_WITH_SHORT_COMMANDS
                 else [pytest.mark.nightly],
             )
 
@@ -109,7 +109,7 @@ def test_the_commands_of_a_page_run(page: str) -> None:
         block._replace(text=block.text.replace(asked, answered)) if asked else block
         for block in EXECUTED_BLOCKS[page]
     ]
-    run_blocks(parts, files_for(page), SIMULATOR_COMMANDS.get(page, ()))
+    run_blocks(parts, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))
 
 
 @pytest.mark.timeout(900)
@@ -120,7 +120,7 @@ def test_the_commands_of_a_page_run(page: str) -> None:
 def test_the_programs_of_a_page_run(page: str) -> None:
     programs = [block for block in EXECUTED_BLOCKS[page] if block.language == "python"]
     calls = [FencedBlock("sh", "", f"python {block.title}\n") for block in programs]
-    run_blocks([*programs, *calls], files_for(page), (SIMULATED_HAND,))
+    run_blocks([*programs, *calls], file_writer_for_page(page), (SIMULATED_HAND,))
 
 
 @pytest.mark.realtime

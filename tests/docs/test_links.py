@@ -35,15 +35,15 @@ def heading_anchors(document_path: Path) -> set[str]:
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_every_link_leads_somewhere(path: Path) -> None:
-    dead = []
+    dead_links = []
     for match in LINK_PATTERN.finditer(CODE_PATTERN.sub("", path.read_text(encoding="utf-8"))):
         name, _, anchor = (match[1] or match[2]).partition("#")
         if re.match(r"[a-z]+:", name):
             continue
         target = path.parent / name if name else path
         if not target.exists() or (anchor and anchor not in heading_anchors(target)):
-            dead.append(match[1])
-    assert dead == []
+            dead_links.append(match[1])
+    assert dead_links == []
 
 
 def navigation_pages(navigation_entry: Any) -> list[str]:
@@ -88,9 +88,11 @@ def test_a_page_has_the_same_title_everywhere() -> None:
         rows = re.findall(
             r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE
         )
-        linked = {f"{index.parent.name}/{page}": title for title, page in rows}
-        assert linked == {page: named[page] for page in linked}
-        assert set(linked) == {page for page in named if page.startswith(f"{index.parent.name}/")}
+        title_by_linked_page = {f"{index.parent.name}/{page}": title for title, page in rows}
+        assert title_by_linked_page == {page: named[page] for page in title_by_linked_page}
+        assert set(title_by_linked_page) == {
+            page for page in named if page.startswith(f"{index.parent.name}/")
+        }
 
 
 def test_every_page_is_in_the_navigation_once() -> None:
@@ -100,7 +102,7 @@ def test_every_page_is_in_the_navigation_once() -> None:
     pages = {path.relative_to(DOCS_FOLDER).as_posix() for path in DOCS_FOLDER.rglob("*.md")}
     assert len(set(listed)) == len(listed)
     assert set(listed) <= pages
-    unlisted = {
+    unlisted_pages = {
         page for page in pages - set(listed) if not any(fnmatch(f"/{page}", one) for one in waiting)
     }
-    assert unlisted == set()
+    assert unlisted_pages == set()

@@ -49,7 +49,7 @@ def section_lines(page: str, heading_anchor: str) -> str:
     return text
 
 
-def words_above(page: str, heading_anchor: str, answer: str) -> int:
+def word_count_before_answer(page: str, heading_anchor: str, answer: str) -> int:
     """Return the number of words between the target of the last click and the answer."""
     text = section_lines(page, heading_anchor)
     match = re.search(answer, text)
@@ -65,10 +65,10 @@ def click_count(page: str, heading_anchor: str) -> int:
     """
     if page == "index.md":
         return 0
-    front = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
-    nav = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
-    assert page in navigation_pages(nav)
-    return (1 if f"({page})" in front else 2) + bool(heading_anchor)
+    front_page = (DOCS_FOLDER / "index.md").read_text(encoding="utf-8")
+    navigation = yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    assert page in navigation_pages(navigation)
+    return (1 if f"({page})" in front_page else 2) + bool(heading_anchor)
 
 
 def navigation_pages(navigation_entry: Any) -> list[str]:
@@ -83,7 +83,7 @@ def navigation_pages(navigation_entry: Any) -> list[str]:
 def test_an_answer_is_found_soon(question: str) -> None:
     page, anchor, answer = ANSWER_BY_QUESTION[question]
     assert click_count(page, anchor) <= MOST_CLICKS
-    assert words_above(page, anchor, answer) <= MOST_WORDS
+    assert word_count_before_answer(page, anchor, answer) <= MOST_WORDS
 
 
 def test_the_page_has_these_numbers() -> None:
@@ -92,7 +92,7 @@ def test_the_page_has_these_numbers() -> None:
         LOOKUPS_PAGE.read_text(encoding="utf-8"),
         re.MULTILINE,
     )
-    right = [(q, str(click_count(page, anchor)), str(words_above(page, anchor, answer)))
+    right = [(q, str(click_count(page, anchor)), str(word_count_before_answer(page, anchor, answer)))
              for q, (page, anchor, answer) in ANSWER_BY_QUESTION.items()]  # fmt: skip
     assert [row[:2] for row in rows] == [row[:2] for row in right]
     far = [

@@ -23,10 +23,14 @@ def paragraphs_of(document_text: str) -> list[str]:
 
     Each entry of a list counts as a paragraph.
     """
-    unquoted = re.sub(r"^> ?", "", FENCE_PATTERN.sub("", document_text), flags=re.MULTILINE)
-    blocks = re.split(r"\n\s*\n", unquoted)
-    prose = [block for block in blocks if not block.lstrip("\n").startswith(NON_PROSE_PREFIXES)]
-    return [entry for block in prose for entry in re.split(r"\n(?=\s*(?:- |\d+\. ))", block)]
+    text_without_quotes = re.sub(
+        r"^> ?", "", FENCE_PATTERN.sub("", document_text), flags=re.MULTILINE
+    )
+    blocks = re.split(r"\n\s*\n", text_without_quotes)
+    prose_blocks = [
+        block for block in blocks if not block.lstrip("\n").startswith(NON_PROSE_PREFIXES)
+    ]
+    return [entry for block in prose_blocks for entry in re.split(r"\n(?=\s*(?:- |\d+\. ))", block)]
 
 
 def sentence_count(paragraph: str) -> int:
@@ -87,6 +91,8 @@ def test_the_glossary_is_in_order_and_has_no_term_twice() -> None:
         (REPOSITORY_ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"),
         re.MULTILINE,
     )
-    letters = [re.sub(r"[^a-z]", "", term.lower()) for term in rows if term not in ("term", "---")]
-    assert len(set(letters)) == len(letters)
-    assert letters == sorted(letters)
+    sort_keys = [
+        re.sub(r"[^a-z]", "", term.lower()) for term in rows if term not in ("term", "---")
+    ]
+    assert len(set(sort_keys)) == len(sort_keys)
+    assert sort_keys == sorted(sort_keys)

@@ -28,11 +28,11 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         str(tmp_path / "site"),
     ]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1", "http_proxy": "http://127.0.0.1:9"}
-    built = subprocess.run(
+    build_process = subprocess.run(
         words, cwd=REPOSITORY_ROOT, env=environment, capture_output=True, text=True, check=False
     )
-    assert built.returncode == 0, built.stderr
-    assert built.stderr == ""
+    assert build_process.returncode == 0, build_process.stderr
+    assert build_process.stderr == ""
     made = sorted((tmp_path / "site").rglob("*.html"))
     assert (
         len(made) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1

@@ -25,9 +25,9 @@ WAIT_TIMEOUT_S = 20.0
 CYCLIC_TORQUE_MODE = "CYCLIC SYNCHRONOUS TORQUE"
 
 
-def wait_for(condition: Callable[[], bool], expected_event: str) -> None:
+def wait_for(is_condition_met: Callable[[], bool], expected_event: str) -> None:
     end = time.monotonic() + WAIT_TIMEOUT_S
-    while not condition():
+    while not is_condition_met():
         assert time.monotonic() < end, f"never: {expected_event}"
         time.sleep(0.005)
 
@@ -173,9 +173,9 @@ async def _set_control_mode(
     await _wait_for_async(lambda: drive.axis_state == final_state, final_state)
 
 
-async def _wait_for_async(condition: Callable[[], bool], expected_event: str) -> None:
+async def _wait_for_async(is_condition_met: Callable[[], bool], expected_event: str) -> None:
     end = time.monotonic() + WAIT_TIMEOUT_S
-    while not condition():
+    while not is_condition_met():
         assert time.monotonic() < end, f"never: {expected_event}"
         await asyncio.sleep(0.01)
 

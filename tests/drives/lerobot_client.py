@@ -70,8 +70,8 @@ def _hold_position(bus: RobstrideMotorsBus, motor_name: str, goal_position: floa
     return float(bus.read("Present_Position", motor_name))
 
 
-def _wait_until(is_reached: Callable[[], bool], expected_event: str) -> None:
+def _wait_until(is_condition_met: Callable[[], bool], expected_event: str) -> None:
     end = time.monotonic() + WAIT_TIMEOUT_S
-    while not is_reached():
+    while not is_condition_met():
         assert time.monotonic() < end, f"never: {expected_event}"
         time.sleep(0.005)

@@ -11,7 +11,7 @@ import moteus  # type: ignore[import-untyped,unused-ignore]
 from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
 
 TRAVEL_TURNS = 0.1
-MAX_TRIES = 400
+MAX_STEP_ATTEMPTS = 400
 TRY_INTERVAL_S = 0.005
 CLIENT_TIMEOUT_S = 60.0
 VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
@@ -33,10 +33,10 @@ async def _use_transport(interface: str, channel: str, node_id: int) -> None:
         transport.close()
 
 
-async def _step_until(make_step: Any, is_reached: Any, expected_event: str) -> Any:
-    for _ in range(MAX_TRIES):
+async def _step_until(make_step: Any, is_condition_met: Any, expected_event: str) -> Any:
+    for _ in range(MAX_STEP_ATTEMPTS):
         result = await make_step()
-        if is_reached(result.values):
+        if is_condition_met(result.values):
             return result.values
         await asyncio.sleep(TRY_INTERVAL_S)
     raise AssertionError(f"never: {expected_event}; {result.values}")
@@ -63,14 +63,14 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
         assert shown == b"nan"
     await stream.command(b"conf set servo.timeout_mode 0")
 
-    async def pull() -> Any:
+    async def command_torque() -> Any:
         return await controller.set_position(
             position=math.nan, kp_scale=0.0, kd_scale=0.0, ilimit_scale=0.0, feedforward_torque=0.05,
             maximum_torque=0.1, watchdog_timeout=1.0, query=True,
         )  # fmt: skip
 
     turned = await _step_until(
-        pull, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
+        command_torque, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
     )
     assert turned[register.MODE] == mode.POSITION
     assert math.isclose(turned[register.TORQUE], 0.05, abs_tol=0.02)
@@ -82,7 +82,7 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
         )
 
     held = await _step_until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
-    for _ in range(MAX_TRIES):
+    for _ in range(MAX_STEP_ATTEMPTS):
         held = (await hold()).values
         if abs(held[register.POSITION] - goal) < 0.02 and abs(held[register.VELOCITY]) < 0.05:
             break

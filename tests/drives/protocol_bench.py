@@ -103,16 +103,16 @@ class ProtocolBench:
             self.states = [
                 d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
             ]
-        outgoing = [self.sensor_node.sync(self.k), *extra_frames]
+        host_frames = [self.sensor_node.sync(self.k), *extra_frames]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(
                 self.states[i], self.k * self.period_ns, target, torque
             )
-            outgoing += frames
-        self.sent_frames = outgoing
+            host_frames += frames
+        self.sent_frames = host_frames
         self.received_frames = [
             Frame(*reply)
-            for reply in self.simulated_hand.step(self.k * self.period_ns, list(outgoing))
+            for reply in self.simulated_hand.step(self.k * self.period_ns, list(host_frames))
         ]
         self.k += 1
 

@@ -23,7 +23,7 @@ class ScriptedMotor:
             registers.
         fixed_registers: registers that keep their value when a host writes them.
         ignored_commands: codes of special commands that have no effect.
-        sends_nothing: True if the motor sends no replies at all.
+        is_silent: True if the motor sends no replies at all.
     """
 
     node_id: int = 1
@@ -37,7 +37,7 @@ class ScriptedMotor:
     unanswered_registers: set[int] = field(default_factory=set)
     fixed_registers: set[int] = field(default_factory=set)
     ignored_commands: set[int] = field(default_factory=set)
-    sends_nothing: bool = False
+    is_silent: bool = False
     torque_codes: list[int] = field(default_factory=list)
     written_registers: list[int] = field(default_factory=list)
 
@@ -47,7 +47,7 @@ class ScriptedMotor:
         If the motor sends no reply, the list is empty.
         """
         data = self._reply_data(frame)
-        if data is None or self.sends_nothing:
+        if data is None or self.is_silent:
             return []
         return [Frame(self.reply_id, data, frame.flags, frame.bus, t_ns)]
 

@@ -47,14 +47,15 @@ class PackagedHandBench:
             self.states = [
                 d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
             ]
-        outgoing = [self.sensors.begin_tick_with_sync(self.k)]
+        host_frames = [self.sensors.begin_tick_with_sync(self.k)]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(
                 self.states[i], self.k * PERIOD_NS, target, torque
             )
-            outgoing += frames
+            host_frames += frames
         self.received_frames = [
-            Frame(*reply) for reply in self.simulated_hand.step(self.k * PERIOD_NS, list(outgoing))
+            Frame(*reply)
+            for reply in self.simulated_hand.step(self.k * PERIOD_NS, list(host_frames))
         ]
         self.k += 1
 

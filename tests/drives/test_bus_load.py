@@ -95,9 +95,11 @@ def test_the_worst_case_can_nearly_happen() -> None:
 
 @pytest.mark.parametrize("payload_size", range(65))
 def test_fd_lengths_round_up(payload_size: int) -> None:
-    at_once = frame_time_s(payload_size, True, NOMINAL_BITRATE, DATA_BITRATE)
-    assert at_once <= frame_time_s(min(64, payload_size + 1), True, NOMINAL_BITRATE, DATA_BITRATE)
-    assert at_once < frame_time_s(payload_size, True, NOMINAL_BITRATE)
+    time_with_brs_s = frame_time_s(payload_size, True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert time_with_brs_s <= frame_time_s(
+        min(64, payload_size + 1), True, NOMINAL_BITRATE, DATA_BITRATE
+    )
+    assert time_with_brs_s < frame_time_s(payload_size, True, NOMINAL_BITRATE)
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,8 @@ def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) 
     hand = hand_with_amplifiers(process_value=value_format)
     text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     database = cantools.database.load_string(text, "dbc", strict=True)
-    decoded = database.decode_message(0x1A1, raw_bytes)  # type: ignore[union-attr]
-    assert decoded == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
+    decoded_tensions = database.decode_message(0x1A1, raw_bytes)  # type: ignore[union-attr]
+    assert decoded_tensions == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})
 
 
 # Set-up of the amplifiers.
@@ -266,9 +266,9 @@ WRONG_OBJECTS: dict[str, tuple[Callable[[Any], None], str]] = {
 
 @pytest.mark.parametrize("wrong_object", WRONG_OBJECTS)
 def test_a_wrong_object_refuses_to_arm(wrong_object: str) -> None:
-    spoil, text = WRONG_OBJECTS[wrong_object]
+    change_object, text = WRONG_OBJECTS[wrong_object]
     with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
-        spoil(nodes_of(simulation)[0])
+        change_object(nodes_of(simulation)[0])
         assert simulation.run_until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
     assert not any(
@@ -325,7 +325,7 @@ def nodes_of(simulation: SimulatedRun) -> list[Any]:
 
 
 def faults_of(
-    hand: Hand, seed: int, disturb: Callable[[SimulatedRun], None], tick_count: int = 60
+    hand: Hand, seed: int, disturb_function: Callable[[SimulatedRun], None], tick_count: int = 60
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
@@ -334,7 +334,7 @@ def faults_of(
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        disturb(simulation)
+        disturb_function(simulation)
         found: set[str] = set()
         first = -1
         for i in range(tick_count):
@@ -349,7 +349,7 @@ def fault_injection(fault_text: str) -> Callable[[SimulatedRun], None]:
     return lambda simulation: simulation.simulated_hand.inject(fault_text)
 
 
-def restart_all(simulation: SimulatedRun) -> None:
+def restart_all_nodes(simulation: SimulatedRun) -> None:
     for node in nodes_of(simulation):
         node.restart()
 
@@ -378,7 +378,7 @@ def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(fault_case: str) ->
 
 
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
-    found, ticks = faults_of(hand_with_amplifiers(), 0, restart_all)
+    found, ticks = faults_of(hand_with_amplifiers(), 0, restart_all_nodes)
     assert "N02" in found
     assert 0 <= ticks <= 17  # an amplifier that is silent for 30 ms causes a fault
 
@@ -525,7 +525,7 @@ def test_the_log_s_hand_is_the_same() -> None:
 def test_a_scan_finds_amplifiers_with_their_channels(bench: AmplifierBench) -> None:
     from tests.cli.test_scan import BenchBus, advance_and_listen
 
-    result = scan_bus(BenchBus(bench.simulated_hand.world), listen=advance_and_listen)
+    result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
     found = [node for node in result.found_nodes if node.protocol == "cia404"]
     assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
         (0x21, 2),

@@ -143,13 +143,13 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
         assert wired.send(target, [torque], t_ns) == list(frames)
         assert are_states_equal(wired.drive_state(0), state, drive)
         if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
-            state = enabled_now(begin, drive.node_id, t_ns)
+            state = state_enabled_at(begin, drive.node_id, t_ns)
             wired.store_drive_state(0, state)
         t_ns += PERIOD_NS
     assert steady > TICKS_PER_SEED // 4, "compiled code has hardly read a frame"
 
 
-def enabled_now(state: DriveState, node_id: int, t_ns: int) -> DriveState:
+def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
     """Return the state of an enabled drive with its times changed as if it had been enabled at ``t_ns``.
 
     In this state, the next repeated reading of a setting is due within one period.
@@ -185,7 +185,7 @@ def test_compiled_code_reads_every_setting_again(name: str) -> None:
     count = len(drive.rechecks)
     for i in range(2 * count):
         recheck = readback.RecheckCursor(step=i % count, due_ns=t_ns)
-        state = enabled_now(state, drive.node_id, t_ns)._replace(recheck=recheck)
+        state = state_enabled_at(state, drive.node_id, t_ns)._replace(recheck=recheck)
         wired.store_drive_state(0, state)
         one = drive.rechecks[i % count]
         sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)
@@ -212,7 +212,7 @@ def test_compiled_code_leaves_a_setting_without_answers_to_the_state_machine(nam
     drive, state, t_ns, _ = enable_drive(name)
     wired = WiredDrives([drive], NO_SENSORS)
     for tries in range(readback.RECHECK_TRIES):
-        state = enabled_now(state, drive.node_id, t_ns)
+        state = state_enabled_at(state, drive.node_id, t_ns)
         recheck = readback.RecheckCursor(due_ns=t_ns, tries=tries)
         wired.store_drive_state(0, state._replace(recheck=recheck))
         sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)

@@ -202,7 +202,7 @@ def test_checks_that_need_a_reported_state_are_not_made() -> None:
     assert "has no watchdog" in dead_host.reason
     assert cut.name == "is cut at once, and cleared on command only"
     assert "has no report of the drive's state" in cut.reason
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
 
@@ -257,9 +257,9 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     bench = DriveBench([drive_spec("mit", 1, "ak80-9")])
     bench.motors[0].theta = 1.25
     (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
-    decoded = manager.parse_MIT_message(answer.data, "AK80-9")
-    assert (decoded.temperature, decoded.error) == (25 + 40, 0), (
+    decoded_reply = manager.parse_MIT_message(answer.data, "AK80-9")
+    assert (decoded_reply.temperature, decoded_reply.error) == (25 + 40, 0), (
         "this client forgets that byte 6 counts from -40 degC"
     )
-    assert decoded.position == pytest.approx(1.25, abs=1e-3)
-    assert decoded.current == pytest.approx(0.0, abs=2 * TORQUE_STEP_N_M)
+    assert decoded_reply.position == pytest.approx(1.25, abs=1e-3)
+    assert decoded_reply.current == pytest.approx(0.0, abs=2 * TORQUE_STEP_N_M)

@@ -92,18 +92,20 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
             # A reply to a register request has the same identifier as the feedback, but another
             # length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
-                decoded = dbc.decode_message(frame.can_id, frame.data)
+                decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in values_read_by_controller(
                     wired, owners[frame.can_id][1], owners[frame.can_id][0]
                 ).items():
-                    assert decoded[name] == pytest.approx(value, abs=1e-9), (name, frame)
+                    assert decoded_signals[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     seen[name] += 1
             if frame.can_id in bench.sensor_node.node_ids:
-                decoded = dbc.decode_message(frame.can_id, frame.data)
-                decoded.pop("counter")
+                decoded_signals = dbc.decode_message(frame.can_id, frame.data)
+                decoded_signals.pop("counter")
                 names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
                 names |= {hand.joints[j]: value for j, value in wired.joints.items()}
-                assert decoded == pytest.approx({name: names[name] for name in decoded}, abs=1e-9)
+                assert decoded_signals == pytest.approx(
+                    {name: names[name] for name in decoded_signals}, abs=1e-9
+                )
                 seen["sensors"] += 1
         seen["torques"] += sum(
             is_torque_command(dbc, frame, bench, torque) for frame in bench.sent_frames
@@ -128,12 +130,12 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
             # A frame that writes a setting may have the identifier and the length of a torque
             # command. Only the first bytes tell the two apart.
             first = min((signal.start for signal in message.signals), default=0) // 8
-            big = any(signal.big_endian for signal in message.signals)
-            same = same and (big or frame.data[:first] == message.base[:first])
+            is_big_endian = any(signal.big_endian for signal in message.signals)
+            same = same and (is_big_endian or frame.data[:first] == message.base[:first])
             if same and signals and message.can_id not in drive.node_ids:
-                decoded = dbc.decode_message(frame.can_id, frame.data)
+                decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7
-                assert decoded["torque"] == pytest.approx(torque, abs=step)
+                assert decoded_signals["torque"] == pytest.approx(torque, abs=step)
                 return True
     return False
 

@@ -21,7 +21,7 @@ CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 
 
 @pytest.mark.parametrize(
-    ("protocol", "drive_options", "option_key", "is_accepted"),
+    ("protocol", "drive_options", "option_key", "accepted_text"),
     [
         (
             "cia402",
@@ -58,12 +58,12 @@ CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
     ],
 )
 def test_a_number_that_rounds_to_nothing_is_refused(
-    protocol: str, drive_options: dict[str, object], option_key: str, is_accepted: str
+    protocol: str, drive_options: dict[str, object], option_key: str, accepted_text: str
 ) -> None:
     with pytest.raises(ConfigError) as refused:
         make_drive(motor_on_bench(protocol, 1, 0.01, drive_options), 0)
     assert option_key in str(refused.value)
-    assert is_accepted in str(refused.value)
+    assert accepted_text in str(refused.value)
 
 
 @pytest.mark.parametrize("heartbeat_s", [1, 50.0, 1000])
@@ -83,10 +83,10 @@ def test_position_step_is_reported() -> None:
     In this test, the encoder has 1000 counts per turn, which is coarser than the 16 bits of a
     position report.
     """
-    coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
-    assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(
-        math.pi / 1000
-    )
+    coarse_encoder_options = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
+    assert make_drive(
+        motor_on_bench("cia402", 1, 0.01, coarse_encoder_options), 0
+    ).position_step == pytest.approx(math.pi / 1000)
     assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(
         25.0 / 65535
     )
@@ -144,6 +144,6 @@ def test_every_option_that_a_drive_reads_is_declared() -> None:
     read = {
         key for path in files for key in re.findall(r'options\.pop\(\s*"(\w+)"', path.read_text())
     }
-    declared = {key for entry in PROTOCOL_ENTRIES.values() for key in entry.options}
-    assert read <= declared
+    declared_options = {key for entry in PROTOCOL_ENTRIES.values() for key in entry.options}
+    assert read <= declared_options
     assert len(read) > 10

@@ -55,7 +55,7 @@ def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]
     }
 
 
-def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
+def frames_of_all_kinds(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
     """Yield frames of each length, with all 11-bit and many 29-bit identifiers.
 
     Frames with more than 8 bytes are CAN FD frames.
@@ -67,7 +67,7 @@ def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
             yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
 
 
-def states_of(bench: ProtocolBench) -> list[DriveState]:
+def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive.
 
     The enabled state comes from a run on the bench.
@@ -80,9 +80,9 @@ def states_of(bench: ProtocolBench) -> list[DriveState]:
 def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
     bench: ProtocolBench, state_index: int
 ) -> None:
-    drive, before = bench.drives[0], states_of(bench)[state_index]
+    drive, before = bench.drives[0], silent_ready_and_enabled_states(bench)[state_index]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
-    for frame in every_frame(bench, state_index, t_ns):
+    for frame in frames_of_all_kinds(bench, state_index, t_ns):
         after = receive(before, frame)
         if frame.can_id not in ours:
             assert after is before, frame
@@ -97,7 +97,7 @@ def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBenc
         bench.sensor_node.node_ids | bench.sensor_node.host_ids,
     )
     wired.begin_tick_with_sync(0)
-    frames = list(every_frame(bench, 9, bench.k * 2_000_000))
+    frames = list(frames_of_all_kinds(bench, 9, bench.k * 2_000_000))
     others, before = [frame for frame in frames if frame.can_id not in ours], wired.block.copy()
     assert wired.receive(others).field_number("strange") == len(others)
     wired.field_view("strange")[...] = 0
@@ -109,7 +109,7 @@ def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBenc
 
 def test_simulated_drives_survive_every_frame(bench: ProtocolBench) -> None:
     node, t_ns = bench.simulated_hand.world.nodes[0][0], bench.simulated_hand.world.t_ns
-    for frame in every_frame(bench, 10, t_ns):
+    for frame in frames_of_all_kinds(bench, 10, t_ns):
         node.receive(frame, t_ns)  # type: ignore[arg-type]
 
 

@@ -47,9 +47,9 @@ def keep_setting(virtual_bench: VirtualBench, guarded_setting) -> None:
         node.endpoints = _EndpointsWithFixedValue(node.endpoints, guarded_setting)
     elif isinstance(node, MoteusNode):
         node.channel.items = _EndpointsWithFixedValue(node.channel.items, guarded_setting)
-        write_one = node._write_register
+        write_register = node._write_register
         node._write_register = lambda number, kind, raw: (
-            0 if number == guarded_setting else write_one(number, kind, raw)
+            0 if number == guarded_setting else write_register(number, kind, raw)
         )
     elif isinstance(node, RobstrideNode):
         write_parameter = node._write_parameter

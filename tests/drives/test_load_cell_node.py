@@ -25,7 +25,7 @@ C_COMPILER = shutil.which("cc")
 CHANNELS_MAX = 15
 SYNC_ID = 0x080
 BASE_ID = 0x1A0
-NN_PER_COUNT = 42_000
+NANONEWTON_PER_COUNT = 42_000
 """Tension of one ADC count [nN], for a 250 N load cell with 2 mV/V at 3.3 V and gain 128."""
 RAIL_CODE = 0
 MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER = 0x02, 0x03, 0x04
@@ -97,8 +97,8 @@ def crc_16_ccitt(message: bytes) -> int:
     remainder = 0xFFFF
     for byte in message:
         for bit in range(7, -1, -1):
-            carry = (remainder >> 15) ^ (byte >> bit & 1)
-            remainder = (remainder << 1 & 0xFFFF) ^ (0x1021 if carry else 0)
+            is_top_bit_set = (remainder >> 15) ^ (byte >> bit & 1)
+            remainder = (remainder << 1 & 0xFFFF) ^ (0x1021 if is_top_bit_set else 0)
     return remainder
 
 
@@ -156,7 +156,7 @@ class FirmwareBench:
             read, self.send, ctypes.cast(ctypes.pointer(self.adc), ctypes.c_void_p)
         )
         self.settings = NodeSettings(SYNC_ID, BASE_ID, channel_count)
-        self.settings.nN_per_count[:] = [NN_PER_COUNT] * CHANNELS_MAX
+        self.settings.nN_per_count[:] = [NANONEWTON_PER_COUNT] * CHANNELS_MAX
         self.node = LoadCellNodeStruct()
         assert self.initialize_firmware()
         self.set_up = [
@@ -185,7 +185,7 @@ class FirmwareBench:
     def set_cell_tensions(self, tensions: list[float]) -> None:
         """Set the ADC counts of the load cells so that they correspond to given tensions [N]."""
         for i, tension in enumerate(tensions):
-            self.chips[i // 4].counts[i % 4] = round(tension * 1e9 / NN_PER_COUNT)
+            self.chips[i // 4].counts[i % 4] = round(tension * 1e9 / NANONEWTON_PER_COUNT)
 
     def receive(self, can_id: int, data: bytes) -> list[tuple[int, bytes]]:
         """Deliver a CAN frame to the firmware, and return the frames that it sends."""
@@ -256,7 +256,7 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
             signals = database.decode_message(can_id, data, allow_truncated=True)
             assert signals.pop("counter") == counter & 0xF
             assert list(signals.values()) == pytest.approx(
-                group, abs=0.0625 / 2 + NN_PER_COUNT / 1e9
+                group, abs=0.0625 / 2 + NANONEWTON_PER_COUNT / 1e9
             )
             ours = [
                 (int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))
@@ -272,10 +272,10 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(
 
 def test_a_cell_mounted_in_reverse_reads_positive(firmware_library: Any) -> None:
     bench = FirmwareBench(firmware_library, 1)
-    bench.settings.nN_per_count[0] = -NN_PER_COUNT
+    bench.settings.nN_per_count[0] = -NANONEWTON_PER_COUNT
     bench.settings.zero[0] = 1000
     assert bench.initialize_firmware()
-    bench.chips[0].counts[0] = 1000 - round(50e9 / NN_PER_COUNT)
+    bench.chips[0].counts[0] = 1000 - round(50e9 / NANONEWTON_PER_COUNT)
     assert bench.tension_codes() == [tension_code(50.0)]
 
 
@@ -303,12 +303,12 @@ def test_an_open_bridge_is_at_the_rail(firmware_library: Any) -> None:
         assert bench.tension_codes() == [96, RAIL_CODE]
 
 
-@pytest.mark.parametrize("silent_reply", [b"\0" * 18, b"\xff" * 18])
+@pytest.mark.parametrize("reply_without_answer", [b"\0" * 18, b"\xff" * 18])
 def test_an_adc_without_answer_is_at_the_rail_and_comes_back(
-    firmware_library: Any, silent_reply: bytes
+    firmware_library: Any, reply_without_answer: bytes
 ) -> None:
     bench = FirmwareBench(firmware_library, 5)
-    bench.chips[0].corrupt_reply = lambda data: silent_reply
+    bench.chips[0].corrupt_reply = lambda data: reply_without_answer
     assert bench.tension_codes() == [RAIL_CODE] * 4 + [96]
     bench.chips[0].corrupt_reply = bytes
     bench.tension_codes()
@@ -341,16 +341,16 @@ def test_a_chip_that_was_reset_is_set_up_again(firmware_library: Any) -> None:
     assert bench.tension_codes() == [tension_code(100.0)] * 4
 
 
-@pytest.mark.parametrize("lost_register", [MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER])
+@pytest.mark.parametrize("unwritable_register", [MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER])
 def test_a_chip_that_keeps_other_settings_is_never_ready(
-    firmware_library: Any, lost_register: int
+    firmware_library: Any, unwritable_register: int
 ) -> None:
     bench = FirmwareBench(firmware_library, 4)
     broken = Ads131m04Chip(
         writable_registers=frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
-        - {lost_register}
+        - {unwritable_register}
     )
-    broken.registers[lost_register] = 0x0001
+    broken.registers[unwritable_register] = 0x0001
     bench.chips[0] = broken
     assert not firmware_library.ads131m04_setup(ctypes.byref(bench.adc), 0)
     assert bench.tension_codes() == [RAIL_CODE] * 4

@@ -79,12 +79,12 @@ def test_requests_have_the_known_bytes(request_payload: bytes, payload_hex: str)
 
 
 def test_register_replies_are_decoded_to_known_values() -> None:
-    decoded = codec.decode_register_reply(bytes.fromhex("0100330900040000"), 1)
-    assert decoded is not None
-    assert (decoded.operation, decoded.register, decoded.value) == (0x33, 9, 1024)
-    decoded = codec.decode_register_reply(bytes.fromhex("0100551700008040"), 1)
-    assert decoded is not None
-    assert (decoded.operation, decoded.register, decoded.value) == (0x55, 23, 4.0)
+    decoded_frame = codec.decode_register_reply(bytes.fromhex("0100330900040000"), 1)
+    assert decoded_frame is not None
+    assert (decoded_frame.operation, decoded_frame.register, decoded_frame.value) == (0x33, 9, 1024)
+    decoded_frame = codec.decode_register_reply(bytes.fromhex("0100551700008040"), 1)
+    assert decoded_frame is not None
+    assert (decoded_frame.operation, decoded_frame.register, decoded_frame.value) == (0x55, 23, 4.0)
     assert codec.decode_register_reply(bytes.fromhex("0100aa0100000000"), 1) == (0xAA, 1, bytes(4))
     assert codec.decode_register_reply(bytes.fromhex("0200330900040000"), 1) is None
     assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
@@ -163,11 +163,11 @@ def test_feedback_of_the_simulated_firmware_reads_back(
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    decoded = firmware.decode_command(
+    decoded_frame = firmware.decode_command(
         COMMAND_TABLE.pack(torque), firmware.FrameRanges(*MOTOR_RANGES)
     )
-    assert (decoded.kp, decoded.kd) == (0.0, 0.0)
-    assert decoded.torque == pytest.approx(torque, abs=TORQUE_MAX_N_M / 4095 + 1e-12)
+    assert (decoded_frame.kp, decoded_frame.kd) == (0.0, 0.0)
+    assert decoded_frame.torque == pytest.approx(torque, abs=TORQUE_MAX_N_M / 4095 + 1e-12)
 
 
 drive_states = st.builds(

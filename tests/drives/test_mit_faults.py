@@ -22,18 +22,18 @@ def test_a_lost_answer_to_enable_does_not_count_as_disabled(rig: MotorRig) -> No
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     rig.tick(DriveTarget.ENABLE)
     rig.pending_replies.clear()
-    rig.motor.sends_nothing = True
+    rig.motor.is_silent = True
     assert rig.motor.state_nibble == 1
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
-    rig.motor.sends_nothing = False
+    rig.motor.is_silent = False
     assert rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=3)
     assert rig.motor.state_nibble == 0
 
 
 def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.sends_nothing = True
+    rig.motor.is_silent = True
     rig.tick(DriveTarget.DISABLE)
     old = Frame(0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1)
     rig.state = rig.drive.receive(rig.state, old)
@@ -139,11 +139,11 @@ def test_an_error_that_cannot_be_cleared_comes_back(rig: MotorRig) -> None:
 
 def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.sends_nothing = True
+    rig.motor.is_silent = True
     rig.run_until_phase(
         DriveTarget.POLL, DrivePhase.SILENT, max_ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS
     )
-    rig.motor.sends_nothing = False
+    rig.motor.is_silent = False
     rig.motor.registers[23] = 10.0
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert rig.motor.registers[23] == pytest.approx(0.8)
@@ -159,7 +159,7 @@ def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
 
 def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.sends_nothing = True
+    rig.motor.is_silent = True
     for _ in range(2 * SILENCE_TIMEOUT_NS // PERIOD_NS):
         rig.tick(DriveTarget.ENABLE)
     assert rig.motor.state_nibble == 1

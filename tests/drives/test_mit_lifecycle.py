@@ -184,12 +184,12 @@ def test_a_motor_may_be_enabled_again_and_is_watched_again(rig: MotorRig) -> Non
 
 def test_after_the_disable_command_a_motor_gets_no_torque_before_it_confirms(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.sends_nothing = True
+    rig.motor.is_silent = True
     rig.tick(DriveTarget.POLL)
     for _ in range(5):
         rig.tick(DriveTarget.ENABLE, 0.4)
         assert rig.sent_frames[-1].data == DISABLE_PAYLOAD
-    rig.motor.sends_nothing = False
+    rig.motor.is_silent = False
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 

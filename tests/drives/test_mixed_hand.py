@@ -81,9 +81,9 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Path) -> None:
-    geared = protocol in ("odrive", "cia402")
-    gear = 4.0 if geared else 1.0
-    path = hand_file(tmp_path, [protocol], f"gear_ratio = {gear}\n" if geared else "")
+    has_gear_ratio = protocol in ("odrive", "cia402")
+    gear = 4.0 if has_gear_ratio else 1.0
+    path = hand_file(tmp_path, [protocol], f"gear_ratio = {gear}\n" if has_gear_ratio else "")
     text = path.read_text()
     assert "zero_rad" in text
     path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))

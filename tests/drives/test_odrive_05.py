@@ -72,11 +72,11 @@ def test_odrive_05_is_not_asked_for_missing_messages():
 def test_a_scan_names_odrive_05():
     virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
 
-    def hear_heartbeat(bus, for_s, seen):
-        bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
+    def advance_and_receive(bus, duration_s, seen):
+        bus.bench.advance(bus.bench.t_ns + round(duration_s * 1e9))
         seen += bus.drain()
 
-    (found,) = scan_bus(virtual_bench, listen=hear_heartbeat).found_nodes
+    (found,) = scan_bus(virtual_bench, listen_function=advance_and_receive).found_nodes
     assert (found.protocol, found.node_id, found.options) == ("odrive", DRIVE_NODE_ID, OLD_FIRMWARE)
     assert "0.5" in found.notes[0]
 

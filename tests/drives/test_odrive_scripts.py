@@ -97,7 +97,7 @@ def _endpoints_file(firmware_version: str) -> dict[str, Any]:
 
 
 def _await_message(
-    bus: can.BusABC, command_number: int, is_accepted: Callable[[bytes], bool]
+    bus: can.BusABC, command_number: int, accepts_payload: Callable[[bytes], bool]
 ) -> bytes:
     """Return the payload of the next message with a command number that is accepted."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
@@ -106,7 +106,7 @@ def _await_message(
         if (
             message
             and message.arbitration_id == ODRIVE_NODE_ID << 5 | command_number
-            and is_accepted(message.data)
+            and accepts_payload(message.data)
         ):
             return bytes(message.data)
     raise AssertionError(f"no message 0x{command_number:02X} with the expected contents")

@@ -75,10 +75,11 @@ def lose_first_frames(
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
-        mine = frame.can_id == FIRST_NODE_ID << 5 | command_number and frame.data.startswith(
-            payload_start
+        is_lost_frame = (
+            frame.can_id == FIRST_NODE_ID << 5 | command_number
+            and frame.data.startswith(payload_start)
         )
-        if mine and len(lost) < frame_count:
+        if is_lost_frame and len(lost) < frame_count:
             lost.append(frame)
             return []
         return taken(frame, t_ns)
@@ -286,9 +287,9 @@ def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
     """
     for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):
-            hear = node.receive
-            node.receive = lambda frame, t_ns, hear=hear: (  # type: ignore[method-assign, misc]
-                None if frame.can_id == 0x080 and frame.data else hear(frame, t_ns)
+            receive_frame = node.receive
+            node.receive = lambda frame, t_ns, receive_frame=receive_frame: (  # type: ignore[method-assign, misc]
+                None if frame.can_id == 0x080 and frame.data else receive_frame(frame, t_ns)
             )
     return bench
 

@@ -121,8 +121,8 @@ def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     t_ns = bench.k * bench.period_ns
     for drive, state in zip(bench.drives, bench.states, strict=True):
-        unanswered = RecheckCursor(due_ns=t_ns, tries=RECHECK_TRIES)
-        state = state._replace(recheck=unanswered)
+        unanswered_recheck = RecheckCursor(due_ns=t_ns, tries=RECHECK_TRIES)
+        state = state._replace(recheck=unanswered_recheck)
         state, _ = drive.advance(state, t_ns, DriveTarget.ENABLE, 0.0)
         assert state.phase == DrivePhase.FAULT
         assert "not answered while enabled" in state.error_text

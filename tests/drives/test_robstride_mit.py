@@ -114,10 +114,12 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
 def test_feedback_at_the_freezing_point_is_no_fault() -> None:
     drive = robstride_mit_drive()
     state = drive.initial_state()
-    frozen = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
+    feedback_at_zero_degC = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
     for k in range(5):
         state, _ = drive.advance(state, k * MILLISECOND_NS, DriveTarget.POLL, 0.0)
-        state = drive.receive(state, Frame(0x15, frozen, 0, 0, k * MILLISECOND_NS + 1))
+        state = drive.receive(
+            state, Frame(0x15, feedback_at_zero_degC, 0, 0, k * MILLISECOND_NS + 1)
+        )
     assert (state.phase, state.error, state.temperature) == (DrivePhase.READY, 0, 0.0)
 
 
@@ -155,7 +157,7 @@ def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> N
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     rig.run_tick(DriveTarget.ENABLE, 0.1)
     assert place.bench.motors[0].servo.torque != 0.0
-    place.pass_time(0.2)
+    place.advance_time(0.2)
     assert place.bench.motors[0].servo.torque == 0.0
 
 

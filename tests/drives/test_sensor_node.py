@@ -98,11 +98,11 @@ def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     An even older frame may count as new by chance. Of 100 such frames, more than 40 still count as
     lost, which causes the fault B03b (many replies are being lost).
     """
-    nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
-    n = len(nibbles)
+    counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
+    n = len(counter_nibbles)
     for age in range(1, 200):
         same = [
-            k >= age and nibbles[k] == nibbles[k - age] for k in range(n)
+            k >= age and counter_nibbles[k] == counter_nibbles[k - age] for k in range(n)
         ]  # in the first ticks, there is no older frame
         assert sum(same) <= (0 if age < 8 else 0.4 * n), age
         worst = max(sum(same[k : k + 100]) for k in range(n - 100))
@@ -139,14 +139,14 @@ def test_every_value_reads_as_the_dbc_says(
         0x1B0, "joint", nibble, joint_codes
     )
     wired.receive(frames)
-    decoded: dict[str, Any] = {}
+    decoded_signals: dict[str, Any] = {}
     for frame in frames:
-        decoded.update(
+        decoded_signals.update(
             SENSOR_NODE_DBC.decode_message(frame.can_id, frame.data, allow_truncated=True)
         )  # type: ignore[arg-type]
-    assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tension_codes))}
+    assert wired.tensions == {i: decoded_signals[f"tension_{i}"] for i in range(len(tension_codes))}
     assert wired.joints == pytest.approx(
-        {i: decoded[f"joint_{i}"] for i in range(len(joint_codes))}, abs=1e-12
+        {i: decoded_signals[f"joint_{i}"] for i in range(len(joint_codes))}, abs=1e-12
     )
     assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
 

@@ -17,7 +17,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 
 TICK_NS = 2_000_000
 SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
@@ -37,7 +37,7 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     return drive, state
 
 
-def run_drive(
+def run_drive_with_registers(
     drive: MitDrive,
     state,
     tick_count: int,
@@ -76,7 +76,7 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
     """
     drive, state = enabled_mit_drive(node_id)
-    state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)
+    state, asked = run_drive_with_registers(drive, state, 2001, CORRECT_REGISTERS)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
     assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
     assert state.phase == DrivePhase.ENABLED
@@ -86,17 +86,19 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
 
 def test_no_two_of_eleven_motors_ask_in_one_tick():
     ticks = [
-        run_drive(*enabled_mit_drive(node_id), 260, CORRECT_REGISTERS)[1][0][0]
+        run_drive_with_registers(*enabled_mit_drive(node_id), 260, CORRECT_REGISTERS)[1][0][0]
         for node_id in range(1, 12)
     ]
     assert len(set(ticks)) == 11
 
 
-@pytest.mark.parametrize("lost_register", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
+@pytest.mark.parametrize("changed_registers", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
 @pytest.mark.parametrize("node_id", [2, 0x12])
-def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost_register):
+def test_a_lost_register_is_a_mismatch_within_a_second(node_id, changed_registers):
     drive, state = enabled_mit_drive(node_id)
-    state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost_register)
+    state, asked = run_drive_with_registers(
+        drive, state, 600, CORRECT_REGISTERS | changed_registers
+    )
     assert state.phase == DrivePhase.FAULT
     assert drive.fault_cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
@@ -105,11 +107,11 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost_register):
 
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
     drive, state = enabled_mit_drive(3)
-    few, _ = run_drive(
+    few, _ = run_drive_with_registers(
         drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert few.phase == DrivePhase.ENABLED
-    many, asked = run_drive(
+    many, asked = run_drive_with_registers(
         drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert many.phase == DrivePhase.FAULT
@@ -121,7 +123,7 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 @pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
-    with homed_run(hand, default_rate(hand), seed) as course:
+    with homed_run(hand, default_control_rate(hand), seed) as course:
         advance_to_stage(course, FREE_STAGE)
         course.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
@@ -139,7 +141,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     before it reads the settings again.
     """
     hand = hand_with_protocol("jamia", "moteus")
-    with homed_run(hand, default_rate(hand), seed) as course:
+    with homed_run(hand, default_control_rate(hand), seed) as course:
         advance_to_stage(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.simulated_hand.inject(f"forget node={motor}")

@@ -52,7 +52,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     with SimulatorSettings(model.hand, None, seed, homed=True).begin_run(
         homed_controller(model, TaskProgram(BEND_AND_OPEN_TASK))
     ) as run:
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         largest = 0.0
         for _, out in run.run_ticks(4.0):
             largest = max(largest, float(run.state.tendon[s.SWING_SQUARE].max()))

@@ -37,17 +37,17 @@ def measured_tick_s(
     bench = ProtocolBench(hand_path, wire_words, period_ns)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.simulated_hand.wired
-    wires = bench.simulated_hand.wired.wires
+    simulated_wires = bench.simulated_hand.wired.wires
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    before = [one.busy_ns for one in wires]
+    before = [one.busy_ns for one in simulated_wires]
     for _ in range(MEASURED_TICKS):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * len(bench.states)
     bench.simulated_hand.close()
     return [
         (one.busy_ns - start) * 1e-9 / MEASURED_TICKS
-        for one, start in zip(wires, before, strict=True)
+        for one, start in zip(simulated_wires, before, strict=True)
     ]
 
 

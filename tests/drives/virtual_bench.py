@@ -54,7 +54,7 @@ class VirtualBench:
     def wait(self, k):
         """Advance the time to tick k, and return how late the host is [ns].
 
-        The host is late only after ``pass_time``.
+        The host is late only after ``advance_time``.
         """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))
@@ -79,9 +79,9 @@ class VirtualBench:
             for frame in self.delayed_frames.pop(0)
         ]
 
-    def pass_time(self, for_s):
-        """Advance the time of the drive by ``for_s`` seconds, without a host."""
-        self.bench.advance(self.bench.t_ns + round(for_s * 1e9))
+    def advance_time(self, duration_s):
+        """Advance the time of the drive by ``duration_s`` seconds, without a host."""
+        self.bench.advance(self.bench.t_ns + round(duration_s * 1e9))
 
     def take_events(self):
         """Return an empty list, because this bus has no events."""

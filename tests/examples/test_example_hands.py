@@ -31,7 +31,7 @@ def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def demo_words() -> list[str]:
+def documented_demo_arguments() -> list[str]:
     """Return the words after ``handctl`` in the demo command that examples/README.md shows."""
     blocks = read_blocks(REPOSITORY_ROOT / "examples" / "README.md")
     (line,) = (
@@ -60,7 +60,7 @@ def test_the_example_hand_is_valid_with_its_gains(
 def test_the_demo_of_the_example_hand_grasps_and_releases(
     hands_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([*demo_words(), "--json"]) == 0
+    assert main([*documented_demo_arguments(), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["failure"] == ""
     assert result["missed"] == result["frames_lost"] == 0

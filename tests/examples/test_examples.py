@@ -26,14 +26,14 @@ from tests.runtime.processes import (
 )
 
 EXAMPLES_FOLDER = Path(__file__).parents[2] / "examples"
-REALTIME = pytest.mark.realtime
+REALTIME_MARK = pytest.mark.realtime
 TIME_SCALE = 1.0
 LINE_BLUE_RGB = np.array([0x1F, 0x77, 0xB4]) / 255
 """First colour of lines in matplotlib."""
 
 
 @contextmanager
-def hand_serving(*simulator_options):
+def served_hand(*simulator_options):
     """Run a simulator beside an example program.
 
     The ``with`` block begins when the simulator is ready.
@@ -104,13 +104,13 @@ def simulated_hand(repeat_time_scale, *words, name="jamia"):
     """
     scale = time_scale_options(TIME_SCALE * repeat_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))
-    with hand_serving(
+    with served_hand(
         "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED_OPTIONS, *words, *scale
     ):
         yield ("--calibration", "c.toml", *scale)
 
 
-@REALTIME
+@REALTIME_MARK
 def test_connect_and_move(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none") as options:
         out = run_example("connect_and_move.py", *options)
@@ -120,7 +120,7 @@ def test_connect_and_move(repeat_time_scale):
     assert Path(out.splitlines()[-1].removeprefix("log: ")).is_file()
 
 
-@REALTIME
+@REALTIME_MARK
 def test_stream_sine(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none") as options:
         out = run_example("stream_sine.py", *options)
@@ -133,7 +133,7 @@ def test_stream_sine(repeat_time_scale):
     check_picture("sine.png")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_retarget(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
         out = run_example("retarget.py", *options)
@@ -148,7 +148,7 @@ def test_retarget(repeat_time_scale):
     assert (lower < 0.1).all(axis=(0, 2)).sum() >= 8
 
 
-@REALTIME
+@REALTIME_MARK
 def test_teleoperate(repeat_time_scale):
     with simulated_hand(repeat_time_scale, "--scene", "none") as options:
         out = run_example(
@@ -160,16 +160,16 @@ def test_teleoperate(repeat_time_scale):
     assert np.abs(angles[9:].mean() - 10.0) < 3.0
 
 
-@REALTIME
+@REALTIME_MARK
 def test_single_motor():
-    with hand_serving("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
+    with served_hand("-m", "firmware_sim", "drive", "mit", "--ids", "1", "--bus", "local:bench"):
         out = run_example("single_motor.py").splitlines()
     assert numbers_in(out[0])[1] == pytest.approx(1.0)
     assert abs(numbers_in(out[-2])[1]) < 0.05
     assert out[-1] == "the drive has confirmed that it is off"
 
 
-@REALTIME
+@REALTIME_MARK
 def test_notebook(repeat_time_scale, monkeypatch):
     notebook = nbformat.read(EXAMPLES_FOLDER / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), (
@@ -261,8 +261,8 @@ def test_train_policy_learns():
 def test_every_example_has_a_test_and_a_row_in_the_table():
     names = {path.stem for path in EXAMPLES_FOLDER.iterdir() if path.suffix in (".py", ".ipynb")}
     assert len(names) >= 10
-    tests = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
+    test_names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     table = (EXAMPLES_FOLDER / "README.md").read_text("utf-8")
     for name in names:
-        assert any(test.startswith(name) for test in tests), name
+        assert any(test.startswith(name) for test in test_names), name
         assert f"]({name}." in table, name

@@ -37,10 +37,10 @@ from handctl.campaign.run_stages import (
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
-from handctl.safety.faults.tendon import RELAXED_S
+from handctl.safety.faults.tendon import RELAXING_TIME_S
 from handctl.safety.safety_action import SafetyAction
-from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
-from handctl.session.run_plan import default_rate
+from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS, tick_count_for_time
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatedRun
 from tests.hand.hand_on_wrist import mount_on_wrist
 
@@ -172,7 +172,7 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
     The motors of such a hand are therefore on two buses.
     """
     replaced = hand_with_protocol(hand, protocol)
-    assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
+    assert default_control_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
     # The hand file that `demo --protocol` writes describes the same hand.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
@@ -193,7 +193,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     This test shows that the judge can fail a run.
     """
     hand = hand_with_protocol("jamia", "mit")
-    never = MatrixRow(
+    row_without_reaction = MatrixRow(
         "B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",)
     )
     slow = MatrixRow(
@@ -203,7 +203,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.run_tick()
-        todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (never, slow)]
+        todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow)]
         run_in_branches(
             simulation,
             todo,
@@ -278,7 +278,7 @@ def results_of_hand(
 ) -> dict[str, ScenarioResult]:
     """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
     hand = hand_with_protocol(hand_name, protocol)
-    rate = default_rate(hand)
+    rate = default_control_rate(hand)
     results: list[ScenarioResult] = []
     with homed_run(hand, rate, seed) as simulation:
         for stage, rows in faults_by_stage.items():
@@ -418,7 +418,7 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     for rate_hz in (200.0, 250.0, 400.0, 500.0, 1000.0):
         (text,) = texts_of_fault(hand, row.fault, 1e3 / rate_hz)
         missed = int(text.split()[-1])
-        assert missed > ticks_for(STALLED_S, 1.0 / rate_hz, MIN_STALLED_TICKS)
+        assert missed > tick_count_for_time(MAX_STALL_S, 1.0 / rate_hz, MIN_STALLED_TICKS)
         assert missed / rate_hz < watchdog_s
 
 
@@ -436,7 +436,7 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 @pytest.mark.parametrize("seed", [0, 2])
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
     """Reproduce a defect: the low-pass filter of N14 and a delayed frame took more ticks than at 500 Hz."""
-    assert default_rate(hand_with_protocol("t42", "cia402")) == 1000.0
+    assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
     results = results_of_hand("t42", seed, faults, "cia402")
     assert len(results) == 6
@@ -524,7 +524,7 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
             "odrive",
         )
     assert result.ok, result.problem
-    assert result.safe_ticks <= 400.0 * RELAXED_S + row.max_ticks + 5
+    assert result.safe_ticks <= 400.0 * RELAXING_TIME_S + row.max_ticks + 5
 
 
 def test_instances_are_the_first_and_the_last():
@@ -574,7 +574,7 @@ KNOWN_FAILURES = {
 def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
     report = campaign.run_campaign(
-        hand, [protocol], default_rate, jobs=2, is_quick=True, fault_free_s=4.0, seed=seed,
+        hand, [protocol], default_control_rate, jobs=2, is_quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
     failed = {result.scenario: result.problem for result in report.all_results if not result.ok}
@@ -595,7 +595,7 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
 def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
     wrong: list[ScenarioResult] = []
     report = campaign.run_campaign(
-        hand, [protocol], default_rate, jobs=2, is_quick=False, fault_free_s=600.0,
+        hand, [protocol], default_control_rate, jobs=2, is_quick=False, fault_free_s=600.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
     )  # fmt: skip
     assert [

@@ -34,7 +34,7 @@ from handctl.campaign.run_stages import (
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 
 NO_CALLBACKS = {
     "on_progress": lambda done: None,
@@ -54,7 +54,7 @@ def arming_simulation():
 
 
 @pytest.fixture
-def arming_copy(arming_simulation):
+def copy_of_arming_simulation(arming_simulation):
     return replace(arming_simulation, recorded_ticks=list(arming_simulation.recorded_ticks))
 
 
@@ -82,7 +82,7 @@ def test_sequence_violates_no_rule():
     assert sum(one.effects for one in results) >= 5
 
 
-def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
+def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
     """In this sequence, a drive runs away.
 
     The rule about high tensions accepts a runaway drive as the reason. In this test, the rule does
@@ -93,7 +93,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
     for explains in (fault_sequences.RUNAWAY_FAULT, "nobody"):
         monkeypatch.setattr(fault_sequences, "RUNAWAY_FAULT", explains)
         run_in_branches(
-            arming_copy,
+            copy_of_arming_simulation,
             [sequence],
             1,
             run_sequence,
@@ -105,8 +105,8 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
     assert results[0].tension == results[1].tension
 
 
-def test_violated_rule_of_a_tick_is_found(arming_copy):
-    before = arming_copy.state.copy()
+def test_violated_rule_of_a_tick_is_found(copy_of_arming_simulation):
+    before = copy_of_arming_simulation.state.copy()
     before.mode = HandMode.RELAX
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
@@ -125,26 +125,30 @@ def test_violated_rule_of_a_tick_is_found(arming_copy):
     ]
 
 
-def test_violated_rule_at_the_end_is_found(arming_copy):
-    assert violations_at_end(arming_copy) == ["the run does not end: ARMING"]
-    arming_copy.simulated_hand = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
-    arming_copy.state = arming_copy.state.copy()
-    arming_copy.state.mode = HandMode.DONE
-    assert violations_at_end(arming_copy) == ["torque remains: middle_tendon"]
-    arming_copy.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
-    assert violations_at_end(arming_copy) == []
+def test_violated_rule_at_the_end_is_found(copy_of_arming_simulation):
+    assert violations_at_end(copy_of_arming_simulation) == ["the run does not end: ARMING"]
+    copy_of_arming_simulation.simulated_hand = SimpleNamespace(
+        truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]}
+    )
+    copy_of_arming_simulation.state = copy_of_arming_simulation.state.copy()
+    copy_of_arming_simulation.state.mode = HandMode.DONE
+    assert violations_at_end(copy_of_arming_simulation) == ["torque remains: middle_tendon"]
+    copy_of_arming_simulation.state.decide(
+        failure="REMOVE POWER: not confirmed disabled: middle_motor"
+    )
+    assert violations_at_end(copy_of_arming_simulation) == []
 
 
-def test_a_tick_with_another_result_is_found(arming_copy):
-    start = arming_copy.state
-    first = len(arming_copy.recorded_ticks)
+def test_a_tick_with_another_result_is_found(copy_of_arming_simulation):
+    start = copy_of_arming_simulation.state
+    first = len(copy_of_arming_simulation.recorded_ticks)
     for _ in range(5):
-        arming_copy.run_tick()
-    assert violations_on_replay(arming_copy, start, first) == []
+        copy_of_arming_simulation.run_tick()
+    assert violations_on_replay(copy_of_arming_simulation, start, first) == []
     other = start.copy()
     other.goal_time += 1e-9
-    assert violations_on_replay(arming_copy, other, first) == [
-        f"tick {arming_copy.recorded_ticks[first][0].k} does not repeat with the same inputs"
+    assert violations_on_replay(copy_of_arming_simulation, other, first) == [
+        f"tick {copy_of_arming_simulation.recorded_ticks[first][0].k} does not repeat with the same inputs"
     ]
 
 
@@ -159,6 +163,6 @@ def test_random_sequences_violate_no_rule(hand, protocol):
     """With each hand and each drive protocol, 334 random sequences of faults violate no rule."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(
-        described, protocol, default_rate(described), range(334), jobs=2, **NO_CALLBACKS
+        described, protocol, default_control_rate(described), range(334), jobs=2, **NO_CALLBACKS
     )
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

@@ -121,8 +121,8 @@ def test_relaxing_raises_no_command_and_no_tension(
             simulation.run_tick()
         if fault:
             simulation.simulated_hand.inject(fault)
-        stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
-        check_relaxing(simulation, stop_at, round(COMMAND_DELAY_S * rate), fault)
+        stop_tick = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
+        check_relaxing(simulation, stop_tick, round(COMMAND_DELAY_S * rate), fault)
 
 
 def check_relaxing(
@@ -136,12 +136,12 @@ def check_relaxing(
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
-    decided = recent[-2]
+    decision_state = recent[-2]
     before = np.nanmax(
         [*(one.force for one in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]], axis=0
     )
     last = simulation.state.view("asked").copy()
-    peak = decided.tension
+    peak = decision_state.tension
     force = before
     for _ in range(2000):
         mode = simulation.state.mode
@@ -150,8 +150,8 @@ def check_relaxing(
         simulation.run_tick()
         command = simulation.state.view("asked").copy()
         if simulation.state.mode == mode == HandMode.RELAX:
-            rises = command > np.maximum(last, 0.0)
-            assert not rises.any(), f"{fault_command}: {command} after {last}"
+            is_command_rising = command > np.maximum(last, 0.0)
+            assert not is_command_rising.any(), f"{fault_command}: {command} after {last}"
         last = command
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
@@ -161,9 +161,9 @@ def check_relaxing(
     assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
         f"{fault_command}: {force} after {before}"
     )
-    bound = tension_bound(simulation, decided, before)
+    bound = tension_bound(simulation, decision_state, before)
     assert (peak <= bound).all(), (
-        f"{fault_command}: {peak} N, at most {bound} N are explained, from {decided}"
+        f"{fault_command}: {peak} N, at most {bound} N are explained, from {decision_state}"
     )
     assert simulation.state.mode == HandMode.DONE
     assert not math.isnan(float(peak.max()))

@@ -308,11 +308,11 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("watchdog_behaviour", "polled", "idle"),
+    ("watchdog_behaviour", "polled_state", "idle_state"),
     [("commands", 0xD, 0x0), ("frames", 0x1, 0x0), ("always", 0xD, 0xD)],
 )
 def test_the_watchdog_of_a_damiao_motor_is_selectable(
-    watchdog_behaviour: str, polled: int, idle: int
+    watchdog_behaviour: str, polled_state: int, idle_state: int
 ) -> None:
     """The vendor describes the condition of the watchdog as "no CAN commands within the interval".
 
@@ -320,7 +320,7 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(
     active in a disabled motor.
     """
     spec = drive_spec("mit", 2)
-    for enabled, expected in ((True, polled), (False, idle)):
+    for enabled, expected in ((True, polled_state), (False, idle_state)):
         bench = SimulatedDriveBench([replace(spec, options={"watchdog": watchdog_behaviour})])
         bench.receive(Frame(0x7FF, b"\2\0\x55\x09" + struct.pack("<I", 2000)))
         bench.receive(Frame(2, ENABLE_PAYLOAD if enabled else b"\xff" * 7 + b"\xfd"))
@@ -348,8 +348,12 @@ def test_no_frame_ends_a_drive(protocol: str, drive_fault: str) -> None:
     extended frame.
     """
     bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=drive_fault)
-    specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
-    payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
+    special_payloads = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
+    payloads = (
+        [b"\xff" * size for size in range(9)]
+        + [bytes(size) for size in range(9)]
+        + special_payloads
+    )
     identifiers = [0, 2, 0x41, 0x47, 0x4E, 0x80, 0x202, 0x602, 0x702, 0x77F, 0x7FF, 0x12345678]
     for number in identifiers:
         for flags in (0, REMOTE_FLAG, EXTENDED_FLAG, EXTENDED_FLAG | REMOTE_FLAG):

@@ -34,7 +34,7 @@ def closing_hand(hand_name: str, with_mj_step: bool = True, with_kernel: bool = 
     return plant
 
 
-def exact_state(plant: Plant) -> list[str]:
+def exact_state_texts(plant: Plant) -> list[str]:
     """Return all numbers that describe the motion as texts, exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
@@ -66,12 +66,12 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     assert max(block.tensions()) > 5.0, "tendons were under tension"
     for plant in (single, bindings, plain):
         assert plant.steps == block.steps == 401
-        assert exact_state(plant) == exact_state(block)
+        assert exact_state_texts(plant) == exact_state_texts(block)
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
     """The frames are equal even if a motor, a load cell and an encoder have faults."""
-    worlds = [
+    simulated_worlds = [
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled)
         for compiled in (True, False)
     ]
@@ -80,8 +80,8 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
         "noise cell=index_tendon",
         "noise encoder=thumb_motor",
     )
-    outcomes = []
-    for world in worlds:
+    answers_and_states = []
+    for world in simulated_worlds:
         for fault in faults:
             world.faults.inject(fault)
         answers = []
@@ -90,8 +90,8 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
             for data in (b"\xff" * 7 + b"\xfc", bytes.fromhex("9fff7ff0ff0337ff")):
                 answers += world.receive(Frame(1, data))
             answers += world.receive(Frame(0x080, bytes((k,))))
-        outcomes.append((answers, exact_state(world.plant)))
-    assert outcomes[0] == outcomes[1]
+        answers_and_states.append((answers, exact_state_texts(world.plant)))
+    assert answers_and_states[0] == answers_and_states[1]
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
         near.advance(k * 1_000_000)
     near.advance(250_250_000)
     assert far.t_ns == near.t_ns == 250_000_000
-    assert exact_state(far.plant) == exact_state(near.plant)
+    assert exact_state_texts(far.plant) == exact_state_texts(near.plant)
     assert [node.wake_ns for bus in far.nodes for node in bus] == [
         node.wake_ns for bus in near.nodes for node in bus
     ]

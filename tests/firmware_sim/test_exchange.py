@@ -248,9 +248,9 @@ def test_records_are_frames() -> None:
 def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
     rigs = [LockstepHand("jamia", seed=1), LockstepHand("jamia", seed=1)]
     frames = [Frame(0x080, b"\0"), *[Frame(node, bytes(8), BRS | FDF) for node in (1, 2, 3, 4)]]
-    readonly = np.frombuffer(to_records(frames).tobytes(), FRAME_DTYPE)
+    readonly_records = np.frombuffer(to_records(frames).tobytes(), FRAME_DTYPE)
     for k in range(3):
-        answers = rigs[0].exchange(k * TICK_NS, readonly)
+        answers = rigs[0].exchange(k * TICK_NS, readonly_records)
         assert answers.dtype == FRAME_DTYPE
         assert to_frames(answers) == rigs[1].step(k * TICK_NS, frames)
         assert all(not row["data"][row["length"] :].any() for row in answers)

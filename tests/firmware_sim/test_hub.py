@@ -43,9 +43,9 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def hub() -> Iterator[BusHub]:
-    served = BusHub("test")
-    yield served
-    served.close()
+    bus_hub = BusHub("test")
+    yield bus_hub
+    bus_hub.close()
 
 
 def serve_until_idle(hub: BusHub) -> bytes:
@@ -108,18 +108,18 @@ def test_the_owners_records_reach_every_client(
     assert read_all(a) == read_all(b) == frame_record(0x11, b"answer")
 
 
-@pytest.mark.parametrize("cut_position", [1, 71, 73, 100, 143])
+@pytest.mark.parametrize("split_position", [1, 71, 73, 100, 143])
 def test_a_record_cut_in_two_arrives_whole(
-    hub: BusHub, connect_client: Callable[[], socket.socket], cut_position: int
+    hub: BusHub, connect_client: Callable[[], socket.socket], split_position: int
 ) -> None:
     a, b = connect_client(), connect_client()
     batch = frame_record(1, b"one") + frame_record(2, b"two")
-    a.sendall(batch[:cut_position])
+    a.sendall(batch[:split_position])
     serve_until_idle(hub)
-    assert read_all(b) == batch[: cut_position - cut_position % RECORD_BYTES]
-    a.sendall(batch[cut_position:])
+    assert read_all(b) == batch[: split_position - split_position % RECORD_BYTES]
+    a.sendall(batch[split_position:])
     serve_until_idle(hub)
-    assert read_all(b) == batch[cut_position - cut_position % RECORD_BYTES :]
+    assert read_all(b) == batch[split_position - split_position % RECORD_BYTES :]
 
 
 def test_the_senders_reserved_bytes_do_not_look_like_drops(
@@ -233,10 +233,10 @@ def test_a_stale_socket_is_replaced() -> None:
 def test_closing_removes_the_socket_but_not_a_successors(hub: BusHub) -> None:
     path = bus_path("test")
     path.unlink()
-    successor = BusHub("test")
+    second_hub = BusHub("test")
     hub.close()
     assert path.exists()
-    successor.close()
+    second_hub.close()
     assert not path.exists()
 
 

@@ -78,9 +78,9 @@ def test_feedback_byte_by_byte() -> None:
 def test_codes_are_truncated_and_saturate(value: float) -> None:
     code = to_code(value, 12.5, 16)
     assert 0 <= code <= 65535
-    below = from_code(code, 12.5, 16)
-    assert below <= max(value, -12.5) + 1e-9
-    assert value >= 12.5 or below > min(value, 12.5) - 25.0 / 65535 - 1e-9
+    code_value = from_code(code, 12.5, 16)
+    assert code_value <= max(value, -12.5) + 1e-9
+    assert value >= 12.5 or code_value > min(value, 12.5) - 25.0 / 65535 - 1e-9
 
 
 @given(st.integers(0, 65535))
@@ -117,5 +117,5 @@ def test_kernels_compile_without_a_cache_folder() -> None:
         "from firmware_sim.compiled import use_compiled_kernels; "
         "from firmware_sim.nodes.mit import codec; use_compiled_kernels(codec)"
     )
-    nowhere = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
-    subprocess.run([sys.executable, "-c", code], env=nowhere, check=True)
+    environment_without_cache = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
+    subprocess.run([sys.executable, "-c", code], env=environment_without_cache, check=True)

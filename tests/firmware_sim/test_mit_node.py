@@ -45,7 +45,7 @@ class MotorBench:
     def state(self) -> FeedbackState:
         return self.node.state
 
-    def send_special(self, command_code: int) -> int:
+    def send_special_command(self, command_code: int) -> int:
         """Send a special command to the motor, and return the state bits of its reply."""
         return self.reply_to(b"\xff" * 7 + bytes([command_code]))[0] >> 4
 
@@ -75,21 +75,21 @@ def test_no_torque_until_enabled_and_none_after_disable(bench: MotorBench) -> No
         bench.run(1)
     assert bench.motor.torque == 0.0
     assert bench.motor.theta == 0.0
-    assert bench.send_special(0xFC) == FeedbackState.ENABLED
+    assert bench.send_special_command(0xFC) == FeedbackState.ENABLED
     bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(0.8, rel=1e-3)
-    assert bench.send_special(0xFD) == FeedbackState.DISABLED
+    assert bench.send_special_command(0xFD) == FeedbackState.DISABLED
     bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
 
 
 def test_enabling_does_not_bring_back_an_old_command(bench: MotorBench) -> None:
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.reply_to(FULL_TORQUE)
-    bench.send_special(0xFD)
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFD)
+    bench.send_special_command(0xFC)
     bench.run(5)
     assert abs(bench.motor.torque) < 0.8 * 0.01
 
@@ -98,7 +98,7 @@ def test_enabling_does_not_bring_back_an_old_command(bench: MotorBench) -> None:
 def test_the_watchdog_trips_on_time_and_latches(bench: MotorBench, timeout_ms: int) -> None:
     bench.send_register_request(0x55, 9, struct.pack("<I", timeout_ms))
     bench.run(1)
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.reply_to(FULL_TORQUE)
     limit_ms = timeout_ms * 0.05
     bench.run(limit_ms - 0.5)
@@ -108,14 +108,14 @@ def test_the_watchdog_trips_on_time_and_latches(bench: MotorBench, timeout_ms: i
     bench.run(5)
     assert abs(bench.motor.torque) < 1e-6
     assert bench.reply_to(FULL_TORQUE)[0] >> 4 == 0xD
-    assert bench.send_special(0xFC) == 0xD, "the enable command does not clear an error"
-    assert bench.send_special(0xFB) == FeedbackState.DISABLED
-    assert bench.send_special(0xFC) == FeedbackState.ENABLED
+    assert bench.send_special_command(0xFC) == 0xD, "the enable command does not clear an error"
+    assert bench.send_special_command(0xFB) == FeedbackState.DISABLED
+    assert bench.send_special_command(0xFC) == FeedbackState.ENABLED
 
 
 def test_commands_feed_the_watchdog_and_refresh_does_not(bench: MotorBench) -> None:
     bench.send_register_request(0x55, 9, struct.pack("<I", 200))
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     for _ in range(10):
         bench.run(9)
         assert bench.reply_to(FULL_TORQUE)[0] >> 4 == FeedbackState.ENABLED
@@ -127,7 +127,7 @@ def test_commands_feed_the_watchdog_and_refresh_does_not(bench: MotorBench) -> N
 
 def test_the_watchdog_is_off_by_default(bench: MotorBench) -> None:
     assert struct.unpack("<I", bench.send_register_request(0x33, 9)[4:]) == (0,)
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.run(500)
     assert bench.state() == FeedbackState.ENABLED
 
@@ -144,7 +144,7 @@ def test_ranges_are_read_as_floats(
 def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: MotorBench) -> None:
     reply = bench.send_register_request(0x55, 23, struct.pack("<f", 0.2))
     assert reply == struct.pack("<HBBf", MOTOR_ID, 0x55, 23, 0.2)
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(0.2, rel=1e-3)
@@ -154,7 +154,7 @@ def test_writing_tmax_limits_the_torque_and_scales_the_answer(bench: MotorBench)
 
 def test_the_torque_is_limited_to_the_motors_peak(bench: MotorBench) -> None:
     bench.send_register_request(0x55, 23, struct.pack("<f", 10.0))
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.reply_to(FULL_TORQUE)
     bench.run(5)
     assert bench.motor.torque == pytest.approx(MOTOR_SPEC.torque_peak, rel=1e-3)
@@ -196,7 +196,7 @@ def test_the_answer_has_the_format_of_the_request(bench: MotorBench) -> None:
 
 
 def test_the_servo_holds_a_position(bench: MotorBench) -> None:
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     kp, kd = round(5.0 / 500 * 4095), round(0.05 / 5 * 4095)
     code = int((1.1 + 12.5) * 65535 / 25.0)
     word = code << 48 | 2047 << 36 | kp << 24 | kd << 12 | 2047
@@ -209,7 +209,7 @@ def test_the_servo_holds_a_position(bench: MotorBench) -> None:
 
 def test_over_temperature_trips_the_motor(bench: MotorBench) -> None:
     bench.send_register_request(0x55, 23, struct.pack("<f", 10.0))
-    bench.send_special(0xFC)
+    bench.send_special_command(0xFC)
     bench.reply_to(FULL_TORQUE)
     while bench.state() == FeedbackState.ENABLED and bench.t_ns < 600_000 * NS_PER_MS:
         elapsed_ns = bench.node.wake_ns - bench.t_ns

@@ -19,7 +19,7 @@ KP, KD = 4.0, 0.05
 TURN_RAD = 2.0 * math.pi
 
 
-class OneDrive:
+class SingleDriveBench:
     """A simulated moteus drive with so much inertia at the shaft that the motor torque hardly moves the shaft."""
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
@@ -62,7 +62,7 @@ class OneDrive:
         value: float = struct.unpack_from("<f", reply, 2)[0]
         return value
 
-    def pass_time(self, milliseconds: int) -> None:
+    def advance_time(self, milliseconds: int) -> None:
         """Advance the simulated time."""
         self.bench.advance(self.bench.t_ns + milliseconds * NS_PER_MS)
 
@@ -72,16 +72,16 @@ class OneDrive:
 def test_the_target_moves_with_the_velocity_until_the_next_command(
     position: float, velocity: float, direction: int
 ) -> None:
-    drive = OneDrive(direction=direction)
+    drive = SingleDriveBench(direction=direction)
     drive.send_command(position, velocity)
-    drive.pass_time(30)
+    drive.advance_time(30)
     assert drive.read_register(0x038) == pytest.approx(position + 0.030 * velocity, abs=1e-6)
     assert drive.read_register(0x039) == pytest.approx(velocity, abs=1e-6)
     drive.send_command(position, velocity)
     assert drive.read_register(0x038) == pytest.approx(position, abs=1e-6)
-    drive.pass_time(10)
+    drive.advance_time(10)
     drive.send_command(math.nan, -velocity)
-    drive.pass_time(10)
+    drive.advance_time(10)
     assert drive.read_register(0x038) == pytest.approx(position, abs=1e-6), (
         "without a position, the target goes on"
     )
@@ -90,9 +90,9 @@ def test_the_target_moves_with_the_velocity_until_the_next_command(
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize(("kp", "kd"), [(1.0, 1.0), (0.25, 0.5), (0.0, 0.5), (0.5, 0.0)])
 def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction: int) -> None:
-    drive = OneDrive(direction=direction)
+    drive = SingleDriveBench(direction=direction)
     drive.send_command(0.05, 0.4, 0.02, kp, kd)
-    drive.pass_time(5)
+    drive.advance_time(5)
     target = 0.05 + 0.005 * 0.4
     exact = (
         KP * kp * (target - drive.read_register(1))
@@ -106,25 +106,25 @@ def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction:
 
 
 def test_a_limit_in_effect_is_reported_and_bounds_the_sum() -> None:
-    drive = OneDrive()
+    drive = SingleDriveBench()
     drive.send_command(1.0, 0.0, 0.05, limit=0.3)
-    drive.pass_time(5)
+    drive.advance_time(5)
     assert drive.read_register(0x00F) == 102
     assert drive.read_register(3) == pytest.approx(0.3, abs=1e-3)
     drive.send_command(0.01, 0.0, 0.05, limit=0.3)
-    drive.pass_time(5)
+    drive.advance_time(5)
     assert drive.read_register(0x00F) == 0
 
 
 def test_a_stopped_drive_forgets_its_target() -> None:
-    drive = OneDrive()
+    drive = SingleDriveBench()
     drive.send_command(0.4, 1.0)
-    drive.pass_time(50)
+    drive.advance_time(50)
     drive.reply_to(b"\1\0\0")
-    drive.pass_time(50)
+    drive.advance_time(50)
     assert drive.motor.servo.kp == drive.motor.servo.target_speed == 0.0
     drive.send_command(math.nan)
-    drive.pass_time(20)
+    drive.advance_time(20)
     drive.send_command(math.nan)
     assert drive.read_register(0x038) == pytest.approx(drive.read_register(1), abs=1e-3), (
         "the present position"
@@ -132,12 +132,12 @@ def test_a_stopped_drive_forgets_its_target() -> None:
 
 
 def test_the_watchdog_stops_a_moving_target() -> None:
-    drive = OneDrive()
+    drive = SingleDriveBench()
     drive.node.channel.items["servo.timeout_mode"] = 0.0
     drive.send_command(0.1, 5.0)
-    drive.pass_time(190)
+    drive.advance_time(190)
     assert drive.read_register(0) == 10
-    drive.pass_time(20)
+    drive.advance_time(20)
     assert drive.read_register(0) == 11
     assert (drive.motor.servo.kp, drive.motor.servo.target_speed, drive.motor.servo.torque) == (
         0.0,

@@ -19,26 +19,26 @@ TURN_RAD = math.tau
 
 
 def sample_each_ms(
-    bench: SimulatedDriveBench, for_s: float, read_value: Callable[[], float]
+    bench: SimulatedDriveBench, duration_s: float, read_value: Callable[[], float]
 ) -> list[float]:
     """Advance a bench by some time.
 
     Return the value of the function ``read_value`` in each millisecond of this time.
     """
     values = []
-    for _ in range(round(for_s * 1000)):
+    for _ in range(round(duration_s * 1000)):
         bench.advance(bench.t_ns + NS_PER_MS)
         values.append(read_value())
     return values
 
 
-def largest_acceleration(velocities: list[float], over_ms: int = 20) -> float:
-    """Return the largest mean acceleration over any ``over_ms`` milliseconds [unit/s2].
+def largest_acceleration(velocities: list[float], window_ms: int = 20) -> float:
+    """Return the largest mean acceleration over any ``window_ms`` milliseconds [unit/s2].
 
     The argument has one velocity for each millisecond.
     """
-    pairs = zip(velocities, velocities[over_ms:], strict=False)
-    return max(abs(after - before) for before, after in pairs) * 1000 / over_ms
+    pairs = zip(velocities, velocities[window_ms:], strict=False)
+    return max(abs(after - before) for before, after in pairs) * 1000 / window_ms
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -461,8 +461,10 @@ def test_a_following_error_is_a_fault() -> None:
         motor.theta = motor.omega = 0.0
         bench.advance(bench.t_ns + NS_PER_MS)
     assert read_object(bench, 0x6041) & 0x4F == 0x08
-    emergency = [frame.data for frame in bench.take_unsolicited() if frame.can_id == 0x80 + 33]
-    assert [int.from_bytes(data[:2], "little") for data in emergency] == [0x8611]
+    emergency_messages = [
+        frame.data for frame in bench.take_unsolicited() if frame.can_id == 0x80 + 33
+    ]
+    assert [int.from_bytes(data[:2], "little") for data in emergency_messages] == [0x8611]
     assert motor.command == 0.0
 
 
@@ -495,8 +497,8 @@ def test_a_second_set_point_waits_unless_it_is_immediate(is_immediate: bool) -> 
     write_object(bench, 0x607A, 0, 0, 4)
     send_controlword(bench, 0x1F | is_immediate << 5)
     assert bool(send_controlword(bench, 0x0F) & 1 << 12) != is_immediate, "the buffer is full"
-    furthest = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN_RAD))
-    assert furthest == pytest.approx(0.0 if is_immediate else 1.0, abs=0.1)
+    max_position = max(sample_each_ms(bench, 3.0, lambda: motor.theta / TURN_RAD))
+    assert max_position == pytest.approx(0.0 if is_immediate else 1.0, abs=0.1)
     assert motor.theta == pytest.approx(0.0, abs=0.02)
 
 

@@ -116,14 +116,14 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(target_speed: float) 
         target_speed,
         100.0,
     )
-    decay = 0.5 * kd / MOTOR_SPEC.inertia
-    omega = math.sqrt(kp / MOTOR_SPEC.inertia - decay**2)
+    decay_rate = 0.5 * kd / MOTOR_SPEC.inertia
+    omega = math.sqrt(kp / MOTOR_SPEC.inertia - decay_rate**2)
     largest = 0.0
     for k in range(1, 10001):
         motor.advance(0.0)
         # The motor current follows the command with a lag.
         t = k * step_s - CURRENT_LAG_S
-        exact = target_speed / omega * math.exp(-decay * t) * math.sin(omega * t)
+        exact = target_speed / omega * math.exp(-decay_rate * t) * math.sin(omega * t)
         error = target_speed * k * step_s - motor.theta
         assert servo.position == pytest.approx(target_speed * k * step_s, rel=1e-9)
         if k > 500:
@@ -155,15 +155,15 @@ def test_a_released_servo_makes_no_torque() -> None:
 
 
 def test_the_torque_gain_changes_the_true_torque_only() -> None:
-    strong, plain = (
+    motor_with_gain, plain = (
         Motor(replace(FRICTIONLESS_SPEC, torque_gain=1.2), STEP_S),
         Motor(FRICTIONLESS_SPEC, STEP_S),
     )
-    for motor in (strong, plain):
+    for motor in (motor_with_gain, plain):
         motor.servo.torque, motor.servo.limit = 0.05, 1.0
         spin_motor(motor, 0.1)
-    assert strong.torque == plain.torque
-    assert strong.omega == pytest.approx(1.2 * plain.omega)
+    assert motor_with_gain.torque == plain.torque
+    assert motor_with_gain.omega == pytest.approx(1.2 * plain.omega)
 
 
 def test_heat_is_torque_squared_over_time() -> None:

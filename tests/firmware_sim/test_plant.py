@@ -141,9 +141,9 @@ def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
 def test_joint_stops_limit_the_angles() -> None:
     plant = free_hand()
     pull_tendons(plant, 0.55, 1.0)
-    degrees = np.degrees(plant.engine.q)
-    assert degrees.max() < 102.0
-    assert degrees.min() > -1.0
+    angles_deg = np.degrees(plant.engine.q)
+    assert angles_deg.max() < 102.0
+    assert angles_deg.min() > -1.0
 
 
 def link_frames(plant: Plant) -> Any:
@@ -260,8 +260,8 @@ def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> 
         path: path at which the hand file is written.
     """
     content = json.loads(json.dumps(hand_content("orca_like")))
-    missing_tendons = ("pip",) if len(joint_coupling[0]) == 2 else ("pip", "abd")
-    missing = {f"{finger}_{name}" for finger in COUPLED_FINGERS for name in missing_tendons}
+    missing_tendon_suffixes = ("pip",) if len(joint_coupling[0]) == 2 else ("pip", "abd")
+    missing = {f"{finger}_{name}" for finger in COUPLED_FINGERS for name in missing_tendon_suffixes}
     content["tendon"] = [one for one in content["tendon"] if one["name"] not in missing]
     content["motor"] = [one for one in content["motor"] if one["name"] not in missing]
     for finger in COUPLED_FINGERS:
@@ -297,11 +297,11 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     plant = free_hand(hand=hand)
     joints = [joint for digit in hand.digits for joint in digit.joints]
     fingers = [[joints.index(f"{name}_j{i}") for i in (1, 2, 3)] for name in COUPLED_FINGERS]
-    off_coupling = np.eye(3) - np.array(joint_coupling) @ np.linalg.pinv(joint_coupling)
+    projection_off_coupling = np.eye(3) - np.array(joint_coupling) @ np.linalg.pinv(joint_coupling)
     deviations = []
     for _ in range(15):
         pull_tendons(plant, 0.1, 0.04, ramp_s=0.2)
         angles = np.degrees(np.array(plant.engine.q)[fingers])
-        deviations.append(np.abs(angles @ off_coupling).max())
+        deviations.append(np.abs(angles @ projection_off_coupling).max())
     assert angles[:, 1].min() > 60.0, "the fingers closed"
     assert max(deviations) < 4.0

@@ -22,7 +22,7 @@ from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.truth_file import read_truth
 
 ENABLE_PAYLOAD = bytes.fromhex("fffffffffffffffc")
-READY_S = 60.0
+READY_TIMEOUT_S = 60.0
 StartFunction = Callable[..., "subprocess.Popen[str]"]
 
 
@@ -46,7 +46,7 @@ def start_simulator(run_folder: Path) -> Iterator[StartFunction]:
         )
         processes.append(process)
         assert process.stdout
-        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
         assert process.stdout.readline().startswith("firmware_sim: ready"), process.communicate()[1]
         return process
 
@@ -173,7 +173,7 @@ def test_a_second_simulator_on_the_same_bus_is_refused(
 
 HAND_OPTIONS = ["--hand", "jamia", "--bus", "local:x"]
 ESCAPE_SEQUENCES = "\x1b[2J\x1b]0;mine\x07\x9b\u202e\n"
-REFUSED_WORDS = {
+REFUSED_ARGUMENTS = {
     "end of options": ["--hand", "jamia", "--bus=--"],
     "end of options, drive": ["drive", "mit", "--ids=--", "--bus", "local:x"],
     "end of options, bus": ["bus", "--wire=--", "x"],
@@ -192,7 +192,7 @@ REFUSED_WORDS = {
 }
 
 
-@pytest.mark.parametrize("case_name", REFUSED_WORDS)
+@pytest.mark.parametrize("case_name", REFUSED_ARGUMENTS)
 def test_wrong_arguments_give_one_printable_line(
     run_folder: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -201,7 +201,7 @@ def test_wrong_arguments_give_one_printable_line(
 ) -> None:
     monkeypatch.chdir(run_folder)
     (run_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
-    assert main(REFUSED_WORDS[case_name]) == 2
+    assert main(REFUSED_ARGUMENTS[case_name]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("firmware_sim: ")
@@ -210,7 +210,7 @@ def test_wrong_arguments_give_one_printable_line(
     assert len(err) < 530
 
 
-ODD_HANDS = {
+INVALID_HANDS = {
     "a number without end": ("schema = 2", "schema = " + "9" * 5000),
     "no spool": ("spool_radius_m = ", "spool_radius_m = 0 # "),
     "too few masses": ("link_mass_kg = ", "link_mass_kg = [0.1] # "),
@@ -219,12 +219,12 @@ ODD_HANDS = {
 }
 
 
-@pytest.mark.parametrize("case_name", ODD_HANDS)
+@pytest.mark.parametrize("case_name", INVALID_HANDS)
 def test_impossible_hands_are_refused_by_both_simulators(
     run_folder: Path, capsys: pytest.CaptureFixture[str], case_name: str
 ) -> None:
     path = run_folder / "odd.toml"
-    old, new = ODD_HANDS[case_name]
+    old, new = INVALID_HANDS[case_name]
     path.write_text(find_hand("jamia").read_text().replace(old, new))
     assert main(["--hand", str(path), "--bus", "local:x", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -85,15 +85,15 @@ def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
 
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
-    outcomes = []
+    answers_and_truths = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         rig = LockstepHand("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
         answers = close_hand(rig, 30.0, 1.0)
         rig.close()
-        outcomes.append((answers, (tmp_path / name).read_bytes()))
-    assert outcomes[0] == outcomes[1]
-    assert outcomes[0][0] != outcomes[2][0]
-    assert outcomes[0][1] != outcomes[2][1]
+        answers_and_truths.append((answers, (tmp_path / name).read_bytes()))
+    assert answers_and_truths[0] == answers_and_truths[1]
+    assert answers_and_truths[0][0] != answers_and_truths[2][0]
+    assert answers_and_truths[0][1] != answers_and_truths[2][1]
 
 
 def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:

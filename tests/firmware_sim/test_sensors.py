@@ -18,9 +18,9 @@ from firmware_sim.hand_description import SensorSpec, load_hand
 from firmware_sim.nodes.noise import BLOCK_SIZE, NormalNoise
 from firmware_sim.nodes.sensor_node import SensorNode, joint_code, pack, tension_code
 
-LOADED_SENSORS = load_hand("jamia11").sensors
-assert LOADED_SENSORS is not None
-ELEVEN_CELLS: SensorSpec = LOADED_SENSORS
+JAMIA11_SENSORS = load_hand("jamia11").sensors
+assert JAMIA11_SENSORS is not None
+ELEVEN_CELLS: SensorSpec = JAMIA11_SENSORS
 SYNC_ID = ELEVEN_CELLS.sync_id
 
 

@@ -159,13 +159,13 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     server.turn()
     answer = server._send_answers
 
-    def send_meanwhile(frames: list[Frame]) -> None:
+    def send_during_step(frames: list[Frame]) -> None:
         answer(frames)
         if clock.sent == 1:
             controller.send([Frame(2, ENABLE_PAYLOAD)])
             clock.sent = 2
 
-    server._send_answers = send_meanwhile  # type: ignore[method-assign]
+    server._send_answers = send_during_step  # type: ignore[method-assign]
     controller.send([Frame(1, ENABLE_PAYLOAD)])
     clock.sent = 1
     server.turn()
@@ -271,12 +271,12 @@ def test_a_late_simulation_skips_time_and_reports_it(
     bench: SimulatorServerBench, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bench.turn(1, Frame(1, ENABLE_PAYLOAD))
-    lost_ms = MAX_DELAY_NS // NS_PER_MS + 200
-    bench.turn(1 + lost_ms)
+    skipped_ms = MAX_DELAY_NS // NS_PER_MS + 200
+    bench.turn(1 + skipped_ms)
     assert bench.world.t_ns == START_NS + NS_PER_MS
-    assert bench.world.slip_ns == lost_ms * NS_PER_MS
-    assert capsys.readouterr().err == f"firmware_sim: {lost_ms} ms behind, clock slipped\n"
-    bench.turn(1 + lost_ms + 2)
+    assert bench.world.slip_ns == skipped_ms * NS_PER_MS
+    assert capsys.readouterr().err == f"firmware_sim: {skipped_ms} ms behind, clock slipped\n"
+    bench.turn(1 + skipped_ms + 2)
     assert bench.world.t_ns == START_NS + 3 * NS_PER_MS
     assert (bench.server.slips, bench.server.overruns) == (1, 0)
 
@@ -353,17 +353,17 @@ def test_buses_that_cannot_be_opened_are_refused(
 def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     owner = HubPort("shared", 3)
-    guest = JoinedPort("shared", 5)
+    joined_port = JoinedPort("shared", 5)
     owner.receive(owner.read_sockets())
     request, answer = Frame(1, ENABLE_PAYLOAD), Frame(0x11, bytes(range(48)), FDF)
     owner.send([request])
-    assert guest.receive(guest.read_sockets()) == [request._replace(bus=5)]
-    guest.send([answer])
+    assert joined_port.receive(joined_port.read_sockets()) == [request._replace(bus=5)]
+    joined_port.send([answer])
     assert owner.receive(owner.read_sockets()) == [answer._replace(bus=3)]
     owner.close()
     with pytest.raises(SimulatorError, match="hub has closed the connection"):
-        guest.receive(guest.read_sockets())
-    guest.close()
+        joined_port.receive(joined_port.read_sockets())
+    joined_port.close()
 
 
 def test_an_invalid_record_is_counted_and_ignored(
@@ -374,9 +374,9 @@ def test_an_invalid_record_is_counted_and_ignored(
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.connect(str(tmp_path / "odd.bus"))
     good = pack_record(Frame(1, b"12345678"))
-    too_long = bytearray(good)
-    too_long[4] = 9  # a classical frame of nine bytes
-    link.sendall(good + too_long + good)
+    too_long_record = bytearray(good)
+    too_long_record[4] = 9  # a classical frame of nine bytes
+    link.sendall(good + too_long_record + good)
     port.receive(port.read_sockets())
     assert [frame.data for frame in port.receive(port.read_sockets())] == [b"12345678"] * 2
     assert port.lost == 1

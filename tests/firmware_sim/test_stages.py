@@ -67,8 +67,8 @@ def test_duration_of_a_push_and_lasting_friction() -> None:
         "friction": 0.2,
     }
     stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT_GRAVITY_M_S2)
-    pushes = [stages.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
-    assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+    push_forces = [stages.state_at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
+    assert push_forces == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
     assert [stages.state_at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
 
 

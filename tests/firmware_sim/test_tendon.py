@@ -29,7 +29,7 @@ class TendonOnSpool:
         self.motor, (self.row,) = Motor(JAMIA_HAND.motors[0], 0.5e-3), routing.tendons
         self.parts = routing.rows, routing.joints, routing.arms, [self.motor]
 
-    def elastic(self, stretch: float) -> float:
+    def elastic_tension(self, stretch: float) -> float:
         return self.tension_at(REST_ANGLES_RAD, REST_ANGLES_RAD, stretch / 0.005, 0.0)
 
     def tension_at(self, q: list[float], dq: list[float], theta: float, omega: float) -> float:
@@ -38,7 +38,7 @@ class TendonOnSpool:
         tensions(*self.parts, q, dq, out)
         return out[0]
 
-    def pull(
+    def step_tension(
         self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]
     ) -> float:
         """Compute one simulation step, and return the tension.
@@ -60,17 +60,19 @@ def make_tendon() -> TendonOnSpool:
 
 
 def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
-    elastic = make_tendon().elastic
-    assert elastic(1e-3) == pytest.approx(100.0)
-    assert elastic(2e-3) == pytest.approx(200.0)
+    elastic_tension = make_tendon().elastic_tension
+    assert elastic_tension(1e-3) == pytest.approx(100.0)
+    assert elastic_tension(2e-3) == pytest.approx(200.0)
     x = np.linspace(0.1e-3, 5e-3, 20001)
-    stiffness = np.gradient([elastic(float(value)) for value in x], x)
+    stiffness = np.gradient([elastic_tension(float(value)) for value in x], x)
     assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
     assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
     assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
     # Above a tension of 200 N, the tendon is softer. If the tendon is stretched further by x, the
     # tension is 200 + k2 x + (k - k2) w (1 - exp(-x/w)). In this test, x is 1 mm.
-    assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
+    assert elastic_tension(3e-3) == pytest.approx(
+        200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3))
+    )
 
 
 @given(
@@ -81,7 +83,7 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
 def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> None:
     torque = [0.0] * 3
     tendon = make_tendon()
-    tension = tendon.pull(q, REST_ANGLES_RAD, theta, omega, torque)
+    tension = tendon.step_tension(q, REST_ANGLES_RAD, theta, omega, torque)
     assert tension >= 0.0
     assert tension == tendon.tension_at(q, REST_ANGLES_RAD, theta, omega)
     assert min(torque) >= 0.0
@@ -92,13 +94,13 @@ def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> No
 
 def test_damping_does_not_push_when_the_tendon_goes_slack() -> None:
     torque = [0.0] * 3
-    assert make_tendon().pull(REST_ANGLES_RAD, REST_ANGLES_RAD, 0.01, -50.0, torque) == 0.0
+    assert make_tendon().step_tension(REST_ANGLES_RAD, REST_ANGLES_RAD, 0.01, -50.0, torque) == 0.0
     assert torque == [0.0] * 3
 
 
 def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
     torque = [0.0] * 3
-    tension = make_tendon().pull([0.3, 0.2, 0.1], REST_ANGLES_RAD, 0.5, 0.0, torque)
+    tension = make_tendon().step_tension([0.3, 0.2, 0.1], REST_ANGLES_RAD, 0.5, 0.0, torque)
     stretch = 0.005 * 0.5 - 0.003 * 0.6
     assert tension == pytest.approx(1e5 * stretch)
     assert torque == pytest.approx([0.003 * tension] * 3)
@@ -108,7 +110,7 @@ def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
 def test_capstan_ratio_from_pulley_to_pulley(spool_speed: float, motion_sign: float) -> None:
     q, torque = [0.4, 0.5, 0.6], [0.0] * 3
     tendon = make_tendon()
-    tension = tendon.pull(q, [spool_speed, 0.0, 0.0], 1.0, 6.0 * motion_sign, torque)
+    tension = tendon.step_tension(q, [spool_speed, 0.0, 0.0], 1.0, 6.0 * motion_sign, torque)
     angles = math.pi / 2 + np.cumsum(q)
     assert np.array(torque) / 0.003 / tension == pytest.approx(
         np.exp(-motion_sign * 0.08 * angles), rel=1e-5
@@ -121,7 +123,7 @@ def test_capstan_ratio_from_pulley_to_pulley(spool_speed: float, motion_sign: fl
 
 def test_friction_grows_with_speed_as_tanh() -> None:
     q, torque = [0.0, 0.0, 0.0], [0.0] * 3
-    tension = make_tendon().pull(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
+    tension = make_tendon().step_tension(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
     assert torque[0] / 0.003 == pytest.approx(
         tension * math.exp(-0.08 * math.pi / 2 * math.tanh(0.5)), rel=1e-3
     )
@@ -139,7 +141,7 @@ def test_friction_dissipates_energy_and_the_slope_matches(
     torque = [0.0] * 3
     tendon = make_tendon()
     theta = (0.003 * sum(q) + 0.3e-3) / 0.005
-    tension = tendon.pull(q, dq, theta, spool_speed / 0.005, torque)
+    tension = tendon.step_tension(q, dq, theta, spool_speed / 0.005, torque)
     power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * spool_speed
     assert power <= 1e-9
     worst = max(abs(0.003 * tension - t) / 0.003 for t in torque)
@@ -150,6 +152,6 @@ def test_slope_is_continuous_at_zero_speed() -> None:
     slopes = []
     for speed in (0.99e-6, 1.01e-6):
         tendon = make_tendon()
-        tendon.pull([0.2] * 3, [speed / 0.009] * 3, 0.6, 0.0, [0.0] * 3)
+        tendon.step_tension([0.2] * 3, [speed / 0.009] * 3, 0.6, 0.0, [0.0] * 3)
         slopes.append(tendon.row.slope)
     assert slopes[0] == pytest.approx(slopes[1], rel=2e-3)

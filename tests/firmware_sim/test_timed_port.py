@@ -32,10 +32,10 @@ class TimedBus:
     The method ``frames_at`` sets the clock, and processes all events up to the new time.
     """
 
-    def __init__(self, wire_words: list[str], with_hand: bool = True) -> None:
+    def __init__(self, wire_words: list[str], has_hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
         made = timed_port_maker(
-            wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=with_hand
+            wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=has_hand
         )
         assert made
         self.port = made("lab", 0)
@@ -90,17 +90,17 @@ def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(timed_bus: 
     ("adapter_class", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
 )
 def test_an_answer_arrives_later_behind_an_adapter(adapter_class: str, longest_ms: float) -> None:
-    lab = TimedBus([f"adapter={adapter_class}"])
+    bus_with_adapter = TimedBus([f"adapter={adapter_class}"])
     wire_ms = (frame_time_us(1) + frame_time_us(7)) * 1e-3
-    lab.host.send([Frame(SYNC_ID, b"\x05")])
+    bus_with_adapter.host.send([Frame(SYNC_ID, b"\x05")])
     passed = 0.0
-    while not (frames := lab.frames_at(passed)):
+    while not (frames := bus_with_adapter.frames_at(passed)):
         passed += 0.01
         assert passed < 10.0
     assert [frame.can_id for frame in frames] == [TENSIONS_ID]
     assert wire_ms < passed <= wire_ms + longest_ms + 0.02
-    lab.host.close()
-    lab.port.close()
+    bus_with_adapter.host.close()
+    bus_with_adapter.port.close()
 
 
 def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(
@@ -110,11 +110,11 @@ def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(
         [Frame(REGISTERS_ID, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)]
     )
     timed_bus.frames_at(0.0)
-    arrivals = {}
+    arrival_by_id = {}
     for tenth in range(20):
         for frame in timed_bus.frames_at(tenth * frame_time_us(8) * 1e-3 + 0.001):
-            arrivals[frame.can_id] = tenth
-    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, (
+            arrival_by_id[frame.can_id] = tenth
+    assert arrival_by_id == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, (
         "each answer overtakes the next request"
     )
 
@@ -174,21 +174,25 @@ def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(timed_bus: 
 
 
 def test_a_client_alone_gets_no_acknowledge() -> None:
-    lab = TimedBus([], with_hand=False)
-    lab.host.send([Frame(1, b"")])
-    lab.serve_clients()
-    lab.clock.t_ns += 10 * NS_PER_MS
-    lab.port.receive([])
-    kinds = {kind for kind, _, _ in lab.host.take_events()} if lab.host.drain() == [] else set()
+    bus_without_hand = TimedBus([], has_hand=False)
+    bus_without_hand.host.send([Frame(1, b"")])
+    bus_without_hand.serve_clients()
+    bus_without_hand.clock.t_ns += 10 * NS_PER_MS
+    bus_without_hand.port.receive([])
+    kinds = (
+        {kind for kind, _, _ in bus_without_hand.host.take_events()}
+        if bus_without_hand.host.drain() == []
+        else set()
+    )
     assert "error_passive" in kinds
     second = open_bus("local:lab", 0, 1_000_000)
-    lab.serve_clients()
-    lab.clock.t_ns += 10 * NS_PER_MS
-    lab.port.receive([])
+    bus_without_hand.serve_clients()
+    bus_without_hand.clock.t_ns += 10 * NS_PER_MS
+    bus_without_hand.port.receive([])
     assert [frame.can_id for frame in second.drain()] == [1]
-    lab.host.close()
+    bus_without_hand.host.close()
     second.close()
-    lab.port.close()
+    bus_without_hand.port.close()
 
 
 def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:

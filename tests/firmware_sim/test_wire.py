@@ -45,7 +45,7 @@ class BusMember:
         return [frame.can_id for frame in self.received]
 
     @property
-    def classes(self) -> list[int]:
+    def error_class_bits(self) -> list[int]:
         """Return the class bits of the received error frames.
 
         The bits that mark an error frame or a counter are not included.
@@ -126,7 +126,7 @@ def test_a_full_queue_refuses_and_reports() -> None:
     a, b = add_controllers(wire, 2)
     assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
     assert a.controller.refused == 2
-    assert a.classes == [0x04, 0x04]
+    assert a.error_class_bits == [0x04, 0x04]
     assert [frame.data[1] for frame in a.errors] == [0x02, 0x02], "CAN_ERR_CRTL_TX_OVERFLOW"
     wire.advance(10**9)
     assert b.ids == [0, 1, 2]
@@ -135,21 +135,21 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
-    lonely = BusMember(wire)
-    lonely.controller.offer(Frame(1, bytes(8)), 0)
+    lonely_member = BusMember(wire)
+    lonely_member.controller.offer(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
     assert wire.frames == 0
-    assert lonely.controller.tx_errors == 128
-    assert lonely.controller.state == CanErrorState.PASSIVE
-    assert lonely.classes == [0x20, 0x24, 0x24], (
+    assert lonely_member.controller.tx_errors == 128
+    assert lonely_member.controller.state == CanErrorState.PASSIVE
+    assert lonely_member.error_class_bits == [0x20, 0x24, 0x24], (
         "missing acknowledge, then with warning, then with passive"
     )
-    assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
+    assert [frame.data[1] for frame in lonely_member.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other = BusMember(wire)
     wire.advance(2 * 10**9)
     assert other.ids == [1]
-    assert lonely.controller.tx_errors == 127
+    assert lonely_member.controller.tx_errors == 127
 
 
 def destroy_frames(wire: SimulatedWire, sender: CanController, frame_count: int, t_ns: int) -> None:
@@ -163,14 +163,14 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     sender, receiver = add_controllers(wire, 2)
     destroy_frames(wire, sender.controller, 32, 0)
     assert sender.controller.tx_errors == 256
-    assert sender.classes == [0x88, 0x8C, 0x8C, 0xC8]
+    assert sender.error_class_bits == [0x88, 0x8C, 0x8C, 0xC8]
     assert [frame.data[1] for frame in sender.errors] == [0, 0x08, 0x20, 0]
     assert [frame.data[6] for frame in sender.errors] == [8, 96, 128, 255]
     assert receiver.controller.rx_errors == 32
     assert not sender.controller.offer(Frame(2, b""), 10**8)
     assert receiver.ids == [], "waiting frames are lost"
     wire.advance(10**9)
-    assert sender.classes[-1] == 0x100
+    assert sender.error_class_bits[-1] == 0x100
     assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
     sender.controller.offer(Frame(3, b""), 10**9)

@@ -147,8 +147,8 @@ def test_an_object_that_does_not_fit_is_refused() -> None:
 def test_hand_without_action_grasps_nothing() -> None:
     env = make_env(GRASP_ENV, duration_s=1.0)
     env.reset(seed=0)
-    still = np.full(env.action_space.shape, -1.0, np.float32)
-    rows = [env.step(still) for _ in range(env.max_steps)]
+    open_action = np.full(env.action_space.shape, -1.0, np.float32)
+    rows = [env.step(open_action) for _ in range(env.max_steps)]
     assert sum(row[1] for row in rows) == pytest.approx(0.0)
     assert [row[2] for row in rows] == [False] * env.max_steps
     assert rows[-1][3]
@@ -202,12 +202,12 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
     actions = rng.uniform(-1.0, 1.0, (15, 2, 4)).astype(np.float32)  # longer than one episode
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
-        envs = kind([made, made])
-        seen = [envs.reset(seed=[7, 8])[0]]
-        steps = [envs.step(action) for action in actions]
+        vector_environment = kind([made, made])
+        seen = [vector_environment.reset(seed=[7, 8])[0]]
+        steps = [vector_environment.step(action) for action in actions]
         rows.append(np.array([*seen, *(row[0] for row in steps)]))
         assert any(row[3].all() for row in steps)
-        envs.close()
+        vector_environment.close()
     np.testing.assert_array_equal(*rows)
     assert not np.array_equal(rows[0][:, 0], rows[0][:, 1])
 

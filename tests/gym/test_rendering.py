@@ -48,12 +48,12 @@ def test_a_picture_shows_the_moving_hand(environment_id: str, hand_name: str) ->
 
 
 def test_the_object_is_drawn() -> None:
-    with_object = make_env(GRASP_ENV)
-    without_object = make_env(TRACK_ENV)
+    environment_with_object = make_env(GRASP_ENV)
+    environment_without_object = make_env(TRACK_ENV)
     for seed in range(3):
-        with_object.reset(seed=seed)
-        without_object.reset(seed=seed)
-        first, second = with_object.render(), without_object.render()
+        environment_with_object.reset(seed=seed)
+        environment_without_object.reset(seed=seed)
+        first, second = environment_with_object.render(), environment_without_object.render()
         assert first.shape == second.shape == (480, 480, 3)
         assert (first != second).any(axis=2).mean() > 0.05
 

@@ -19,8 +19,10 @@ def fifteen_motor_hand() -> dict[str, Any]:
         for name in ("digit", "tendon", "motor")
     }
     for number, name in enumerate(("little", "outer")):
-        for section, ones in parts.items():
-            ones += [_renamed_section(one, name) for one in raw[section] if "index" in one["name"]]
+        for section, entries in parts.items():
+            entries += [
+                _renamed_section(one, name) for one in raw[section] if "index" in one["name"]
+            ]
         parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
     for node, motor in enumerate(parts["motor"], start=1):
         motor["node_id"] = node

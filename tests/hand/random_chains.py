@@ -31,7 +31,7 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
     to 8 links and a digit of 1 to 7 links. If ``rng`` is given, some digits are mounted on other
     digits.
     """
-    mounted = rng
+    is_mounted = rng
     rng = np.random.default_rng(seed)
     joint_counts = joint_counts or (seed % 8 + 1, int(rng.integers(1, 8)))
     content = load_hand("jamia11").content
@@ -39,7 +39,7 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
     for number, digit in enumerate(digits) if seed in MIXED_SEEDS else ():
         mix_in_prismatic_joints(np.random.default_rng((seed, number)), digit)
     line: list[str] = []
-    for digit in digits if mounted else ():
+    for digit in digits if is_mounted else ():
         # The carrier of a digit is the palm, the previous digit, or one of the digits that carry
         # the previous digit.
         level = int(rng.integers(0, len(line) + 1))

@@ -61,7 +61,7 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             )
             start = 0.5 * (low + high)
             found = closest_tip(digit, target)
-            oracle = least_squares(
+            scipy_result = least_squares(
                 lambda theta, d=digit, x=target: tip_position(d, theta) - x,
                 start,
                 bounds=(low, high),
@@ -71,7 +71,7 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             )
             assert (found.coordinates >= low).all()
             assert (found.coordinates <= high).all()
-            worse += found.distance > np.linalg.norm(oracle.fun) + 1e-5
+            worse += found.distance > np.linalg.norm(scipy_result.fun) + 1e-5
     assert worse <= 1, "another local minimum in at most one case"
 
 

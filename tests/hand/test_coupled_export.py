@@ -20,13 +20,15 @@ DRIVER_BY_COUPLED_JOINT = {
 
 def test_the_urdf_has_a_mimic_for_each_rigidly_coupled_joint() -> None:
     robot = ET.fromstring(urdf_text(SHADOW_LIKE))
-    mimics = {
+    mimic_by_joint = {
         str(joint.get("name")): mimic.attrib
         for joint in robot.iter("joint")
         if (mimic := joint.find("mimic")) is not None
     }
-    assert {name: mimic["joint"] for name, mimic in mimics.items()} == DRIVER_BY_COUPLED_JOINT
-    assert {float(mimic["multiplier"]) for mimic in mimics.values()} == {1.0}
+    assert {
+        name: mimic["joint"] for name, mimic in mimic_by_joint.items()
+    } == DRIVER_BY_COUPLED_JOINT
+    assert {float(mimic["multiplier"]) for mimic in mimic_by_joint.values()} == {1.0}
 
 
 def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:

@@ -35,7 +35,7 @@ def content_with_value(hand_content_tree, key_path, new_value):
     return hand_content_tree
 
 
-PACKAGED_NAMES = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
+PACKAGED_HAND_NAMES = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
 
 
 def test_packaged_hands_are_listed():
@@ -139,13 +139,15 @@ def test_a_hand_cannot_be_changed(hand):
 
 
 def test_sensor_frames(hand):
-    eleven = hand.name in ("jamia11", "n_plus_1")
+    has_eleven_joints = hand.name in ("jamia11", "n_plus_1")
     encoders = {
         "jamia11": (0x1B0, 0x1B1, 0x1B2),
         "n_plus_1": (0x1B0, 0x1B1),
         "orca_like": (0x1B0, 0x1B1, 0x1B2, 0x1B3),
     }
-    cells = () if hand.name == "orca_like" else (0x1A0, 0x1A1, 0x1A2) if eleven else (0x1A0,)
+    cells = (
+        () if hand.name == "orca_like" else (0x1A0, 0x1A1, 0x1A2) if has_eleven_joints else (0x1A0,)
+    )
     assert hand.sensor_node.tension_ids == cells
     assert hand.sensor_node.joint_ids == encoders.get(hand.name, ())
 
@@ -162,11 +164,11 @@ def test_several_buses_may_use_the_same_node_ids():
     [
         (
             "jamai",
-            f"jamai: no such hand or file; expected jamia? or one of {PACKAGED_NAMES}, or the path of a hand file",
+            f"jamai: no such hand or file; expected jamia? or one of {PACKAGED_HAND_NAMES}, or the path of a hand file",
         ),
         (
             "no/such.toml",
-            f"no/such.toml: no such hand or file; expected one of {PACKAGED_NAMES}, or the path of a hand file",
+            f"no/such.toml: no such hand or file; expected one of {PACKAGED_HAND_NAMES}, or the path of a hand file",
         ),
     ],
 )
@@ -219,6 +221,8 @@ def test_a_copy_with_other_buses_has_their_names() -> None:
     """
     hand = load_hand("jamia")
     assert hand.bus_names == ("main",)
-    renamed = hand.model_copy(update={"bus": (hand.bus[0].model_copy(update={"name": "left"}),)})
-    assert renamed.bus_names == ("left",)
+    hand_with_renamed_bus = hand.model_copy(
+        update={"bus": (hand.bus[0].model_copy(update={"name": "left"}),)}
+    )
+    assert hand_with_renamed_bus.bus_names == ("left",)
     assert hand.bus_names == ("main",)

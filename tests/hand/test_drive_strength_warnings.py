@@ -57,17 +57,17 @@ def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
     500 N. The breaking force of 620 N is less than 1.5 times this tension.
     """
     assert main(["config", "check", "--hand", hand_name]) == 0
-    warned = [
+    warning_lines = [
         line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")
     ]
     assert any(
         "torque_peak_N_m" in line and "limit the drive to 207 N = 1.03 N m" in line
-        for line in warned
+        for line in warning_lines
     )
     assert main(["config", "check", "--hand", hand_name, "--json"]) == 0
     assert [
         f"# warning: {text}" for text in json.loads(capsys.readouterr().out)["warnings"]
-    ] == warned
+    ] == warning_lines
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
@@ -75,13 +75,15 @@ def test_the_bound_is_exact(hand_name):
     hand = load_hand(hand_name)
     spool = hand.motor[0].spool_radius_m
     for strength in (400.0, 900.0):
-        most = largest_safe_force(strength)
-        assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
-        for factor, warned in ((0.999, False), (1.001, True)):
+        max_force = largest_safe_force(strength)
+        assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(max_force))
+        for factor, warning_lines in ((0.999, False), (1.001, True)):
             other = hand_with_ratings(
-                hand, peak_torque=factor * most * spool, breaking_strength=strength
+                hand, peak_torque=factor * max_force * spool, breaking_strength=strength
             )
-            assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
+            assert (
+                any("torque_peak_N_m" in line for line in strength_warnings(other)) == warning_lines
+            )
 
 
 def test_a_drive_limit_too_high_is_reported_with_the_right_one():

@@ -94,8 +94,8 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity_m_s2)
     digits = [digit.with_gravity(gravity_m_s2) for digit in digits]
     for q, dq, ddq in random_motions(rng, len(hand.joints)):
         theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
-            vector[order] = mine
+        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = own_vector
         assert arrays_agree(
             inverse_dynamics_of_hand(digits, q, dq, ddq),
             pinocchio.rnea(model, data, *theirs)[order],
@@ -213,17 +213,17 @@ def test_energy_is_conserved(digits):
             return dynamics.kinetic_energy(digit, q, dq) + stored
 
         state = np.concatenate((np.linspace(0.3, 0.9, n), np.linspace(25.0, -20.0, n)))
-        start, kinetic = energy(state), []
+        start, kinetic_energies = energy(state), []
         for _ in range(2500):
             k1 = rate(state)
             k2 = rate(state + dt / 2 * k1)
             k3 = rate(state + dt / 2 * k2)
             k4 = rate(state + dt * k3)
             state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-            kinetic.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
+            kinetic_energies.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
         # A digit without springs exchanges kinetic energy only with its potential energy in
         # gravity.
-        assert np.ptp(kinetic) > (0.3 if any(digit.spring_stiffness) else 0.1) * start
+        assert np.ptp(kinetic_energies) > (0.3 if any(digit.spring_stiffness) else 0.1) * start
         assert abs(energy(state) - start) < 1e-6 * start
 
 
@@ -263,11 +263,11 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
     for digit in digits:
         q, dq, ddq = next(iter(random_motions(rng, digit.joint_count, 1)))
-        as_array = dynamics.required_torque(digit, q, dq, ddq)
-        assert as_array == dynamics.required_torque(
+        torque_of_arrays = dynamics.required_torque(digit, q, dq, ddq)
+        assert torque_of_arrays == dynamics.required_torque(
             digit, q.tolist(), tuple(dq.tolist()), ddq.tolist()
         )
-        assert all(type(value) is float for value in as_array)
+        assert all(type(value) is float for value in torque_of_arrays)
 
 
 def test_known_numbers_of_the_paper_s_finger():

@@ -85,8 +85,8 @@ def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
 
     In a nightly test run, return all cases.
     """
-    by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
-    return cases if NIGHTLY else list(by_key.values())
+    case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
+    return cases if NIGHTLY else list(case_by_key.values())
 
 
 NUMBER_CASES = [
@@ -188,10 +188,10 @@ def test_random_change_is_read_or_refused_in_one_line():
             continue
         for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):
             for depth in range(1, len(path) + 1):
-                assert usable_or_refused(content_with_value(content, path[:depth], odd))
+                assert is_usable_or_refused(content_with_value(content, path[:depth], odd))
 
 
-def usable_or_refused(content):
+def is_usable_or_refused(content):
     """Return True if a hand can be built from a content and used, or if one error line refuses it."""
     try:
         hand = hand_from_content(content, "f")

@@ -45,10 +45,15 @@ def random_angles(rng, digit, sample_count=100):
 def hand_with_general_mounts() -> Hand:
     """Return a hand whose digits are rotated about all three axes."""
     content = load_hand("jamia").content
-    tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
+    tilt_angles_deg = (
+        (25.0, -40.0, 70.0),
+        (-160.0, 15.0, 5.0),
+        (90.0, 0.0, 90.0),
+        (10.0, 85.0, -120.0),
+    )
     digits = [
         {**digit, "mount_rpy_deg": tilt}
-        for digit, tilt in zip(content["digit"], tilts, strict=True)
+        for digit, tilt in zip(content["digit"], tilt_angles_deg, strict=True)
     ]
     return Hand.model_validate({**content, "digit": digits})
 
@@ -86,9 +91,9 @@ def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digi
     for digit in digits:
         straight = joint_points(digit, np.zeros(digit.joint_count))
         assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
-        bent = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
-        assert bent[1] * digit.mount_position[1] < 0.0
-        assert abs(bent[2]) < 1e-12
+        bend_vector = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
+        assert bend_vector[1] * digit.mount_position[1] < 0.0
+        assert abs(bend_vector[2]) < 1e-12
 
 
 def test_jacobians_are_derivatives(digits, rng):
@@ -149,9 +154,9 @@ def test_quaternions_of_all_rotations(rng):
     ]:
         q = quaternion_of_rotation(rotation_of_rpy(roll, pitch, yaw))
         assert math.isclose(sum(part * part for part in q), 1.0, rel_tol=1e-12)
-        by_axes = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
+        rotation_matrix = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
         assert np.allclose(
-            pinocchio.Quaternion(np.array(q)).toRotationMatrix(), by_axes, atol=1e-13
+            pinocchio.Quaternion(np.array(q)).toRotationMatrix(), rotation_matrix, atol=1e-13
         )
 
 

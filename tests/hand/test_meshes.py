@@ -328,7 +328,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
     (mesh_folder / "bare.toml").write_text(bare.to_toml())
     models = exported_models(hand, mesh_folder)
     simulated = simulated_hand(str(mesh_folder / "bare.toml"))
-    without = {
+    models_without_meshes = {
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
@@ -337,7 +337,7 @@ def test_meshes_have_no_effect_on_the_dynamics(
         simulated_hand(str(mesh_folder / "hand.toml")), load_scene("cylinder")
     )
     assert meshed_plant == model_text(simulated, load_scene("cylinder"))
-    for kind, other in without.items():
+    for kind, other in models_without_meshes.items():
         model = models[kind]
         assert np.array_equal(model.body_mass, other.body_mass)
         assert np.array_equal(model.body_inertia, other.body_inertia)

@@ -99,12 +99,12 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
 
 def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> None:
     angle = np.linspace(0.0, 90.0, 10)
-    cubic = np.array([0.003, 1e-3, -4e-4, 1e-4])
+    cubic_coefficients = np.array([0.003, 1e-3, -4e-4, 1e-4])
     arm = {
         "angle_deg": angle.tolist(),
-        "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist(),
+        "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic_coefficients).tolist(),
     }
-    np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12)
     assert arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
     assert 2e-5 < arm_table_residual(arm) < 1e-4

@@ -83,7 +83,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
         data = model.createData()
         bare = model.copy()
         bare.armature = np.zeros(digit.joint_count)
-        bare_data = bare.createData()
+        model_data = bare.createData()
         world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -106,10 +106,10 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             )
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
             # The kinetic energy in pinocchio 3 includes the armature only for some joint types.
-            kinetic = pinocchio.computeKineticEnergy(bare, bare_data, q, dq) + 0.5 * np.dot(
+            kinetic_energy = pinocchio.computeKineticEnergy(bare, model_data, q, dq) + 0.5 * np.dot(
                 digit.armature, dq**2
             )
-            assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic, rtol=1e-9)
+            assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic_energy, rtol=1e-9)
 
 
 def inverse_by_mujoco(model, q, dq, ddq):
@@ -152,8 +152,8 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
     data = model.createData()
     for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
         theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
-            vector[order] = mine
+        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = own_vector
         armature = np.concatenate([digit.armature for digit in digits]) * ddq
         assert arrays_agree(
             inverse_dynamics_of_hand(digits, q, dq, ddq) - armature,
@@ -270,12 +270,12 @@ def test_random_trees_have_digits_on_digits_on_digits():
         for seed in RANDOM_CHAIN_SEEDS
     ]
     assert max(carried) >= 3
-    on_a_carried_one = [
+    is_on_carried_digit = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
         for hand in map(random_hand_tree_of, RANDOM_CHAIN_SEEDS)
         for digit in hand.digit
     ]
-    assert any(on_a_carried_one)
+    assert any(is_on_carried_digit)
 
 
 def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_path):
@@ -299,8 +299,8 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
     data = model.createData()
     for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
         theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
-            vector[order] = mine
+        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = own_vector
         armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
         assert arrays_agree(
             whole.inverse_dynamics(q, dq, ddq) - armature,

@@ -23,12 +23,12 @@ TENDON_ELASTICITIES = [
     ),
     TendonElasticity(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
 ]
-with_each_elasticity = pytest.mark.parametrize(
+for_each_elasticity = pytest.mark.parametrize(
     "law", TENDON_ELASTICITIES, ids=["softening", "hardening", "nearly plastic"]
 )
 
 
-@with_each_elasticity
+@for_each_elasticity
 def test_the_knee_is_smooth(law):
     at = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
@@ -46,7 +46,7 @@ def test_the_knee_is_smooth(law):
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond, rel_tol=1e-9)
 
 
-@with_each_elasticity
+@for_each_elasticity
 def test_tension_is_the_integral_of_the_tangent_stiffness(law):
     knee = law.knee / law.stiffness
     for stretch in np.linspace(0.1, 3.0, 12) * knee:
@@ -60,7 +60,7 @@ def test_tension_is_the_integral_of_the_tangent_stiffness(law):
         assert math.isclose(law.elastic_tension(stretch), total, rel_tol=1e-8)
 
 
-@with_each_elasticity
+@for_each_elasticity
 def test_stretch_is_the_exact_inverse(law):
     for tension in np.concatenate(
         (np.geomspace(1e-9, 3000.0, 300), law.knee + np.geomspace(1e-12, 10.0, 50))
@@ -72,13 +72,13 @@ def test_stretch_is_the_exact_inverse(law):
             law.stretch(tension)
 
 
-@with_each_elasticity
+@for_each_elasticity
 def test_tension_rises_with_stretch(law):
     tensions = [law.elastic_tension(stretch) for stretch in np.linspace(0.0, 5e-3, 2000)]
     assert (np.diff(tensions) > 0.0).all()
 
 
-@with_each_elasticity
+@for_each_elasticity
 def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
     for stretch, rate in zip(
         rng.normal(size=2000) * 2e-3, rng.normal(size=2000) * 5.0, strict=True
@@ -99,8 +99,8 @@ def test_known_numbers_of_the_packaged_tendon():
     law = TENDON_ELASTICITIES[0]
     assert math.isclose(law.stretch(110.0), 1.1e-3, rel_tol=1e-12)
     assert math.isclose(law.knee / law.stiffness, 2.0e-3, rel_tol=1e-12)
-    one_beyond = 200.0 + 0.4e5 * 1e-3 + 0.6e5 * 3e-4 * (1 - math.exp(-1e-3 / 3e-4))
-    assert math.isclose(law.elastic_tension(3e-3), one_beyond, rel_tol=1e-12)
+    tension_beyond_knee = 200.0 + 0.4e5 * 1e-3 + 0.6e5 * 3e-4 * (1 - math.exp(-1e-3 / 3e-4))
+    assert math.isclose(law.elastic_tension(3e-3), tension_beyond_knee, rel_tol=1e-12)
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):
@@ -133,18 +133,18 @@ def test_friction_follows_the_capstan_equation(digits, rng):
             pulley_factors(digit, q, np.zeros(count)), np.ones_like(digit.moment_arms)
         )
         assert np.array_equal(effective_moment_arms(digit, q, np.zeros(count)), digit.moment_arms)
-        winding = pulley_factors(digit, q, np.full(count, 1.0))
+        winding_factors = pulley_factors(digit, q, np.full(count, 1.0))
         for t in range(count):
             passed = digit.wrap[t]
             for j in range(digit.joint_count):
                 passed += q[j] if digit.moment_arms[t, j] else 0.0
                 assert math.isclose(
-                    winding[t, j], math.exp(-digit.friction[t] * passed), rel_tol=1e-12
+                    winding_factors[t, j], math.exp(-digit.friction[t] * passed), rel_tol=1e-12
                 )
-        paying_out = pulley_factors(digit, q, np.full(count, -1.0))
-        assert np.allclose(winding * paying_out, 1.0, rtol=1e-12)
+        paying_out_factors = pulley_factors(digit, q, np.full(count, -1.0))
+        assert np.allclose(winding_factors * paying_out_factors, 1.0, rtol=1e-12)
         slow = pulley_factors(digit, q, np.full(count, 1e-3))
-        assert (winding < slow).all()
+        assert (winding_factors < slow).all()
         assert (slow < 1.0).all()
 
 
@@ -164,11 +164,11 @@ def test_rotor_outweighs_the_finger():
 def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
     for digit in digits:
         speed = rng.normal(size=digit.coupling.shape[1])
-        cable = digit.moment_arms @ digit.coupling @ speed
+        tendon_speeds = digit.moment_arms @ digit.coupling @ speed
         motors = [hand.motor_of(name) for name in digit.tendon_names]
         energy = sum(
             m.inertia_kg_m2 * (v / m.spool_radius_m) ** 2 / 2
-            for m, v in zip(motors, cable, strict=True)
+            for m, v in zip(motors, tendon_speeds, strict=True)
         )
         assert math.isclose(speed @ reflected_inertia(digit) @ speed / 2, energy, rel_tol=1e-12)
 

@@ -54,8 +54,10 @@ def test_effort_is_what_the_tendons_may_pull(hand):
         joint.get("name"): joint.find("limit")
         for joint in ET.fromstring(urdf_text(hand)).findall("joint")
     }
-    pull = np.abs(hand.moment_arms).T @ [tendon.tension_max_N for tendon in hand.tendon]
-    assert np.allclose([float(joints[name].get("effort")) for name in hand.joints], pull)
+    max_joint_torque = np.abs(hand.moment_arms).T @ [tendon.tension_max_N for tendon in hand.tendon]
+    assert np.allclose(
+        [float(joints[name].get("effort")) for name in hand.joints], max_joint_torque
+    )
 
 
 def test_inertias_are_possible(hand):

@@ -25,7 +25,7 @@ LOG_NAMES = ("jamia-fault.mcap", "jamia-grasp.mcap")
 VIDEO_FRAMES_PER_S = 50
 CAMERA_HZ = 30
 IMAGE_WIDTH_PX, IMAGE_HEIGHT_PX = 64, 48
-LEVEL_PER_S = 40.0
+BRIGHTNESS_PER_S = 40.0
 """Increase of the brightness in a test video per second [1/s]. The maximum brightness is 255."""
 
 
@@ -54,14 +54,16 @@ def write_video(video_path, duration_s, width_px=IMAGE_WIDTH_PX):
     ) as writer:
         for i in range(round(duration_s * CAMERA_HZ)):
             image = np.full(
-                (IMAGE_HEIGHT_PX, width_px, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8
+                (IMAGE_HEIGHT_PX, width_px, 3),
+                20 + round(BRIGHTNESS_PER_S * i / CAMERA_HZ),
+                np.uint8,
             )
             image[:, : width_px // 2, 0] = 0  # the left half of the image contains no red
             writer.append_data(image)
     return video_path
 
 
-def tick_times(run_log):
+def active_time_range(run_log):
     """Return start and end [s] of the part of a log in which the hand is active.
 
     This part becomes an episode.
@@ -84,7 +86,7 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
-        spans = [tick_times(log) for log in (one, two)]
+        spans = [active_time_range(log) for log in (one, two)]
         starts = (0.0, 0.25)
         videos = [
             write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
@@ -104,9 +106,11 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         image = item["observation.images.wrist"]
         assert image.shape == (3, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX)
         episode = int(item["episode_index"])
-        taken_s = spans[episode][0] + float(item["timestamp"]) - starts[episode]
-        latest_s = np.floor(taken_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
-        assert brightness(image) == pytest.approx(20.0 + LEVEL_PER_S * latest_s, abs=3.0)
+        frame_time_s = spans[episode][0] + float(item["timestamp"]) - starts[episode]
+        latest_camera_time_s = np.floor(frame_time_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
+        assert brightness(image) == pytest.approx(
+            20.0 + BRIGHTNESS_PER_S * latest_camera_time_s, abs=3.0
+        )
     statistics = dataset.meta.stats["observation.images.wrist"]
     assert statistics["mean"].shape == (3, 1, 1)
     assert int(statistics["count"][0]) == frames
@@ -145,7 +149,7 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
 
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
     with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
-        ends = [tick_times(log)[1] for log in (one, two)]
+        ends = [active_time_range(log)[1] for log in (one, two)]
         videos = [
             write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
             for i in range(2)
@@ -159,7 +163,7 @@ def test_the_description_is_that_of_lerobot(tmp_path) -> None:
     from lerobot.datasets.video_utils import get_video_info
 
     with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one:
-        video = write_video(tmp_path / "one.mp4", tick_times(one)[1] + 0.2)
+        video = write_video(tmp_path / "one.mp4", active_time_range(one)[1] + 0.2)
         export_lerobot(
             [one],
             tmp_path / "data",

@@ -13,7 +13,7 @@ import pytest
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 LEROBOT_REQUIREMENT = "lerobot==0.4.4"
-GIVEN_PYTHON = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
+LEROBOT_PYTHON_PATH = os.environ.get("HANDCTL_LEROBOT_PYTHON", "")
 """Path of the Python of an existing environment.
 
 If the text is empty, the test makes an environment.
@@ -59,8 +59,8 @@ def link_ffmpeg(lerobot_python: str, link_folder: Path) -> str:
 @pytest.fixture
 def lerobot_python(tmp_path: Path) -> str:
     """Return the Python of an environment with LeRobot, handctl and the plug-in."""
-    if GIVEN_PYTHON:
-        return GIVEN_PYTHON
+    if LEROBOT_PYTHON_PATH:
+        return LEROBOT_PYTHON_PATH
     folder = tmp_path / "env"
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
     made = str(folder / "bin" / "python")

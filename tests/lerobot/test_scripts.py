@@ -104,10 +104,10 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
         assert not fault_texts(log)
         playback = np.array([change.name for change in log.phases])
         assert "playback" in playback
-        followed = np.degrees(
+        replayed_angles_deg = np.degrees(
             np.nanmax(log.field("q")[log.mode == HandMode.ACTIVE][:, :3].mean(axis=1))
         )
-    assert followed == pytest.approx(expected, abs=4.0)
+    assert replayed_angles_deg == pytest.approx(expected, abs=4.0)
 
 
 def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:

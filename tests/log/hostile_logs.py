@@ -57,7 +57,9 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         + bytes(36)
         + b"\xff\xff\xff\x7f"
     )
-    bombs = _chunk_record("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
+    compressed_bomb = _chunk_record(
+        "zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros)
+    )
     text = struct.pack("<I", 2**32 - 1)
     return {
         "zstd of a gigabyte": _log_with_chunks(
@@ -72,7 +74,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         "lz4 of less than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
         ),
-        "many bombs": _log_with_chunks(small_log, bombs * 300),
+        "many bombs": _log_with_chunks(small_log, compressed_bomb * 300),
         "zeros as records": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(zeros), len(zeros))
         ),

@@ -33,7 +33,7 @@ from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.safety_action import SafetyAction
 
-PHASE_ENDS = (
+PHASE_END_FRACTIONS = (
     ("start", 0.02),
     ("tighten", 0.08),
     ("close", 0.40),
@@ -64,8 +64,8 @@ def synthetic_header(
     return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | other_fields))
 
 
-def _phase_at(run_fraction: float) -> str:
-    return next((name for name, end in PHASE_ENDS if run_fraction < end), "end")
+def _phase_name_at(run_fraction: float) -> str:
+    return next((name for name, end in PHASE_END_FRACTIONS if run_fraction < end), "end")
 
 
 class SyntheticRunTicks:
@@ -90,7 +90,7 @@ class SyntheticRunTicks:
         for k in range(self.ticks):
             fraction = k / max(self.ticks, 1)
             telemetry = self._telemetry(k, fraction)
-            phase = _phase_at(fraction)
+            phase = _phase_name_at(fraction)
             tick_in = self._tick_in(k, telemetry)
             events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
             if k == self.ticks // 3:
@@ -111,13 +111,13 @@ class SyntheticRunTicks:
             )
             action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
             self._hash.update(telemetry.packed())
-            frames = self._sent(k, telemetry)
+            frames = self._sent_frames(k, telemetry)
             yield (
                 tick_in,
                 TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest()),
             )
 
-    def _closing(self, run_fraction: float) -> float:
+    def _closing_fraction(self, run_fraction: float) -> float:
         """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
         up = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
         down = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
@@ -125,14 +125,14 @@ class SyntheticRunTicks:
 
     def _telemetry(self, tick_index: int, run_fraction: float) -> Telemetry:
         run, period = self.run, self.run.period_ns * 1e-9
-        goal = np.full(len(run.joints), 1.2 * self._closing(run_fraction))
+        goal = np.full(len(run.joints), 1.2 * self._closing_fraction(run_fraction))
         stop = 0.75 + 0.1 * np.array(self._digit_of)
         q = np.minimum(goal, stop) + 2e-4 * self._random.standard_normal(len(goal))
-        before = np.minimum(1.2 * self._closing(run_fraction - 1 / self.ticks), stop)
+        before = np.minimum(1.2 * self._closing_fraction(run_fraction - 1 / self.ticks), stop)
         dq = (np.minimum(goal, stop) - before) / period
         pressing = np.array(
             [
-                max(0.0, 1.2 * self._closing(run_fraction) - (0.75 + 0.1 * d))
+                max(0.0, 1.2 * self._closing_fraction(run_fraction) - (0.75 + 0.1 * d))
                 for d in range(len(run.digits))
             ]
         )
@@ -184,7 +184,7 @@ class SyntheticRunTicks:
             requests,
         )
 
-    def _sent(self, tick_index: int, telemetry: Telemetry) -> tuple[Frame, ...]:
+    def _sent_frames(self, tick_index: int, telemetry: Telemetry) -> tuple[Frame, ...]:
         frames = [Frame(0x080, bytes((tick_index & 0xFF,)))]
         for index, torque in enumerate(telemetry.motor_torque_goal):
             word = int(np.clip((torque + 0.8) / 1.6 * 4095, 0, 4095))

@@ -28,9 +28,9 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
     header = synthetic_run.synthetic_header("t42", 100)
     header.attachments.update(attachments)
     synthetic_run.write_synthetic_run(log, header, 0.5)
-    recovered = tmp_path / "recovered.mcap"
-    recover_log(log, recovered)
-    for path in (log, recovered):
+    recovered_log = tmp_path / "recovered.mcap"
+    recover_log(log, recovered_log)
+    for path in (log, recovered_log):
         with RunLog(path) as opened:
             found, missing = attached_meshes(
                 described_hand(opened.header, "the log"), opened.header.attachments
@@ -86,8 +86,8 @@ def test_a_damaged_mesh_in_a_log_is_missing(tmp_path: Path) -> None:
     hand = hand_with_meshes("t42")
     attachments, _ = mesh_attachments(hand, tmp_path)
     assert attached_meshes(hand, {})[1] == ["palm", "left_link2", "right_link2"]
-    damaged = attachments | {"mesh/sub/mm.stl": attachments["mesh/sub/mm.stl"][:-7]}
-    assert attached_meshes(hand, damaged)[1] == ["right_link2"]
+    damaged_attachments = attachments | {"mesh/sub/mm.stl": attachments["mesh/sub/mm.stl"][:-7]}
+    assert attached_meshes(hand, damaged_attachments)[1] == ["right_link2"]
 
 
 def test_a_hand_without_meshes_reads_no_file(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -53,8 +53,10 @@ def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
 
 
 def test_a_slewed_clock_has_no_step() -> None:
-    slewed = [ClockPair(n * 10**10, n * (10**10 + 5_000_000), n * 10**10) for n in range(100)]
-    assert list(clock_steps(slewed)) == []
+    slewed_clock_pairs = [
+        ClockPair(n * 10**10, n * (10**10 + 5_000_000), n * 10**10) for n in range(100)
+    ]
+    assert list(clock_steps(slewed_clock_pairs)) == []
 
 
 def test_a_lockstep_run_reads_no_clock(tmp_path: Path) -> None:

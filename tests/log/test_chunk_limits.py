@@ -20,17 +20,17 @@ def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
 
     Earlier defect: `log check` took more than a second for a chunk with a million channels.
     """
-    plenty = 1 << 30
+    large_byte_limit = 1 << 30
     allowed = channel_record(7) * 2 * MAX_CHANNELS + message_record(7)
-    assert [one.channel for one in iter_messages(allowed, plenty)] == [7]
+    assert [one.channel for one in iter_messages(allowed, large_byte_limit)] == [7]
     with pytest.raises(ValueError, match=f"more than {MAX_CHANNELS} channels"):
-        list(iter_messages(channel_record(7) + allowed, plenty))
+        list(iter_messages(channel_record(7) + allowed, large_byte_limit))
 
 
 @pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_BLOCK])
 def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
     limit = MIN_BLOCKS + packed // BYTES_PER_BLOCK
-    alternating = b"".join(message_record(number % 2) for number in range(limit))
-    assert len(list(iter_messages(alternating, packed))) == limit
+    alternating_records = b"".join(message_record(number % 2) for number in range(limit))
+    assert len(list(iter_messages(alternating_records, packed))) == limit
     with pytest.raises(ValueError, match="more messages than"):
-        list(iter_messages(alternating + message_record(limit % 2), packed))
+        list(iter_messages(alternating_records + message_record(limit % 2), packed))

@@ -86,9 +86,9 @@ def test_units_are_those_that_the_telemetry_declares() -> None:
     texts = [node.value.value for node in telemetry.body if isinstance(node, ast.Expr)][1:]
     assert tuple(names) == TELEMETRY_FIELDS
     for name, text in zip(names, texts, strict=True):
-        declared = re.search(r"\[([^\]]*)\]\.$", text)
+        unit_match = re.search(r"\[([^\]]*)\]\.$", text)
         assert column_unit(f"{name}/x") == (
-            declared[1].removesuffix(" at the spool") if declared else "1"
+            unit_match[1].removesuffix(" at the spool") if unit_match else "1"
         ), name
 
 

@@ -157,14 +157,14 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
 def test_a_hand_with_other_names_than_the_columns_is_refused(
     log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
-    def renamed(name: str, old: dict[str, str]) -> dict[str, str]:
+    def metadata_with_other_name(name: str, old: dict[str, str]) -> dict[str, str]:
         if name != "handctl.run":
             return old
         joints = json.loads(old["joints"])
         return old | {"joints": json.dumps([*joints[:-1], "another"])}
 
     (log_folder / "odd.mcap").write_bytes(
-        log_with_changed_metadata(GOLDEN_LOG.read_bytes(), renamed)
+        log_with_changed_metadata(GOLDEN_LOG.read_bytes(), metadata_with_other_name)
     )
     assert "names differ" in _refusal_line(capsys, *READING_COMMANDS[verb])
 

@@ -84,17 +84,17 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
 ) -> None:
     inner = tmp_path / "inner"
     inner.mkdir()
-    evil = "\x1b]0;mine\x07\x1b[2J"
+    escape_sequence = "\x1b]0;mine\x07\x1b[2J"
     more = {
-        "metadata": {"hand": evil, "note": evil},
-        "gains": {evil: evil},
-        "attachments": {f"../{evil}": b"x"},
+        "metadata": {"hand": escape_sequence, "note": escape_sequence},
+        "gains": {escape_sequence: escape_sequence},
+        "attachments": {f"../{escape_sequence}": b"x"},
     }
     run = synthetic_run.synthetic_header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic_run.SyntheticRunTicks(run, 0.5):
         writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
-    writer.finish(evil, 0)
+    writer.finish(escape_sequence, 0)
     for words in (
         ["log", "info"],
         ["log", "check"],

@@ -64,9 +64,9 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
         "rcl_interfaces/Log",
         "rcl_interfaces/ParameterEvent",
     ):
-        humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+        humble_fields = get_typestore(Stores.ROS2_HUMBLE).fielddefs
         for kind, fields in types.items():
-            assert fields == humble[kind], kind
+            assert fields == humble_fields[kind], kind
     assert schema_name(name) in types
 
 
@@ -98,9 +98,11 @@ def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
     seen = 0
     for messages in messages_by_topic(varied_log).values():
         first = messages[0]
-        for oracle in other_serialisers(first.kind, first.schema):
+        for serialiser in other_serialisers(first.kind, first.schema):
             for message in messages:
-                assert oracle.encode(oracle.decode(message.data)) == message.data, message.topic
+                assert serialiser.encode(serialiser.decode(message.data)) == message.data, (
+                    message.topic
+                )
                 seen += 1
     assert seen > 5000
 
@@ -184,9 +186,9 @@ def test_message_equals_the_reference_encoding(
 
 def test_joint_states_carry_the_telemetry_by_name(varied_log: Path) -> None:
     run, logged = varied_run.varied_header(), messages_by_topic(varied_log)["/joint_states"]
-    oracle = RosbagsSerialiser(logged[0].kind, logged[0].schema)
+    serialiser = RosbagsSerialiser(logged[0].kind, logged[0].schema)
     for (tick_in, out), message in zip(varied_run.varied_ticks(run), logged, strict=True):
-        state = oracle.decode(message.data)
+        state = serialiser.decode(message.data)
         assert state.name == list(run.joints)
         np.testing.assert_array_equal(state.position, out.telemetry.q)
         np.testing.assert_array_equal(state.velocity, out.telemetry.dq)
@@ -197,15 +199,15 @@ def test_joint_states_carry_the_telemetry_by_name(varied_log: Path) -> None:
 def test_frames_of_all_buses_stay_in_order(varied_log: Path) -> None:
     topics = messages_by_topic(varied_log)
     for topic, choose in (("rx", lambda i, o: i.frames), ("tx", lambda i, o: o.frames)):
-        for suffix, long in (("", False), ("_fd", True)):
+        for suffix, is_fd in (("", False), ("_fd", True)):
             messages = topics[f"/can/{topic}{suffix}"]
-            oracle = RosbagsSerialiser(messages[0].kind, messages[0].schema)
-            ours = [oracle.decode(message.data) for message in messages]
+            serialiser = RosbagsSerialiser(messages[0].kind, messages[0].schema)
+            ours = [serialiser.decode(message.data) for message in messages]
             sent = [
                 frame
                 for tick in varied_run.varied_ticks(varied_run.varied_header())
                 for frame in choose(*tick)
-                if bool(frame.flags & 4) == long
+                if bool(frame.flags & 4) == is_fd
             ]
             assert len(sent) == len(ours) > 50
             for frame, message in zip(sent, ours, strict=True):
@@ -215,9 +217,9 @@ def test_frames_of_all_buses_stay_in_order(varied_log: Path) -> None:
                 assert (
                     message.header.frame_id == (*varied_run.BUS_NAMES, "unknown")[min(frame.bus, 2)]
                 )
-                length = message.len if long else message.dlc
+                length = message.len if is_fd else message.dlc
                 assert bytes(message.data[:length]) == frame.data
-                assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
+                assert is_fd or message.is_rtr == bool(frame.can_id >> 30 & 1)
 
 
 def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(
@@ -231,13 +233,13 @@ def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(
         if not frame.flags
     ]
     assert [message.publish_time for message in topics["/can/rx"]] == times
-    oracle = RosbagsSerialiser(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
+    serialiser = RosbagsSerialiser(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
     starts = {
         tick_in.k: tick_in.t_ns + tick_in.late_ns
         for tick_in, _ in varied_run.varied_ticks(varied_run.varied_header())
     }
     for message in topics["/can/tx"]:
-        stamp = oracle.decode(message.data).header.stamp
+        stamp = serialiser.decode(message.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == starts[message.sequence] == message.publish_time
 
 

@@ -53,16 +53,18 @@ def test_ticks_come_back_exactly(varied_log: Path) -> None:
         assert one == expected
 
 
-@pytest.mark.parametrize("cached", [True, False])
+@pytest.mark.parametrize("uses_cache", [True, False])
 def test_every_field_comes_back_bit_for_bit(
-    varied_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch
+    varied_log: Path, uses_cache: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not cached:
+    if not uses_cache:
         monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", 0)
-    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
+    recorded_telemetry = [
+        out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())
+    ]
     with RunLog(varied_log) as log:
         for name in TELEMETRY_FIELDS:
-            expected = np.array([getattr(telemetry, name) for telemetry in recorded])
+            expected = np.array([getattr(telemetry, name) for telemetry in recorded_telemetry])
             assert log.field(name).tobytes() == expected.tobytes(), name
             assert log.field(name).shape == (len(log), len(log.names(name)))
 
@@ -76,7 +78,9 @@ def test_a_log_without_the_latest_fields_is_read(
 
     All values of a missing field are NaN.
     """
-    recorded = [out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())]
+    recorded_telemetry = [
+        out.telemetry for _, out in varied_run.varied_ticks(varied_run.varied_header())
+    ]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
     for module in ("tick_batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
@@ -85,7 +89,7 @@ def test_a_log_without_the_latest_fields_is_read(
         assert log.fields == TELEMETRY_FIELDS
         assert np.isnan(log.field("coming")).all()
         assert log.field("coming").shape == (len(log), len(log.header.joints))
-        expected = np.array([telemetry.q_sigma for telemetry in recorded])
+        expected = np.array([telemetry.q_sigma for telemetry in recorded_telemetry])
         assert log.field("q_sigma").tobytes() == expected.tobytes()
 
 

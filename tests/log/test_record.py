@@ -145,7 +145,7 @@ def test_ticks_decoded_together_are_those_decoded_one_by_one(
 @settings(deadline=None)
 @given(TICK_IN_STRATEGY, TICK_OUT_STRATEGY)
 def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
-    as_records = (
+    tick_records = (
         tick_in._replace(frames=frames_as_records(tick_in.frames)),
         out._replace(frames=frames_as_records(out.frames)),
     )
@@ -154,7 +154,7 @@ def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
     assert pack_tick_record(
-        as_records[0], as_records[1]._replace(telemetry=packed)
+        tick_records[0], tick_records[1]._replace(telemetry=packed)
     ) == pack_tick_record(tick_in, out)
 
 
@@ -197,8 +197,8 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
         return
     message[data.draw(st.integers(0, len(message) - 1))] ^= data.draw(st.integers(1, 255))
     with contextlib.suppress(ValueError):
-        once = unpack_tick(bytes(message))
-        assert unpack_ticks([bytes(message)]) == [once]
+        unpacked_tick = unpack_tick(bytes(message))
+        assert unpack_ticks([bytes(message)]) == [unpacked_tick]
 
 
 def test_a_record_contains_its_length() -> None:

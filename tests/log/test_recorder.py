@@ -68,9 +68,9 @@ def _make_records(record_count: int) -> list[bytes]:
     ]
 
 
-def _wait_until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
+def _wait_until(is_condition_met: Callable[[], bool], timeout_s: float = 10.0) -> bool:
     end = time.monotonic() + timeout_s
-    while not (done := condition()) and time.monotonic() < end:
+    while not (done := is_condition_met()) and time.monotonic() < end:
         time.sleep(0.01)
     return done
 
@@ -155,11 +155,11 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
                 assert len(list(log.ticks())) == len(log) == len(log.field("tension"))
 
 
-@pytest.mark.parametrize("kill", range(RECORDER_KILLS))
+@pytest.mark.parametrize("kill_number", range(RECORDER_KILLS))
 def test_a_killed_recorder_loses_a_quarter_of_a_second(
-    start_recorder: Callable[..., Recorder], tmp_path: Path, kill: int
+    start_recorder: Callable[..., Recorder], tmp_path: Path, kill_number: int
 ) -> None:
-    number = random.Random(kill).randrange(300, 900)
+    number = random.Random(kill_number).randrange(300, 900)
     recorder, records = start_recorder(), _make_records(number)
     started = time.monotonic()
     for k, record in enumerate(records):
@@ -322,7 +322,7 @@ A file of this size can contain only a part of the run.
 """
 
 
-def _readable_prefix(path: Path, log_size: int) -> None:
+def _check_readable_prefix(path: Path, log_size: int) -> None:
     with RunLog(path) as log:
         assert 0 < len(log) < log_size
         assert log.k.tolist() == list(range(len(log)))
@@ -349,18 +349,18 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
     assert (tmp_path / "run.mcap").stat().st_size <= LIMIT_BYTES
     assert [one.where for one in events].count("disk_full") == 1
-    _readable_prefix(tmp_path / "run.mcap", len(records))
+    _check_readable_prefix(tmp_path / "run.mcap", len(records))
 
 
 @pytest.fixture
-def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+def two_megabyte_disk(tmp_path: Path) -> Iterator[Path]:
     """Mount a disk of two megabytes, and return its folder."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(
+    mount_process = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True
     )
-    if mounted.returncode:
+    if mount_process.returncode:
         pytest.skip("cannot mount a tmpfs here")
     yield disk
     subprocess.run(["umount", "--lazy", str(disk)], check=True)
@@ -368,7 +368,7 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("floor_bytes", [1, 700_000])
 def test_a_full_disk_leaves_a_whole_file(
-    tiny_disk: Path, start_recorder: Callable[..., Recorder], floor_bytes: int
+    two_megabyte_disk: Path, start_recorder: Callable[..., Recorder], floor_bytes: int
 ) -> None:
     recorder, records = (
         start_recorder("disk/run.mcap", floor_bytes=floor_bytes),
@@ -379,11 +379,11 @@ def test_a_full_disk_leaves_a_whole_file(
         time.sleep(0.0005)
     assert _wait_until(lambda: any(event.where == "disk_full" for event in recorder.take_events()))
     recorder.close("finished")
-    _readable_prefix(tiny_disk / "run.mcap", len(records))
-    with RunLog(tiny_disk / "run.mcap") as log:
+    _check_readable_prefix(two_megabyte_disk / "run.mcap", len(records))
+    with RunLog(two_megabyte_disk / "run.mcap") as log:
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
-    assert [one.name for one in tiny_disk.iterdir()] == ["run.mcap"]
+    assert [one.name for one in two_megabyte_disk.iterdir()] == ["run.mcap"]
 
 
 def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:
@@ -402,10 +402,10 @@ def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> No
         assert (len(log), log.warning, log.end["reason"]) == (100, "", "finished")
 
 
-def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
+def test_a_full_disk_has_reserved_space_for_the_end(two_megabyte_disk: Path) -> None:
     events: list[tuple[str, int]] = []
     writer = LogWriter(
-        tiny_disk / "run.mcap",
+        two_megabyte_disk / "run.mcap",
         synthetic_run.synthetic_header(),
         lambda *what: events.append(what),
         700_000,
@@ -413,36 +413,36 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     for record in _make_records(200):
         writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
-    with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+    with (two_megabyte_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
             other.write(bytes(4096))
     writer.sync()
     writer.finish("finished", 0)
     assert [what for what, _ in events] == ["disk_full"]
-    with RunLog(tiny_disk / "run.mcap") as log:
+    with RunLog(two_megabyte_disk / "run.mcap") as log:
         assert (len(log), log.warning, log.end["reason"]) == (200, "", "disk full")
 
 
-def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
-    syncer = DiskSyncer()
+def test_the_syncing_process_does_not_hold_the_reserved_space(two_megabyte_disk: Path) -> None:
+    disk_syncer = DiskSyncer()
     writer = LogWriter(
-        tiny_disk / "run.mcap",
+        two_megabyte_disk / "run.mcap",
         synthetic_run.synthetic_header(),
         lambda *what: None,
         1,
-        to_disk=syncer,
+        to_disk=disk_syncer,
     )
     for record in _make_records(100):
         writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
-    with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+    with (two_megabyte_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
             other.write(bytes(4096))
     writer._reserved.release()
-    assert _wait_until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
+    assert _wait_until(lambda: shutil.disk_usage(two_megabyte_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)
-    os.close(syncer._request_pipe)  # without this pipe, the process of the syncer ends
+    os.close(disk_syncer._request_pipe)  # without this pipe, the process of the syncer ends
 
 
 def test_recording_a_tick_is_fast(start_recorder: Callable[..., Recorder]) -> None:

@@ -95,17 +95,17 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
     assert len(scan.chunks) == 8
     with RunLog(smallest_log) as log:
         tension, k = log.field("tension"), log.k
-    cuts: Iterable[int] = range(8, len(raw) + 1)
+    cut_positions: Iterable[int] = range(8, len(raw) + 1)
     if not every:
         borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
-        cuts = (
+        cut_positions = (
             np.random.default_rng(0).choice(
                 len(raw) - 8, SAMPLE_COUNT - len(borders), replace=False
             )
             + 8
         )
-        cuts = sorted({*cuts.tolist(), *borders})
-    for cut in cuts:
+        cut_positions = sorted({*cut_positions.tolist(), *borders})
+    for cut in cut_positions:
         complete = sum(chunk.end <= cut for chunk in scan.chunks)
         recovery, out = _recover_bytes(raw[:cut], tmp_path)
         if not complete:
@@ -128,11 +128,11 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     recovery, out = _recover_bytes(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.lost_ranges[-1][1] == scan.chunks[6].end + 5
-    recovered = read_messages(out)
-    assert len(recovered) == recovery.messages
-    last = max(one.log_time for one in recovered if one.topic == "/tick")
+    recovered_messages = read_messages(out)
+    assert len(recovered_messages) == recovery.messages
+    last = max(one.log_time for one in recovered_messages if one.topic == "/tick")
     whole = [one for one in read_messages(small_log) if one.log_time <= last]
-    assert sorted(recovered) == sorted(whole)
+    assert sorted(recovered_messages) == sorted(whole)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert "without an end mark" in log.end["recovered"]
         assert log.header == old.header
@@ -182,9 +182,9 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
     assert recovery.chunks == len(scan.chunks) - (what == "chunk's header")
     start, end = recovery.lost_ranges[0]
     assert start < at < end
-    recovered = _scan_log(out)
-    assert not recovered.problem
-    assert scan.attachments.keys() - recovered.attachments.keys() == (
+    recovered_messages = _scan_log(out)
+    assert not recovered_messages.problem
+    assert scan.attachments.keys() - recovered_messages.attachments.keys() == (
         {"hand.urdf"} if what == "attachment" else set()
     )
 
@@ -199,11 +199,11 @@ def test_a_damaged_summary_loses_no_message(small_log: Path, tmp_path: Path) -> 
 
 
 def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) -> None:
-    precious = tmp_path / "precious.mcap"
-    precious.write_text("precious")
+    existing_file = tmp_path / "precious.mcap"
+    existing_file.write_text("precious")
     with pytest.raises(ConfigError, match="is there already"):
-        recover_log(small_log, precious)
-    assert precious.read_text() == "precious"
+        recover_log(small_log, existing_file)
+    assert existing_file.read_text() == "precious"
 
 
 def test_another_file_is_an_error(tmp_path: Path) -> None:

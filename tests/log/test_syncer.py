@@ -16,23 +16,23 @@ from handctl.log.write.disk_syncer import DiskSyncer
 def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
     before = set(psutil.Process().children())
     descriptor = os.open(tmp_path / "x", os.O_WRONLY | os.O_CREAT)
-    syncer = DiskSyncer()
+    disk_syncer = DiskSyncer()
     for _ in range(100):
-        syncer(descriptor)
+        disk_syncer(descriptor)
     (child,) = set(psutil.Process().children()) - before
     assert descriptor in {one.fd for one in child.open_files()}
     assert not {0, 1, 2} & {one.fd for one in child.open_files()}
-    os.close(syncer._request_pipe)
+    os.close(disk_syncer._request_pipe)
     assert child.wait(10.0) is not None or not child.is_running()
     os.close(descriptor)
 
 
 def test_an_error_comes_with_a_later_call() -> None:
     reading, writing = os.pipe()
-    syncer = DiskSyncer()
-    syncer(writing)
-    assert select.select([syncer._error_pipe], [], [], 10.0)[0]
+    disk_syncer = DiskSyncer()
+    disk_syncer(writing)
+    assert select.select([disk_syncer._error_pipe], [], [], 10.0)[0]
     with pytest.raises(OSError, match="Invalid argument"):
-        syncer(writing)
+        disk_syncer(writing)
     os.close(reading)
     os.close(writing)

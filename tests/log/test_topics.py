@@ -69,14 +69,14 @@ def test_rosbags_reads_every_message(run_log: Path) -> None:
             reader.deserialize(raw, connection.msgtype)
             topics[connection.topic] += 1
         assert sum(topics.values()) == reader.message_count
-        durable = {
+        latched_topics = {
             one.topic
             for one in reader.connections
             if one.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
         }
-    assert durable == {"/robot_description", "/tf_static", "/controller/names"}
-    every_tick = [topic for topic, number in topics.items() if number == 1000]
-    assert len(every_tick) == 17
+    assert latched_topics == {"/robot_description", "/tf_static", "/controller/names"}
+    topics_of_every_tick = [topic for topic, number in topics.items() if number == 1000]
+    assert len(topics_of_every_tick) == 17
     assert topics["/tf"] == 100
     assert topics["/actuator/index_motor/temperature"] == 10
 
@@ -153,14 +153,14 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
     run, offset = varied_run.varied_header(), 1_700_000_000_123_456_789
     bodies = _tick_bodies(run)
     plain = read_messages(_write_log(tmp_path / "a", run, bodies))
-    shifted = read_messages(
+    shifted_log = read_messages(
         _write_log(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
     )
-    assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted]
-    states = [one for one in shifted if one.topic == "/joint_states"]
-    oracle = RosbagsSerialiser(states[0].kind, states[0].schema)
+    assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted_log]
+    states = [one for one in shifted_log if one.topic == "/joint_states"]
+    serialiser = RosbagsSerialiser(states[0].kind, states[0].schema)
     for one in states:
-        stamp = oracle.decode(one.data).header.stamp
+        stamp = serialiser.decode(one.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == one.log_time
 
 
@@ -177,12 +177,12 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
         )
     )
     tf, fixed = topics["/tf"], topics["/tf_static"][0]
-    oracle = RosbagsSerialiser(fixed.kind, fixed.schema)
-    tips = oracle.decode(fixed.data).transforms
+    serialiser = RosbagsSerialiser(fixed.kind, fixed.schema)
+    tips = serialiser.decode(fixed.data).transforms
     assert len(tf) == 50
     for (_, out), message in zip(ticks, tf, strict=True):
         pose = {"palm": (np.zeros(3), Rotation.identity())}
-        for one in oracle.decode(message.data).transforms + tips:
+        for one in serialiser.decode(message.data).transforms + tips:
             move, turn = one.transform.translation, one.transform.rotation
             origin, frame = pose[one.header.frame_id]
             turned = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
@@ -257,8 +257,8 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         )
     )
     targets = topics["/stream/target"]
-    oracle = RosbagsSerialiser(targets[0].kind, targets[0].schema)
-    first, other, last = (oracle.decode(one.data) for one in targets)
+    serialiser = RosbagsSerialiser(targets[0].kind, targets[0].schema)
+    first, other, last = (serialiser.decode(one.data) for one in targets)
     assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
     assert first.age == pytest.approx(0.003)
     np.testing.assert_array_equal(first.value, [1.5, math.nan])
@@ -267,19 +267,19 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     )
     assert (last.number, last.name) == (2**63 - 1, [])
     lines = [RosbagsSerialiser(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
-    asked_lines = [line.msg for line in lines if line.name == "handctl.request"]
-    assert asked_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
-    assert not any("target" in line for line in asked_lines)
+    request_lines = [line.msg for line in lines if line.name == "handctl.request"]
+    assert request_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
+    assert not any("target" in line for line in request_lines)
 
 
 def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
     run = varied_run.varied_header()
     ticks = list(varied_run.varied_ticks(run))
     topics = messages_by_topic(_write_log(tmp_path / "a", run, _tick_bodies(run)))["/cycle"]
-    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
+    serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     last = None
     for (tick_in, out), message in zip(ticks, topics, strict=True):
-        one, start = oracle.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
+        one, start = serialiser.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
         assert one.missed == (tick_in.k - last[0] - 1 if last else 0)
         assert one.late == tick_in.late_ns * 1e-9
         assert (one.mode, one.action) == (out.mode, out.action)
@@ -298,8 +298,10 @@ def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
 
 def test_the_wrench_points_against_closing(run_log: Path) -> None:
     topics = messages_by_topic(run_log)["/fingertip/index/wrench"]
-    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
-    forces = np.array([[(w := oracle.decode(one.data).wrench.force).x, w.y, w.z] for one in topics])
+    serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
+    forces = np.array(
+        [[(w := serialiser.decode(one.data).wrench.force).x, w.y, w.z] for one in topics]
+    )
     assert forces[:, 1].min() < -0.5
     assert (forces[:, 1] <= 0).all()
     assert not forces[:, [0, 2]].any()
@@ -316,5 +318,5 @@ def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -
     ]
     log = _write_log(tmp_path / "a", run, bodies, event_texts=("misshapen",))
     topics = messages_by_topic(log)["/tendon_states"]
-    oracle = RosbagsSerialiser(topics[0].kind, topics[0].schema)
-    assert all(np.isnan(oracle.decode(one.data).effort).all() for one in topics)
+    serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
+    assert all(np.isnan(serialiser.decode(one.data).effort).all() for one in topics)

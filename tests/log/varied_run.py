@@ -54,13 +54,13 @@ def _random_frames(
             (tick_index + n) % 5
         ]
         can_id = (0x12345678 if flag & EXTENDED_FLAG else 0x123 + n) | flag
-        long = (tick_index + n) % 4 == 0
+        is_fd_frame = (tick_index + n) % 4 == 0
         data = (
             random_source.bytes((12, 64, 3, 8)[n % 4])
-            if long
+            if is_fd_frame
             else random_source.bytes((tick_index + n) % 9)
         )
-        flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0
+        flags = FDF | (BRS, ESI, 0)[n % 3] if is_fd_frame else 0
         frames.append(Frame(can_id, data, flags, (0, 1, 1, 0, 9)[n % 5], t_ns and t_ns - 1000 * n))
     return tuple(frames)
 

@@ -14,7 +14,7 @@ EQUATION_TERMS = [
     term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.correct
     for term in equations.TORQUE_TERMS_1
 ]
-PRESENT_TORQUE = dynamics._rigid_body_torque
+HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 
 
 def torque_of_eq10(digit, gravity, q, dq, ddq):
@@ -23,7 +23,7 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     The torque of the first joint follows from Eq. 10 for T_1. The torques of the other joints come
     from the dynamic model of handctl.
     """
-    _, tau2, tau3 = (*PRESENT_TORQUE(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
+    _, tau2, tau3 = (*HANDCTL_TORQUE_FUNCTION(digit, gravity, q, dq, ddq), 0.0, 0.0)[:3]
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}
     for i in range(3):
@@ -41,8 +41,8 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     angle = states["th1"]
     weight = gx * sin(angle) - gy * cos(angle)
     moving = sum(term.evaluate(states) for term in EQUATION_TERMS[:-1])
-    still = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
-    first = moving + still + tau2 - r2 * ddq[1] + r1 * ddq[0]
+    term_at_rest = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
+    first = moving + term_at_rest + tau2 - r2 * ddq[1] + r1 * ddq[0]
     return (float(first), tau2, tau3)[: digit.joint_count]
 
 

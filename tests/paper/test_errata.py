@@ -33,17 +33,17 @@ def symbolic_expression(formula_text: str) -> sp.Expr:
 def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
     """Return the kinetic energy of each link and the potential energy, derived from the positions of the links."""
     i, m, length, d = (PARAMETER_SYMBOLS[k : k + 3] for k in (0, 3, 6, 9))
-    kinetic, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
+    kinetic_energies, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
     for k, angle in enumerate(ANGLE_FUNCTIONS):
         cx, cy = x + d[k] * sp.cos(angle), y + d[k] * sp.sin(angle)
         speed = sp.diff(cx, TIME_SYMBOL) ** 2 + sp.diff(cy, TIME_SYMBOL) ** 2
-        kinetic.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2)
+        kinetic_energies.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME_SYMBOL) ** 2 / 2)
         potential += m[k] * PARAMETER_SYMBOLS[-1] * cy
         x, y = x + length[k] * sp.cos(angle), y + length[k] * sp.sin(angle)
-    return kinetic, potential
+    return kinetic_energies, potential
 
 
-def in_symbols(expression: sp.Expr) -> sp.Expr:
+def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
     """Return an expression in which the names in the formulas replace functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
@@ -60,21 +60,29 @@ def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
 
 
 def test_corrected_energies_are_those_of_three_links() -> None:
-    kinetic, potential = derived_energies()
+    kinetic_energies, potential = derived_energies()
     printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
-    for mine, derived in zip(printed, kinetic, strict=True):
-        assert sp.simplify(total_of_terms(mine) - in_symbols(derived)) == 0
-    assert sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
+    for handctl_torques, derived in zip(printed, kinetic_energies, strict=True):
+        assert sp.simplify(total_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
+    assert (
+        sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential))
+        == 0
+    )
 
 
 @pytest.mark.parametrize("link_index", [0, 1, 2])
 def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
-    kinetic, potential = derived_energies()
-    lagrangian, angle = sum(kinetic) - potential, ANGLE_FUNCTIONS[link_index]
+    kinetic_energies, potential = derived_energies()
+    lagrangian, angle = sum(kinetic_energies) - potential, ANGLE_FUNCTIONS[link_index]
     torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME_SYMBOL)), TIME_SYMBOL) - sp.diff(
         lagrangian, angle
     )
-    assert sp.simplify(total_of_terms(equations.TORQUE_TERMS[link_index]) - in_symbols(torque)) == 0
+    assert (
+        sp.simplify(
+            total_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
+        )
+        == 0
+    )
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
@@ -102,13 +110,15 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
                 f"dth{k + 1}": rate[k],
                 f"ddth{k + 1}": acceleration[k],
             }
-        mine = [
+        handctl_torques = [
             sum(term.correct.evaluate(states) for term in terms)
             for terms in equations.TORQUE_TERMS[:2]
         ]
         q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
         tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
-        assert np.allclose([mine[0] + mine[1], mine[1]], tau, rtol=1e-9)
+        assert np.allclose(
+            [handctl_torques[0] + handctl_torques[1], handctl_torques[1]], tau, rtol=1e-9
+        )
 
 
 @pytest.mark.parametrize("errata_item", lagrange.term_items(), ids=lambda item: item.id)
@@ -143,8 +153,8 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
 
     right, printed = matrix("right"), matrix("readings")
     assert (right - right.T).applyfunc(sp.simplify) == sp.zeros(3, 3)
-    unlike = (printed - printed.T).applyfunc(sp.simplify)
-    assert all(unlike[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))
+    asymmetry = (printed - printed.T).applyfunc(sp.simplify)
+    assert all(asymmetry[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))
 
 
 EXPECTED_ERRATA = {

@@ -35,15 +35,18 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
 
 def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
     measured = json.loads(json.dumps(experiments.run_job({"do": "pull"}, tmp_path)))
-    bent, straight = force_displacement.curves_of_tendons(measured)
-    for found in (bent, straight):
+    bent_finger_curve, straight_finger_curve = force_displacement.curves_of_tendons(measured)
+    for found in (bent_finger_curve, straight_finger_curve):
         assert found.stiffness == pytest.approx(1e5, rel=0.01)
         assert found.force.max() > 240.0
         assert found.force.min() < 30.0
-    assert bent.knee == pytest.approx(200.0, abs=5.0)
-    assert straight.knee is None
-    end = bent.force > 235.0
-    assert np.median(bent.force[end] / bent.displacement[end]) < 0.95e-3 * bent.stiffness
+    assert bent_finger_curve.knee == pytest.approx(200.0, abs=5.0)
+    assert straight_finger_curve.knee is None
+    end = bent_finger_curve.force > 235.0
+    assert (
+        np.median(bent_finger_curve.force[end] / bent_finger_curve.displacement[end])
+        < 0.95e-3 * bent_finger_curve.stiffness
+    )
 
 
 def falling_object_truth(fall_speed: float, fall_start_s: float) -> TruthRecord:
@@ -92,12 +95,12 @@ def test_workers_do_not_outlive_their_owner() -> None:
     listed = subprocess.run(
         ["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True
     ).stdout
-    mine = [
+    own_workers = [
         line
         for line in listed.splitlines()
         if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
     ]
-    assert not mine
+    assert not own_workers
 
 
 @pytest.mark.nightly
@@ -105,15 +108,15 @@ def test_workers_do_not_outlive_their_owner() -> None:
 def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     report, figures = tmp_path / "out.html", tmp_path / "figures"
     words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
-    begun = time.monotonic()
+    start_s = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", RUN_HANDCTL, *words],
+        [sys.executable, "-c", HANDCTL_CODE, *words],
         capture_output=True,
         text=True,
         cwd=REPOSITORY_ROOT,
         check=True,
     )
-    assert time.monotonic() - begun < 180.0
+    assert time.monotonic() - start_s < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
     kept = {
         item.id: item.computed
@@ -136,4 +139,4 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     assert not math.isnan(sum(item["computed"] for item in payloads))
 
 
-RUN_HANDCTL = "import sys; from handctl.cli.main import main; sys.exit(main(sys.argv[1:]))"
+HANDCTL_CODE = "import sys; from handctl.cli.main import main; sys.exit(main(sys.argv[1:]))"

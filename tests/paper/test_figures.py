@@ -27,10 +27,10 @@ def test_pictures_have_content_and_full_resolution(figures_folder: Path, figure_
     height, width, _ = picture.shape
     assert width > 1100
     assert height > 500
-    inked = (picture < 0.9).any(axis=2)
-    assert 0.01 < inked.mean() < 0.6
-    assert inked[:, : width // 2].mean() > 0.005
-    assert inked[:, width // 2 :].mean() > 0.005
+    is_drawn = (picture < 0.9).any(axis=2)
+    assert 0.01 < is_drawn.mean() < 0.6
+    assert is_drawn[:, : width // 2].mean() > 0.005
+    assert is_drawn[:, width // 2 :].mean() > 0.005
     assert len(np.unique((picture * 15).astype(int).reshape(-1, 3), axis=0)) > 30, (
         "the picture has more than 30 colours"
     )

@@ -101,8 +101,10 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
         assert isinstance(item["computed"], int | float | str | None)
         assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
         assert all(isinstance(part, str) for part in item["evidence"])
-    without_experiments = set(ErrataVerdict) - {ErrataVerdict.BOUND}
-    assert {item["verdict"] for item in items} == {verdict.value for verdict in without_experiments}
+    verdicts_without_experiments = set(ErrataVerdict) - {ErrataVerdict.BOUND}
+    assert {item["verdict"] for item in items} == {
+        verdict.value for verdict in verdicts_without_experiments
+    }
     wire = next(item for item in items if item["id"] == "sec5.wire")
     assert wire["computed"] == 0.8585678096656324
 

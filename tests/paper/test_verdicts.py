@@ -117,7 +117,7 @@ def test_verdict_of_readings_and_contradictions() -> None:
 
 
 @pytest.mark.parametrize(
-    ("reached_value", "verdict"),
+    ("measured_value", "verdict"),
     [
         (0.915, ErrataVerdict.EQUAL),
         (0.9152, ErrataVerdict.ROUNDED),
@@ -125,8 +125,8 @@ def test_verdict_of_readings_and_contradictions() -> None:
         (0.8, ErrataVerdict.WRONG),
     ],
 )
-def test_a_claim_that_is_exceeded_is_a_bound(reached_value: float, verdict: ErrataVerdict) -> None:
-    assert verdict_of_lower_bound("0.915", reached_value) == verdict
+def test_a_claim_that_is_exceeded_is_a_bound(measured_value: float, verdict: ErrataVerdict) -> None:
+    assert verdict_of_lower_bound("0.915", measured_value) == verdict
 
 
 def test_printed_number_stands_for_an_interval() -> None:

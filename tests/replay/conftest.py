@@ -26,8 +26,13 @@ def recorded_grasp_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     io_events = {300: (IoEvent("enobufs", "main", 2),)}
     requests = {250: ('{"do": "arm"}', "no request"), 450: ('{"do": "stop"}',)}
     log = folder / "fresh.mcap"
-    task, spoil = short_runs.short_task(folder), short_runs.peer_with_silent_index
+    task, wrap_simulator_function = short_runs.short_task(folder), short_runs.peer_with_silent_index
     short_runs.record_lockstep_run(
-        log, task, rate_hz=200.0, wrap_simulator=spoil, io_events=io_events, requests=requests
+        log,
+        task,
+        rate_hz=200.0,
+        wrap_simulator=wrap_simulator_function,
+        io_events=io_events,
+        requests=requests,
     )
     return log

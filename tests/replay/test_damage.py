@@ -54,9 +54,11 @@ def _change_message(
                 i for i, sequence in enumerate(one.sequence().tolist()) if sequence == tick_index
             ]
             if hit:
-                bent = bytearray(content)
-                bent[one.start + hit[0] * one.records.shape[1] + 31 + byte_offset] ^= 0x10
-                _put_chunk(log_path, scan, chunk, bytes(bent), with_fitting_checksum)
+                changed_content = bytearray(content)
+                changed_content[one.start + hit[0] * one.records.shape[1] + 31 + byte_offset] ^= (
+                    0x10
+                )
+                _put_chunk(log_path, scan, chunk, bytes(changed_content), with_fitting_checksum)
                 return
     raise AssertionError("no such message")
 

@@ -70,9 +70,9 @@ def test_golden_logs_pass_the_check(golden_folder: Path, log_name: str) -> None:
 
 def test_a_wrong_clock_and_a_gap_are_reported(golden_folder: Path) -> None:
     with RunLog(golden_folder / "jamia-grasp.mcap") as log:
-        bent = log.t_ns.copy()
-        bent[10] += 1
-        with patch.object(RunLog, "t_ns", PropertyMock(return_value=bent)):
+        changed_times = log.t_ns.copy()
+        changed_times[10] += 1
+        with patch.object(RunLog, "t_ns", PropertyMock(return_value=changed_times)):
             assert check_log(log) == ["the time of tick 10 is not its number times the period"]
         jump = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
         with patch.object(RunLog, "k", PropertyMock(return_value=jump)):
@@ -104,9 +104,9 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     Some time shift always fits this noise best, but it is no delay.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
-    wave = np.sin(np.linspace(0.0, 9.0, 420))
-    before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
-    after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * wave[10:-10] + noise[1]])
+    sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
+    before = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
+    after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * sine_signal[10:-10] + noise[1]])
     compared = compare_signals(
         ("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01
     )
@@ -122,10 +122,10 @@ def test_unknown_differences_are_not_printed() -> None:
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
-    with_it = ahead | {"delay_s": -1e-6}
+    known_difference = ahead | {"delay_s": -1e-6}
     compared = {
         "joint_deg": {"j1": unknown, "j2": ahead},
-        "tendon_N": {"slack": unknown, "rope": with_it},
+        "tendon_N": {"slack": unknown, "rope": known_difference},
     }
     assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",

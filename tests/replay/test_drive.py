@@ -79,22 +79,24 @@ def test_a_replay_moves_slowly_to_the_first_pose(replayed_logs: Path) -> None:
 
 def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden_folder: Path) -> None:
     with RunLog(golden_folder / "jamia-grasp.mcap") as log:
-        played = recorded_targets(log, log.header.period_ns * 1e-9)
+        recorded_goals = recorded_targets(log, log.header.period_ns * 1e-9)
         start, end = active_interval(log)
         inside = (log.times >= start) & (log.times <= end)
-        np.testing.assert_allclose(played.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
         np.testing.assert_allclose(
-            played.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9
+            recorded_goals.q, log.field("q_goal")[inside], rtol=0, atol=1e-12
         )
-    assert np.isnan(played.q).any()
-    assert not np.isnan(played.tension).any()
-    assert (np.isnan(played.q) == np.isnan(played.ddq)).all()
-    reread = RecordedGoals.from_text(played.to_text(), 11, 4)
+        np.testing.assert_allclose(
+            recorded_goals.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9
+        )
+    assert np.isnan(recorded_goals.q).any()
+    assert not np.isnan(recorded_goals.tension).any()
+    assert (np.isnan(recorded_goals.q) == np.isnan(recorded_goals.ddq)).all()
+    goals_from_text = RecordedGoals.from_text(recorded_goals.to_text(), 11, 4)
     assert all(
         one.tobytes() == two.tobytes()
         for one, two in zip(
-            (played.q, played.ddq, played.tension),
-            (reread.q, reread.ddq, reread.tension),
+            (recorded_goals.q, recorded_goals.ddq, recorded_goals.tension),
+            (goals_from_text.q, goals_from_text.ddq, goals_from_text.tension),
             strict=True,
         )
     )
@@ -121,7 +123,9 @@ def test_a_delay_is_measured(delay_ticks: int, rate_hz: float) -> None:
 
 
 def test_a_constant_signal_has_no_delay() -> None:
-    still = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
-    row = compare_signals(("a",), still[:, None], still[:, None] + 2.0, 0.005)["a"]
+    constant_signal = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
+    row = compare_signals(("a",), constant_signal[:, None], constant_signal[:, None] + 2.0, 0.005)[
+        "a"
+    ]
     assert (row["rms"], row["peak"]) == pytest.approx((2.0, 2.0))
     assert np.isnan(row["delay_s"])

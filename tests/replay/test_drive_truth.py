@@ -38,7 +38,7 @@ class RunAndRepeat:
     def repeat(self) -> Path:
         return self.folder / f"again-{self.raw}.mcap"
 
-    def truths(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times since the start of the interval [s], and true values of both runs (times, names)."""
         with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
             recorded_start, end = active_interval(before)
@@ -66,7 +66,7 @@ class RunAndRepeat:
 
     def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
         """Return, for both runs, the means of the named columns (names,) while the grasp is at rest."""
-        times, before, after = self.truths(*truth_columns)
+        times, before, after = self.true_values(*truth_columns)
         start, end = self.at_rest()
         inside = (times >= start) & (times <= end)
         return before[inside].mean(axis=0), after[inside].mean(axis=0)
@@ -115,14 +115,14 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
         if run_and_repeat.raw
         else {"joint_deg": 3.0, "tendon_N": 13.0}
     )
-    usual_rms = (
+    max_rms_by_signal = (
         {"joint_deg": 3.0, "tendon_N": 2.2}
         if run_and_repeat.raw
         else {"joint_deg": 1.5, "tendon_N": 2.2}
     )
     for signal in worst:
         assert max(row["peak"] for row in compared[signal].values()) < worst[signal]
-        assert max(row["rms"] for row in compared[signal].values()) < usual_rms[signal]
+        assert max(row["rms"] for row in compared[signal].values()) < max_rms_by_signal[signal]
 
 
 @pytest.mark.parametrize("digit", DIGIT_NAMES)
@@ -133,7 +133,7 @@ def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit:
     of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
-    _, before, after = run_and_repeat.truths(*joints)
+    _, before, after = run_and_repeat.true_values(*joints)
     apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
     assert apart.max() < (6.0 if run_and_repeat.raw else 1.0)
     assert apart.mean() < (1.5 if run_and_repeat.raw else 0.3)

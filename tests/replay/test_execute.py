@@ -39,7 +39,7 @@ from handctl.replay.tick_difference import (
     distance_in_ulps,
 )
 
-GOLDEN_NAMES = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
+GOLDEN_LOG_NAMES = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
 
 def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
@@ -66,7 +66,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
     assert result.times_real_time > 0
 
 
-@pytest.mark.parametrize("log_name", GOLDEN_NAMES)
+@pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)
 def test_golden_logs_decide_the_same_within_1e_9(golden_folder: Path, log_name: str) -> None:
     """The golden logs were recorded on another machine, whose processor may round the last bits differently."""
     with RunLog(golden_folder / f"{log_name}.mcap") as log:
@@ -86,9 +86,9 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(
     """
     with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)
-        one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
+        changed_gain = math.nextafter(gains.tension.integral_per_s, math.inf)
         other = gains.model_copy(
-            update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})}
+            update={"tension": gains.tension.model_copy(update={"integral_per_s": changed_gain})}
         )
         result = execute_log(log, other)
         starts = {change.name: change.k for change in log.phases}
@@ -105,17 +105,17 @@ def test_a_changed_byte_of_the_log_is_named(recorded_grasp_log: Path) -> None:
         _, out = controller.tick(controller.initial_state(), logged.tick_in)
         assert are_outputs_equal(logged, numbers, out)
         assert list(differing_fields(columns, logged, numbers, out)) == []
-        bent = np.frombuffer(numbers, "<f8").copy()
+        changed_numbers = np.frombuffer(numbers, "<f8").copy()
         place = columns.field_names.index("tension")
-        bent[place] = np.nextafter(bent[place], np.inf)
-        (one,) = differing_fields(columns, logged, bent.tobytes(), out)
+        changed_numbers[place] = np.nextafter(changed_numbers[place], np.inf)
+        (one,) = differing_fields(columns, logged, changed_numbers.tobytes(), out)
         assert (one.k, one.field, one.name, one.ulps) == (0, "tension", log.header.tendons[0], 1)
         (one,) = differing_fields(columns, logged._replace(phase="else"), numbers, out)
         assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
-        hashed = logged._replace(state_hash=bytes(8))
-        assert [one.field for one in differing_fields(columns, hashed, numbers, out)] == [
-            "state_hash"
-        ]
+        tick_with_other_hash = logged._replace(state_hash=bytes(8))
+        assert [
+            one.field for one in differing_fields(columns, tick_with_other_hash, numbers, out)
+        ] == ["state_hash"]
 
 
 @given(st.floats(allow_nan=False, max_value=1e308, min_value=-1e308))

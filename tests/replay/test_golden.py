@@ -15,18 +15,18 @@ from handctl.blas_kernels import portable_kernels_run
 from handctl.cli.main import main
 
 GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
-GOLDEN_NAMES = ("jamia-fault", "jamia-grasp", "jamia-lost", "jamia11-grasp")
+GOLDEN_LOG_NAMES = ("jamia-fault", "jamia-grasp", "jamia-lost", "jamia11-grasp")
 """Names of the golden logs."""
 
 
 def test_the_folder_has_the_golden_logs_and_no_others() -> None:
-    assert sorted(log.stem for log in GOLDEN_FOLDER.glob("*.mcap")) == sorted(GOLDEN_NAMES)
+    assert sorted(log.stem for log in GOLDEN_FOLDER.glob("*.mcap")) == sorted(GOLDEN_LOG_NAMES)
 
 
 @pytest.mark.skipif(
     not portable_kernels_run(),
     reason="this processor cannot execute the matrix kernels of the golden logs",
 )
-@pytest.mark.parametrize("log_name", GOLDEN_NAMES)
+@pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)
 def test_a_golden_log_is_re_executed_without_a_difference(log_name: str) -> None:
     assert main(["replay", "execute", str(GOLDEN_FOLDER / f"{log_name}.mcap")]) == 0

@@ -69,7 +69,7 @@ def write_long_log(log_path: Path) -> None:
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
-    def spoil(peer: LockstepSimulator) -> LockstepSimulator:
+    def wrap_with_lost_replies(peer: LockstepSimulator) -> LockstepSimulator:
         return short_runs.PeerWithLostReplies(
             SimulatorWithLostReplies(peer), 0x12, int(SILENCE_START_S * 1e9)
         )
@@ -78,7 +78,7 @@ def write_long_log(log_path: Path) -> None:
         log_path,
         TaskProgram(load_task(task)),
         rate_hz=RATE_HZ,
-        wrap_simulator=spoil,
+        wrap_simulator=wrap_with_lost_replies,
         io_events=io_events,
         requests=requests,
     )

@@ -60,8 +60,10 @@ def test_a_short_gap_is_bridged_without_a_jump(
     grasp_ticks: tuple[RunHeader, TickList], tmp_path: Path, golden_folder: Path
 ) -> None:
     header, ticks = grasp_ticks
-    holey = write_ticks(tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 268))
-    with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(holey) as other:
+    log_with_gap = write_ticks(
+        tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 268)
+    )
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(log_with_gap) as other:
         whole, result = recorded_targets(log, 0.005), recorded_targets(other, 0.005)
         assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
     assert result.q.shape == whole.q.shape

@@ -64,7 +64,7 @@ def execution_findings(execution: LogExecution) -> dict[str, Any]:
     }
 
 
-def spoil_state(field_name: str, first_wrong_tick: int) -> StateChange:
+def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
     """Return a function that makes a field of the second tendon wrong before tick ``first_wrong_tick``."""
 
     def change(before: ControllerState, entry: TickIn) -> None:
@@ -98,7 +98,7 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
-        for _ in simulation.run_ticks(limit_s=10.0):
+        for _ in simulation.run_ticks(max_duration_s=10.0):
             if simulation.state.mode == HandMode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
@@ -130,7 +130,7 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, first_wrong_tick: int
 ) -> None:
     """The test changes the field in the part of each process in turn, and at a border between two parts."""
-    one, three = execute_both_ways(spoil_state("travel", first_wrong_tick))
+    one, three = execute_both_ways(change_state_at_tick("travel", first_wrong_tick))
     assert one.first_difference is not None
     assert execution_findings(three) == execution_findings(one)
 
@@ -183,14 +183,16 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
     with RunLog(recorded_grasp_log) as log:
         runner = courses.LogRunner.from_log(log)
         assert len(parallel_execution.split_log(runner, 3)) == 3
-        bent = {
+        changed_snapshots = {
             k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
             for k, data in runner.snapshots.items()
         }
-        assert len(parallel_execution.split_log(replace(runner, snapshots=bent), 3)) == 1
+        assert (
+            len(parallel_execution.split_log(replace(runner, snapshots=changed_snapshots), 3)) == 1
+        )
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
         assert len(parallel_execution.split_log(replace(runner, snapshots=other), 3)) == 1
-        monkeypatch.setattr(RunLog, "snapshots", bent)
+        monkeypatch.setattr(RunLog, "snapshots", changed_snapshots)
         assert execute_log(log, worker_count=3).differing_ticks == 0
 
 

@@ -19,7 +19,9 @@ SINK_START_TICK, SINK_END_TICK = 200, 350
 """Tick at which the table begins to sink, and tick at which the hold phase ends."""
 
 
-def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[GeneratedRunLog, TruthRecord]:
+def log_and_truth_of_lift(
+    table_descent_m: float, object_fall_m: float
+) -> tuple[GeneratedRunLog, TruthRecord]:
     """Create a log and the true values of a run in which table and object sink with constant speeds.
 
     Table and object sink from SINK_START_TICK to SINK_END_TICK.
@@ -34,9 +36,9 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[GeneratedRunL
         columns=(*truth.columns, "support"),
     )
     fall = np.interp(np.arange(TICK_COUNT), [SINK_START_TICK, SINK_END_TICK - 1], [0.0, 1.0])
-    set_truth_column(truth, "support", sunk_m * fall)
+    set_truth_column(truth, "support", table_descent_m * fall)
     set_truth_column(
-        truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK)
+        truth, "object/z", -object_fall_m * fall - 0.5 * (np.arange(TICK_COUNT) >= SINK_END_TICK)
     )  # the object falls when the hand opens
     set_truth_column(
         truth, "object/x", 0.05 * (np.arange(TICK_COUNT) < 150)
@@ -51,21 +53,23 @@ def lift_result(
 
 
 def test_an_object_that_stays_in_the_hand_is_carried() -> None:
-    lift = lift_result(*log_and_truth_of_lift(0.2, 0.0005), "carry")
-    assert lift["table_sunk_mm"] == pytest.approx(200.0)
-    assert lift["object_slid_mm"] == pytest.approx(0.5, abs=0.01)
-    assert lift_failure(lift) == ""
+    lift_report = lift_result(*log_and_truth_of_lift(0.2, 0.0005), "carry")
+    assert lift_report["table_sunk_mm"] == pytest.approx(200.0)
+    assert lift_report["object_slid_mm"] == pytest.approx(0.5, abs=0.01)
+    assert lift_failure(lift_report) == ""
 
 
 def test_an_object_that_falls_with_its_table_is_a_failure() -> None:
-    lift = lift_result(*log_and_truth_of_lift(0.2, 0.2), "carry")
-    assert "moved 199 mm while the table sank 200 mm" in lift_failure(lift)
+    lift_report = lift_result(*log_and_truth_of_lift(0.2, 0.2), "carry")
+    assert "moved 199 mm while the table sank 200 mm" in lift_failure(lift_report)
 
 
 @pytest.mark.parametrize("slide_direction", [-0.5, 0.5])
 def test_an_object_may_slide_by_the_limit_and_no_farther(slide_direction: float) -> None:
-    lift = lift_result(*log_and_truth_of_lift(0.2, (MAX_SLIP_MM + slide_direction) * 1e-3), "carry")
-    assert bool(lift_failure(lift)) == (slide_direction > 0)
+    lift_report = lift_result(
+        *log_and_truth_of_lift(0.2, (MAX_SLIP_MM + slide_direction) * 1e-3), "carry"
+    )
+    assert bool(lift_failure(lift_report)) == (slide_direction > 0)
 
 
 def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
@@ -84,7 +88,7 @@ def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
 
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:
     log, truth = log_and_truth_of_lift(0.2, 0.2)
-    for lift in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
+    for lift_report in (lift_result(log, truth), lift_result(log, truth, "elsewhere"), lift_result(log, None, "carry"),
                   lift_result(log, zero_truth(JAMIA_HAND, TICK_COUNT), "carry")):  # fmt: skip
-        assert np.isnan(lift["table_sunk_mm"])
-        assert lift_failure(lift) == ""
+        assert np.isnan(lift_report["table_sunk_mm"])
+        assert lift_failure(lift_report) == ""

@@ -61,11 +61,11 @@ def test_labels_of_axes_are_inside_the_figure(
     """Reproduce a defect: tick labels such as 12.5 pushed the label "tendon tension" out of the picture."""
     drawn = []
 
-    def save_and_keep(figure: Figure, path: Path) -> None:
+    def save_and_store_figure(figure: Figure, path: Path) -> None:
         save_figure(figure, path)
         drawn.append(figure)
 
-    monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_keep)
+    monkeypatch.setattr("handctl.report.run_figure.save_figure", save_and_store_figure)
     log = generated_run_of("jamia", True)
     log.late_ns[:] = 1000
     log.fields["tension"][:] = np.linspace(0.0, 13.0, 120)[:, None]

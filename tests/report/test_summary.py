@@ -31,7 +31,7 @@ def quiet_run() -> GeneratedRunLog:
     return log
 
 
-def hold_log(ramp_ticks: int = 20) -> GeneratedRunLog:
+def log_of_hold(ramp_ticks: int = 20) -> GeneratedRunLog:
     """Create a run of four seconds with a hold phase.
 
     In this phase, the tension goal rises, and index finger and thumb are in contact.
@@ -62,7 +62,7 @@ def test_ticks_misses_and_lateness() -> None:
 
 
 def test_summary_without_truth_has_nan() -> None:
-    result = summarise_run(hold_log(), JAMIA_HAND, None, 0)
+    result = summarise_run(log_of_hold(), JAMIA_HAND, None, 0)
     for name in (
         "tracking_rmse_rad",
         "tension_rmse_n",
@@ -78,14 +78,14 @@ def test_summary_without_truth_has_nan() -> None:
 
 
 def test_summaries_with_and_without_truth_have_the_same_keys() -> None:
-    log = hold_log()
+    log = log_of_hold()
     with_truth = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400), 0)
     assert summarise_run(log, JAMIA_HAND, None, 0).keys() == with_truth.keys()
 
 
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """The summary of a run does not use the truth file of an earlier simulator on the same bus."""
-    log = hold_log()
+    log = log_of_hold()
     result = summarise_run(log, JAMIA_HAND, zero_truth(JAMIA_HAND, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
@@ -119,11 +119,11 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "the thumb had no goal"
-    by_joint = result["tracking_rmse_joint_deg"]
-    assert [by_joint[joint] for joint in JAMIA_HAND.joints[joints]] == pytest.approx(
+    error_by_joint = result["tracking_rmse_joint_deg"]
+    assert [error_by_joint[joint] for joint in JAMIA_HAND.joints[joints]] == pytest.approx(
         [math.degrees(0.01)] * 3
     )
-    assert math.isnan(by_joint["thumb_j1"])
+    assert math.isnan(error_by_joint["thumb_j1"])
 
 
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
@@ -153,21 +153,25 @@ def test_slack_tendons_do_not_count() -> None:
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
-    (window,) = hold_windows(hold_log(ramp_ticks=20), JAMIA_HAND)
+    (window,) = hold_windows(log_of_hold(ramp_ticks=20), JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    none = hold_log()
+    none = log_of_hold()
     none.fields["contact"][:] = 0.0
     assert not np.any(hold_windows(none, JAMIA_HAND)), "without a hold there are no windows"
-    two = GeneratedRunLog(JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold firmly"})
-    two.fields["contact"][:, 0] = 1.0
-    two.fields["tension_goal"][:] = 9.0
-    windows = [np.flatnonzero(window).tolist() for window in hold_windows(two, JAMIA_HAND)]
+    log_with_two_holds = GeneratedRunLog(
+        JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold firmly"}
+    )
+    log_with_two_holds.fields["contact"][:, 0] = 1.0
+    log_with_two_holds.fields["tension_goal"][:] = 9.0
+    windows = [
+        np.flatnonzero(window).tolist() for window in hold_windows(log_with_two_holds, JAMIA_HAND)
+    ]
     assert windows == [list(range(50, 150)), list(range(250, 400))]
 
 
 def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
     """Reproduce a defect: the tension error, tip forces and motion of a hold named "squeeze" were missing."""
-    log = hold_log()
+    log = log_of_hold()
     log.phases = [
         phase._replace(name={"hold": "squeeze"}.get(phase.name, phase.name)) for phase in log.phases
     ]
@@ -194,7 +198,7 @@ def test_a_hold_is_a_phase_of_that_kind_whatever_its_name() -> None:
 
 
 def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
-    log = hold_log(ramp_ticks=20)
+    log = log_of_hold(ramp_ticks=20)
     log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
     (window,) = hold_windows(log, JAMIA_HAND)
     assert np.flatnonzero(window).tolist()[-1] == 299
@@ -202,10 +206,10 @@ def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle
 
 
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
     index, middle, _, thumb = JAMIA_HAND.tendon_names
-    wave = np.where(np.arange(400) % 2, 1.5, -1.5)
-    set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
+    alternating_error = np.where(np.arange(400) % 2, 1.5, -1.5)
+    set_truth_column(truth, f"tension/{index}", 25.0 - 0.4 + alternating_error)
     set_truth_column(truth, f"tension/{thumb}", 25.0 + 0.7)
     set_truth_column(truth, f"tension/{middle}", 3.0)  # tension without contact
     result = summarise_run(log, JAMIA_HAND, truth, 0)
@@ -214,7 +218,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
 
 
 def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
     set_truth_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
     set_truth_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
@@ -225,7 +229,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
 
 
 def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> None:
-    log, truth = hold_log(), zero_truth(JAMIA_HAND, 400)
+    log, truth = log_of_hold(), zero_truth(JAMIA_HAND, 400)
     x = np.zeros(400)
     x[:169] = 0.050  # before the hold
     x[200], x[201] = 3e-4, -4e-4
@@ -233,16 +237,16 @@ def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> Non
     set_truth_column(truth, "object/x", x)
     set_truth_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
     assert summarise_run(log, JAMIA_HAND, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
-    two = GeneratedRunLog(JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold"})
-    two.fields["contact"][:, 0] = 1.0
-    two.fields["tension_goal"][:] = 9.0
-    two.fields["tip_force"][:] = 0.0
-    two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
+    log_with_two_holds = GeneratedRunLog(JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold"})
+    log_with_two_holds.fields["contact"][:, 0] = 1.0
+    log_with_two_holds.fields["tension_goal"][:] = 9.0
+    log_with_two_holds.fields["tip_force"][:] = 0.0
+    log_with_two_holds.fields["tension"][:] = log_with_two_holds.fields["tension_raw"][:] = 9.0
     set_truth_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
     set_truth_column(truth, "object/z", 0.0)
-    assert summarise_run(two, JAMIA_HAND, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
-        "the object moved between two holds"
-    )
+    assert summarise_run(log_with_two_holds, JAMIA_HAND, truth, 0)[
+        "object_motion_mm"
+    ] == pytest.approx(0.0), "the object moved between two holds"
 
 
 def test_rms_ignores_nan() -> None:

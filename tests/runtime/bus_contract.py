@@ -33,9 +33,9 @@ class BusUnderTest:
     spec: str
     opened: list[Callable[[], None]] = field(default_factory=list)
 
-    def open(self, bus_index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
+    def open(self, bus_index: int = 0, convert_time: Callable[[int], int] = int) -> Bus:
         """Connect a further node to the bus, with a bus class of handctl."""
-        bus = open_bus(self.spec, bus_index, 1_000_000, 5_000_000, stamp=stamp)
+        bus = open_bus(self.spec, bus_index, 1_000_000, 5_000_000, convert_time=convert_time)
         self.opened.append(bus.close)
         return bus
 
@@ -120,7 +120,7 @@ def test_reading_an_empty_bus_does_not_wait(bus_under_test: BusUnderTest) -> Non
 def test_stamps_are_the_runs_time_of_reception(bus_under_test: BusUnderTest) -> None:
     offset = 10**15
     sender = bus_under_test.open()
-    receiver = bus_under_test.open(stamp=lambda t_ns: t_ns + offset)
+    receiver = bus_under_test.open(convert_time=lambda t_ns: t_ns + offset)
     start = time.monotonic_ns()
     for number in range(20):
         sender.send([Frame(number, b"")])

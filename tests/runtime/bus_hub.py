@@ -38,7 +38,7 @@ class ScriptedHub:
         self._listener.bind(str(socket_folder / f"{bus_name}.bus"))
         self._listener.listen()
 
-    def accept(self) -> socket.socket:
+    def accept_client(self) -> socket.socket:
         """Accept the client, and return the end of the connection that belongs to the hub."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)

@@ -20,7 +20,7 @@ def datagram_bus(bus_index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]
     far.connect(near.getsockname())
     far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     far.settimeout(20.0)
-    bus = SocketCanBus(near, "socketcan:test", bus_index, stamp=int)
+    bus = SocketCanBus(near, "socketcan:test", bus_index, convert_time=int)
     yield bus, far
     bus.close()
     far.close()

@@ -50,15 +50,15 @@ RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
 """Watchdog time of the drives in the hand file [ms].
 
-After this time plus ``DECAY_MS``, no motor may make torque.
+After this time plus ``TORQUE_DECAY_MS``, no motor may make torque.
 """
-DECAY_MS = 4.0
+TORQUE_DECAY_MS = 4.0
 """Time that the current of a motor needs to decay after the motor was disabled [ms]."""
 MIN_TORQUE_N_M = 1e-3
 """A motor counts as driven if its torque is above this value [N m]."""
 MIN_TAUT_N = 8.0
 """A tendon counts as taut if its tension is above this value [N]."""
-RELEASE_S = 0.3
+FINGER_OPENING_TIME_S = 0.3
 """Time that the fingers need to open after the watchdogs have removed the torque [s]."""
 MAX_DELAY_S = 1.8
 """Longest time from the first SYNC of a controller to the signal that kills or stops this controller [s].
@@ -76,7 +76,7 @@ class DisturbedRun(NamedTuple):
         sent_signal: signal that was sent to the controller.
         before_signal_ns: time on the simulator's clock just before the signal [ns].
         after_signal_ns: time on the simulator's clock just after the signal [ns].
-        slipped_ns: time after the signal during which the simulator and its drives did not run
+        simulator_delay_ns: time after the signal during which the simulator and its drives did not run
             [ns].
         bus_sync_counts: tick counts of the SYNC frames that were on the bus.
         log_sync_counts: tick counts of the SYNC frames that are in the log.
@@ -87,7 +87,7 @@ class DisturbedRun(NamedTuple):
     sent_signal: signal.Signals
     before_signal_ns: int
     after_signal_ns: int
-    slipped_ns: int
+    simulator_delay_ns: int
     bus_sync_counts: bytes
     log_sync_counts: bytes
     warning: str
@@ -99,23 +99,23 @@ class KillVerdict(NamedTuple):
     Attributes:
         run: record of the run.
         was_taut: True if a tendon was taut at the time of the signal.
-        was_driven: True if a motor made torque at the time of the signal.
+        made_torque: True if a motor made torque at the time of the signal.
         max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
         min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
-        tension_left_N: largest tension after a time in which the fingers could open [N].
+        remaining_tension_N: largest tension after a time in which the fingers could open [N].
     """
 
     run: DisturbedRun
     was_taut: bool
-    was_driven: bool
+    made_torque: bool
     max_torque_off_ms: float
     min_torque_off_ms: float
-    tension_left_N: float
+    remaining_tension_N: float
 
     @property
     def torque_ended_in_time(self) -> bool:
         """Return True if all motors lost their torque within the watchdog time of the drives."""
-        return self.min_torque_off_ms <= WATCHDOG_MS + DECAY_MS
+        return self.min_torque_off_ms <= WATCHDOG_MS + TORQUE_DECAY_MS
 
     @property
     def has_complete_log(self) -> bool:
@@ -208,8 +208,8 @@ class KillTestHand:
                 before_ns, slip_ns = self.now_ns()
                 os.kill(child, sent_signal)
                 after_ns, _ = self.now_ns()
-                listener.listen((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.time_scale)
-                slipped_ns = self.now_ns()[1] - slip_ns
+                listener.listen((WATCHDOG_MS * 1e-3 + FINGER_OPENING_TIME_S) / self.time_scale)
+                simulator_delay_ns = self.now_ns()[1] - slip_ns
                 if sent_signal == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
                 wait_for_end(child, listener)
@@ -221,7 +221,13 @@ class KillTestHand:
         warning, logged = read_sync_records(log)
         log.unlink()
         return DisturbedRun(
-            sent_signal, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
+            sent_signal,
+            before_ns,
+            after_ns,
+            simulator_delay_ns,
+            bytes(listener.syncs),
+            logged,
+            warning,
         )
 
     def kill_verdicts(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
@@ -325,20 +331,22 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     ]
     begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
-    over = np.searchsorted(truth.t_ns, run.after_signal_ns + run.slipped_ns + int(RELEASE_S * 1e9))
+    over = np.searchsorted(
+        truth.t_ns, run.after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9)
+    )
     driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = (
-        int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns
+        int(truth.t_ns[begin + driven[-1]]) - run.simulator_delay_ns
         if len(driven)
         else run.before_signal_ns
     )
     return KillVerdict(
         run,
         was_taut=bool(tension[begin].max() > MIN_TAUT_N),
-        was_driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
+        made_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
         min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
-        tension_left_N=float(tension[min(over, len(tension) - 1)].max()),
+        remaining_tension_N=float(tension[min(over, len(tension) - 1)].max()),
     )
 
 
@@ -386,14 +394,14 @@ def disturb_in_batches(
             )
 
 
-def kill_summary(verdicts: list[KillVerdict]) -> str:
+def summary_of_kills(verdicts: list[KillVerdict]) -> str:
     """Summarise the runs of killed or stopped controllers in one line of text."""
     safe = sum(run.torque_ended_in_time for run in verdicts)
     complete = sum(run.has_complete_log for run in verdicts)
     pulled = sum(run.was_taut for run in verdicts)
-    driven = sum(run.was_driven for run in verdicts)
+    driven = sum(run.made_torque for run in verdicts)
     latest = max(run.max_torque_off_ms for run in verdicts)
-    tension = max(run.tension_left_N for run in verdicts)
+    tension = max(run.remaining_tension_N for run in verdicts)
     return (
         f"{len(verdicts)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
         f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "

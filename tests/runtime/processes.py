@@ -122,7 +122,7 @@ def wait_for_phase(
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         assert process.poll() is None, process.communicate()
-        line = watcher.request_line(0.2)
+        line = watcher.request_status_line(0.2)
         if line is not None and line["phase"] == phase_name:
             return
     raise AssertionError(f"never in phase {phase_name}")

@@ -44,12 +44,12 @@ SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become
 UNCONFIRMED_TEXT = "no confirmation from the controller: switch the power off"
 
 
-def call_as_nobody(function) -> str:
+def call_as_user_nobody(function) -> str:
     """Call a function in a process of the user ``nobody``.
 
     Return the result of the function as text, or the name of the error that it raises.
     """
-    out, into = os.pipe()
+    out, write_end = os.pipe()
     child = os.fork()
     if child == 0:
         answer = "failed"
@@ -61,9 +61,9 @@ def call_as_nobody(function) -> str:
         except OSError as error:
             answer = type(error).__name__
         finally:
-            os.write(into, answer.encode())
+            os.write(write_end, answer.encode())
             os._exit(0)
-    os.close(into)
+    os.close(write_end)
     with os.fdopen(out) as pipe:
         answer = pipe.read()
     os.waitpid(child, 0)
@@ -126,7 +126,7 @@ def test_a_folder_that_another_user_made_is_refused(shared_tmp, folder_mode, at_
         folder.chmod(folder_mode)
         return "made"
 
-    assert call_as_nobody(make) == "made"
+    assert call_as_user_nobody(make) == "made"
     assert folder.stat().st_uid == NOBODY_UID
     check_refusals("belongs to user nobody|belongs to another user")
     assert main(["stop", "--bus", "local:x"]) == 71
@@ -191,7 +191,9 @@ def test_a_link_is_refused(shared_tmp, at_run_folder):
 @SECOND_USER
 def test_a_link_of_another_user_above_is_refused(shared_tmp, monkeypatch):
     (shared_tmp / "own").mkdir(mode=0o700)
-    assert call_as_nobody(lambda: (shared_tmp / "link").symlink_to(shared_tmp / "own")) == "None"
+    assert (
+        call_as_user_nobody(lambda: (shared_tmp / "link").symlink_to(shared_tmp / "own")) == "None"
+    )
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(shared_tmp / "link" / "run"))
     check_refusals("link: is a link")
 
@@ -219,22 +221,22 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
             select.select([over], [], [], 6.0)
             return link.recv(4096, socket.MSG_DONTWAIT).decode()
 
-    assert call_as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
-    assert call_as_nobody(
+    assert call_as_user_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
+    assert call_as_user_nobody(
         lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))
     ) == ("PermissionError")
     for path in (folder, folder.parent):  # from here on, another user has access to the mailbox
         path.chmod(0o777)
     started, ready = os.pipe()
     over, finish = os.pipe()
-    attack = threading.Thread(target=lambda: received.append(call_as_nobody(take)))
-    attack.start()
+    attacking_thread = threading.Thread(target=lambda: received.append(call_as_user_nobody(take)))
+    attacking_thread.start()
     os.read(started, 1)
     assert mailbox.stat().st_uid == NOBODY_UID, "the socket of the other user replaces the mailbox"
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT):
         request_action("local:x", "stop")
     os.write(finish, b"x")
-    attack.join()
+    attacking_thread.join()
     assert received == ["BlockingIOError"], "the other user received no message"
     for end_of_pipe in (started, ready, over, finish):
         os.close(end_of_pipe)
@@ -258,16 +260,16 @@ def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
             return out.sendto(text, str(path)) and "sent"
 
-    assert call_as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
-    assert call_as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
-    assert watcher.next_line(0.1) is None
+    assert call_as_user_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
+    assert call_as_user_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
+    assert watcher.next_status_line(0.1) is None
     assert box.read_requests() == ()
     send(box.path, b'{"do": "arm"}')
     assert box.read_requests() == ('{"do": "arm"}',), (
         "positive control: the request of this user is read"
     )
     box.socket.sendto(b'{"mode": "READY"}', str(watcher.path))
-    assert watcher.next_line(0.1) == {"mode": "READY"}
+    assert watcher.next_status_line(0.1) == {"mode": "READY"}
     watcher.close()
     box.close()
 
@@ -279,12 +281,12 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
     for path in (folder / "x.bus", folder, folder.parent):
         path.chmod(0o777)
 
-    def join():
+    def open_hub_connection():
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
             link.connect(str(folder / "x.bus"))
             return "joined"
 
-    assert call_as_nobody(join) == "joined"
+    assert call_as_user_nobody(open_hub_connection) == "joined"
     hub.serve(hub.read_sockets())
     assert hub.clients == 0
     for path in (folder.parent, folder):
@@ -388,18 +390,18 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
-        def crowd():
+        def occupy_watcher_slots():
             while time.monotonic() < until:
                 for other in others:
-                    other.request_line(0.0)
+                    other.request_status_line(0.0)
 
-        crowding = threading.Thread(target=crowd)
-        crowding.start()
-        asking = StatusWatcher(LOCAL_BUS)
+        occupying_thread = threading.Thread(target=occupy_watcher_slots)
+        occupying_thread.start()
+        watcher = StatusWatcher(LOCAL_BUS)
         for _ in range(20):
-            assert send_with_confirmation(asking, {"do": "arm"})[1] == []
-        asking.close()
-        crowding.join()
+            assert send_with_confirmation(watcher, {"do": "arm"})[1] == []
+        watcher.close()
+        occupying_thread.join()
     assert controller.taken.count("arm") == 20
     for other in others:
         other.close()
@@ -487,7 +489,7 @@ def test_a_flooded_mailbox_still_takes_a_stop(
     )
     ended = threading.Event()
 
-    def flood():
+    def flood_mailbox():
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
             while not ended.is_set():
                 try:
@@ -495,17 +497,17 @@ def test_a_flooded_mailbox_still_takes_a_stop(
                 except OSError:
                     return
 
-    flooding = threading.Thread(target=flood)
+    flooding_thread = threading.Thread(target=flood_mailbox)
     try:
         watcher = StatusWatcher(LOCAL_BUS)
         wait_for_phase("stay", watcher, process)
         watcher.close()
-        flooding.start()
+        flooding_thread.start()
         done = run_handctl("stop", "--bus", LOCAL_BUS)
         assert done.returncode == 0, done.stderr
         assert process_result(process)[0] == 0
     finally:
         ended.set()
         end_process(process)
-        flooding.join()
+        flooding_thread.join()
     assert modes_of_complete_log(work_folder / "run.mcap")[-1] == "DISARM -> DONE"

@@ -10,7 +10,7 @@ import handctl as library
 from handctl import BusError, ConfigError, DriveError
 from tests.runtime.processes import LOCAL_BUS, modes_of_complete_log
 
-REALTIME = pytest.mark.realtime
+REALTIME_MARK = pytest.mark.realtime
 
 
 async def use_hand_as_client(*connect_options):
@@ -26,7 +26,7 @@ async def use_hand_as_client(*connect_options):
             counted += 1
             await asyncio.sleep(0.01)
 
-    counting = asyncio.create_task(count())
+    counting_task = asyncio.create_task(count())
     async with library.connect_async("jamia", LOCAL_BUS, *connect_options) as hand:
         counted = 0
         await hand.move(index=30.0)
@@ -50,7 +50,7 @@ async def use_hand_as_client(*connect_options):
         await hand.hold()
         await asyncio.sleep(1.0)
         at = hand.observe().q_deg[:3].mean()
-    counting.cancel()
+    counting_task.cancel()
     return hand.result, status, ticks, swing, at
 
 
@@ -69,7 +69,7 @@ async def observe_hand(hand):
     raise AssertionError("the run has ended")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_program_moves_a_hand_with_asyncio(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -84,11 +84,11 @@ def test_a_program_moves_a_hand_with_asyncio(
     modes_of_complete_log(work_folder / "live.mcap")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_hand_is_opened_and_closed_without_a_block(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
-    async def use():
+    async def connect_and_use_hand():
         options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
         hand_truth_file = await library.connect_async("jamia", LOCAL_BUS, *options).open()
         phase = hand_truth_file.observe().phase
@@ -96,12 +96,12 @@ def test_a_hand_is_opened_and_closed_without_a_block(
         await hand_truth_file.close()  # the second call has no effect
         return phase, hand_truth_file.result
 
-    phase, result = asyncio.run(use())
+    phase, result = asyncio.run(connect_and_use_hand())
     assert (phase, result["failure"]) == ("live", "")
     modes_of_complete_log(work_folder / "live.mcap")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_an_exception_in_the_block_stops_the_hand(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -116,7 +116,7 @@ def test_an_exception_in_the_block_stops_the_hand(
     modes_of_complete_log(work_folder / "live.mcap")
 
 
-@REALTIME
+@REALTIME_MARK
 @pytest.mark.parametrize("wait_s", [0.0, 0.5])
 def test_a_cancelled_start_leaves_no_armed_hand(
     work_folder, hand_truth_file, calibration_options, scale_options, wait_s
@@ -127,7 +127,7 @@ def test_a_cancelled_start_leaves_no_armed_hand(
     the hand.
     """
 
-    async def connect_too_briefly():
+    async def connect_with_short_timeout():
         client = library.connect_async(
             "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
         )
@@ -136,7 +136,7 @@ def test_a_cancelled_start_leaves_no_armed_hand(
                 raise AssertionError("the hand needs longer to start")
         return client
 
-    client = asyncio.run(connect_too_briefly())
+    client = asyncio.run(connect_with_short_timeout())
     assert client.client.child.poll() is not None, "the controller has ended"
     with pytest.raises(BusError, match="this client is closed"):
         client.observe()

@@ -85,13 +85,13 @@ def local_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Bus, socket.socket]]:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
-    served = ScriptedHub(tmp_path, "x")
+    scripted_hub = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", BUS_INDEX, 1_000_000)
-    link = served.accept()
+    link = scripted_hub.accept_client()
     yield bus, link
     bus.close()
     link.close()
-    served.close()
+    scripted_hub.close()
 
 
 @pytest.fixture
@@ -186,19 +186,19 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
 def test_bytes_behind_a_payload_are_ignored(
     local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
-    garbage = b"\xff" * 64
+    trailing_bytes = b"\xff" * 64
     batch = [*equal_frames(3, 0), *equal_frames(12, FDF), *equal_frames(0, 0)]
     bus, link = local_bus
     for frame in batch:
         whole = frame_record(frame.can_id, frame.data, frame.flags)
-        link.sendall(whole[: 8 + len(frame.data)] + garbage[: 64 - len(frame.data)])
+        link.sendall(whole[: 8 + len(frame.data)] + trailing_bytes[: 64 - len(frame.data)])
     got = drain_frames(bus, len(batch))
     assert frame_contents(got) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(got)
     can, far = udp_bus
     for part in (batch[:11], batch[11:22], batch):
         for frame in part:
-            far.send(kernel_datagram(frame, garbage))
+            far.send(kernel_datagram(frame, trailing_bytes))
         got = drain_frames(can, len(part))
         assert frame_contents(got) == [frame[:4] for frame in part]
         assert has_zeros_behind_payloads(got)
@@ -208,11 +208,12 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     local_bus: tuple[Bus, socket.socket], udp_bus: tuple[SocketCanBus, socket.socket]
 ) -> None:
     batch = mixed_frames(20, 3)
-    bus_off = Frame(ERROR_FLAG | 0x40, bytes(8))
+    bus_off_frame = Frame(ERROR_FLAG | 0x40, bytes(8))
     bus, link = local_bus
     link.sendall(
         b"".join(
-            frame_record(f.can_id, f.data, f.flags) + frame_record(bus_off.can_id, bus_off.data)
+            frame_record(f.can_id, f.data, f.flags)
+            + frame_record(bus_off_frame.can_id, bus_off_frame.data)
             for f in batch
         )
     )
@@ -221,12 +222,12 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     can, far = udp_bus
     for frame in batch:
         far.send(kernel_datagram(frame))
-        far.send(kernel_datagram(bus_off))
+        far.send(kernel_datagram(bus_off_frame))
     assert frame_contents(drain_frames(can, len(batch))) == [frame[:4] for frame in batch]
     events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
     assert can.take_events() == events
-    link.sendall(frame_record(bus_off.can_id, bus_off.data))
-    far.send(kernel_datagram(bus_off))
+    link.sendall(frame_record(bus_off_frame.can_id, bus_off_frame.data))
+    far.send(kernel_datagram(bus_off_frame))
     time.sleep(0.05)
     assert len(bus.drain()) == len(can.drain()) == 0
     assert bus.take_events()
@@ -269,7 +270,7 @@ def test_the_kernels_stamps_become_the_runs_time(
     udp_bus: tuple[SocketCanBus, socket.socket], time_scale: float
 ) -> None:
     bus, far = udp_bus
-    bus._stamp = lambda t_ns: int((t_ns - 1000) * time_scale)
+    bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         before = time.monotonic_ns()

@@ -22,27 +22,29 @@ def scripted_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[Bus, socket.socket]]:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
-    served = ScriptedHub(tmp_path, "x")
+    scripted_hub = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", 2, 1_000_000)
-    link = served.accept()
+    link = scripted_hub.accept_client()
     yield bus, link
     bus.close()
     link.close()
-    served.close()
+    scripted_hub.close()
 
 
 @pytest.fixture(scope="module")
-def torn_bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket.socket]]:
+def bus_with_partial_records(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[Bus, socket.socket]]:
     folder = tmp_path_factory.mktemp("torn")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(RUN_DIR_VARIABLE, str(folder))
-        served = ScriptedHub(folder, "x")
+        scripted_hub = ScriptedHub(folder, "x")
         bus = open_bus("local:x", 2, 1_000_000)
-    link = served.accept()
+    link = scripted_hub.accept_client()
     yield bus, link
     bus.close()
     link.close()
-    served.close()
+    scripted_hub.close()
 
 
 def test_a_record_is_laid_out_as_agreed(scripted_bus: tuple[Bus, socket.socket]) -> None:
@@ -61,9 +63,9 @@ def test_a_record_is_laid_out_as_agreed(scripted_bus: tuple[Bus, socket.socket])
     frame_count=st.integers(1, 20),
 )
 def test_records_split_anywhere_are_reassembled(
-    torn_bus: tuple[Bus, socket.socket], cut_positions: list[int], frame_count: int
+    bus_with_partial_records: tuple[Bus, socket.socket], cut_positions: list[int], frame_count: int
 ) -> None:
-    bus, link = torn_bus
+    bus, link = bus_with_partial_records
     stream = b"".join(
         frame_record(number, bytes([number] * (number % 9))) for number in range(frame_count)
     )
@@ -154,9 +156,9 @@ def test_error_frames_become_events(scripted_bus: tuple[Bus, socket.socket]) -> 
 
 @given(hub_bytes=st.binary(min_size=RECORD_BYTES, max_size=5 * RECORD_BYTES))
 def test_no_bytes_from_a_hub_can_raise(
-    torn_bus: tuple[Bus, socket.socket], hub_bytes: bytes
+    bus_with_partial_records: tuple[Bus, socket.socket], hub_bytes: bytes
 ) -> None:
-    bus, link = torn_bus
+    bus, link = bus_with_partial_records
     whole = hub_bytes[: len(hub_bytes) - len(hub_bytes) % RECORD_BYTES]
     link.send(whole)
     frames = bus.drain()

@@ -28,16 +28,16 @@ class BrokenCanBus(can.BusABC):
         self.error = error
         self.times = failure_count
 
-    def _fail(self) -> None:
+    def _raise_error(self) -> None:
         if self.times > 0:
             self.times -= 1
             raise self.error
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        self._fail()
+        self._raise_error()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        self._fail()
+        self._raise_error()
         return None, False
 
 
@@ -191,7 +191,7 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus)
     """
     received: list[int] = []
 
-    async def listen(theirs: can.BusABC) -> None:
+    async def receive_messages(theirs: can.BusABC) -> None:
         notifier = can.Notifier(theirs, [lambda message: received.append(message.arbitration_id)],
                                 loop=asyncio.get_running_loop())  # fmt: skip
         handctl_bus.send([Frame(number, b"") for number in range(20)])
@@ -201,7 +201,7 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus)
         notifier.stop()
 
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
-        asyncio.run(listen(theirs))
+        asyncio.run(receive_messages(theirs))
     assert received == list(range(20))
 
 
@@ -238,12 +238,12 @@ def scripted_bus(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[tuple[can.BusABC, socket.socket]]:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
-    served = ScriptedHub(tmp_path, "x")
+    scripted_hub = ScriptedHub(tmp_path, "x")
     with can.Bus("x", interface="local", ignore_config=True) as theirs:
-        link = served.accept()
+        link = scripted_hub.accept_client()
         yield theirs, link
         link.close()
-    served.close()
+    scripted_hub.close()
 
 
 def fill_send_buffer(virtual_bus: can.BusABC, message: can.Message) -> None:

@@ -190,15 +190,15 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
     """
     bus, far = udp_bus
     time.sleep(KERNEL_STAMPS_S)
-    take_each = bus._take_each
-    slow_batches = []
+    convert_one_by_one = bus._convert_one_by_one
+    calls = []
     monkeypatch.setattr(
-        bus, "_take_each", lambda *words: slow_batches.append(words) or take_each(*words)
+        bus, "_convert_one_by_one", lambda *words: calls.append(words) or convert_one_by_one(*words)
     )
     for _ in range(2):
         overflow_socket(bus, far)
         assert [kind for kind, _, _ in bus.take_events()] == ["dropped"]
-        slow_batches.clear()
+        calls.clear()
         for number in range(40):
             data = bytes([number] * (number % 9))
             far.send(
@@ -211,7 +211,7 @@ def test_after_a_loss_frames_are_converted_as_batches_again(
             assert frame.t_ns > time.monotonic_ns() - 10**9
         # handctl converts a frame separately if it arrives more than MAX_STAMP_STEP_NS after the
         # last frame.
-        assert len(slow_batches) < 20
+        assert len(calls) < 20
         assert bus.take_events() == []
 
 
@@ -242,7 +242,7 @@ def test_frames_that_overflow_the_socket_are_counted(
 
 def test_a_full_queue_refuses_without_waiting() -> None:
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
-    bus = SocketCanBus(near, "socketcan:test", 0, stamp=int)
+    bus = SocketCanBus(near, "socketcan:test", 0, convert_time=int)
     with far:
         far.setblocking(False)
         accepted = bus.send([Frame(number, b"") for number in range(1000)])

@@ -22,7 +22,7 @@ from tests.drives.protocol_bench import hand_file, move_to_second_bus
 from tests.drives.test_cia404 import hand_with_amplifiers
 
 PERIOD_NS = 10_000_000
-TURNED_RAD = -0.5
+TURNED_ANGLE_RAD = -0.5
 """Angle to which an operator turns the first spool [rad].
 
 A negative angle makes the tendon of this spool slack.
@@ -37,7 +37,7 @@ class SimulatedBuses:
         self.rig = LockstepHand(str(hand_path), seed=3, period_ns=PERIOD_NS, homed=True)
         self.motors = list(self.rig.world.plant.motors.values())
         self.t_ns = 0
-        self.outgoing, self.incoming = [], []
+        self.pending_host_frames, self.incoming = [], []
         self.max_torque_N_m = 0.0
 
     def wait(self, tick_index):
@@ -48,9 +48,9 @@ class SimulatedBuses:
         self.t_ns = tick_index * PERIOD_NS
         self.incoming = [
             Frame(*frame)
-            for frame in self.rig.step(max(0, tick_index - 1) * PERIOD_NS, self.outgoing)
+            for frame in self.rig.step(max(0, tick_index - 1) * PERIOD_NS, self.pending_host_frames)
         ]
-        self.outgoing = []
+        self.pending_host_frames = []
         self.max_torque_N_m = max(
             self.max_torque_N_m, *(abs(motor.servo.torque) for motor in self.motors)
         )
@@ -73,7 +73,7 @@ class SimulatedBus:
         return [frame for frame in self.buses.incoming if frame.bus == self.index]
 
     def send(self, frames):
-        self.buses.outgoing += frames
+        self.buses.pending_host_frames += frames
 
     def take_events(self):
         return []
@@ -92,7 +92,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     place, watch = watched_hand(hand_file(tmp_path, [protocol]))
     for _ in range(120):
         watch.run_tick()
-    place.motors[0].theta = TURNED_RAD
+    place.motors[0].theta = TURNED_ANGLE_RAD
     for _ in range(30):
         watch.run_tick()
     assert watch.silent_motors() == []
@@ -100,7 +100,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     assert [state.position for state in watch.states] == pytest.approx(
         [m.theta for m in place.motors], abs=0.01
     )
-    assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
+    assert watch.states[0].position == pytest.approx(TURNED_ANGLE_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
     )  # CiA 402 has no object for a temperature
@@ -151,13 +151,13 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     wait = place.wait
     waited = []
 
-    def stall_once(k):
+    def stall_at_first_wait(k):
         waited.append(k)
         late = missed_ticks if len(waited) == 1 else 0
         wait(k + late)
         return late * PERIOD_NS + 7
 
-    place.wait = stall_once
+    place.wait = stall_at_first_wait
     for _ in range(3):
         watch.run_tick()
     assert waited == [120, 121 + missed_ticks, 122 + missed_ticks]
@@ -182,10 +182,10 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
 
 def test_another_host_is_noticed():
     _, watch = watched_hand("jamia")
-    assert watch.find_other_host(0.0, lambda bus, for_s, seen: None) == ""
+    assert watch.find_other_host(0.0, lambda bus, duration_s, seen: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
     assert (
-        watch.find_other_host(0.0, lambda bus, for_s, seen: seen.append(foreign))
+        watch.find_other_host(0.0, lambda bus, duration_s, seen: seen.append(foreign))
         == f"{foreign.can_id:#x}"
     )
 

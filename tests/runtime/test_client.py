@@ -24,7 +24,7 @@ from tests.runtime.processes import (
     wait_for_phase,
 )
 
-REALTIME = pytest.mark.realtime
+REALTIME_MARK = pytest.mark.realtime
 CLIENT_PROGRAM = """
 import handctl, time
 with handctl.connect("jamia", "local:t", *{words}):
@@ -192,14 +192,14 @@ def test_dir_lists_the_public_names():
         library.conect  # noqa: B018
 
 
-def wait_until(condition, timeout_s=60.0):
+def wait_until(is_condition_met, timeout_s=60.0):
     end = time.monotonic() + timeout_s
-    while not condition() and time.monotonic() < end:
+    while not is_condition_met() and time.monotonic() < end:
         time.sleep(0.02)
-    assert condition()
+    assert is_condition_met()
 
 
-@REALTIME
+@REALTIME_MARK
 def test_connect_reports_why_the_controller_ends(work_folder, capfd):
     with pytest.raises(
         DriveError, match="the controller ended: local:nobody: no simulator serves this bus"
@@ -215,7 +215,7 @@ def test_arguments_for_a_controller_that_already_runs_are_refused(work_folder, m
     library.connect("jamia", LOCAL_BUS, "--yes").close()
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_program_moves_holds_and_reads_the_state(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -230,12 +230,12 @@ def test_a_program_moves_holds_and_reads_the_state(
     ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
-        bent = 0.0
+        angle_deg = 0.0
         for _ in range(200):
-            bent = float(np.degrees(client.state()["q_rad"][0]))
-            if bent > 28.0:
+            angle_deg = float(np.degrees(client.state()["q_rad"][0]))
+            if angle_deg > 28.0:
                 break
-        assert bent == pytest.approx(30.0, abs=2.0)
+        assert angle_deg == pytest.approx(30.0, abs=2.0)
         with pytest.raises(
             ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"
         ):
@@ -262,7 +262,7 @@ def test_a_program_moves_holds_and_reads_the_state(
     modes_of_complete_log(work_folder / "live.mcap")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_stopped_run_and_a_closed_client_are_named(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -286,19 +286,23 @@ def test_a_stopped_run_and_a_closed_client_are_named(
             library.connect("t42", LOCAL_BUS),
         ):
             pass
-        for call in (other.observe, lambda: next(ticks), lambda: next(other.observations())):
+        for client_method in (
+            other.observe,
+            lambda: next(ticks),
+            lambda: next(other.observations()),
+        ):
             with pytest.raises(BusError, match="this client is closed"):
-                call()
+                client_method()
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
-        for call in (lambda: client.move(index=10.0), client.observe):
+        for client_method in (lambda: client.move(index=10.0), client.observe):
             with pytest.raises(DriveError, match="the controller ended: it was stopped"):
-                call()
-    for call in (lambda: client.move(index=10.0), client.observe, client.state):
+                client_method()
+    for client_method in (lambda: client.move(index=10.0), client.observe, client.state):
         with pytest.raises(BusError, match="this client is closed"):
-            call()
+            client_method()
 
 
-@REALTIME
+@REALTIME_MARK
 def test_every_thread_gets_the_end_of_the_run(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -312,12 +316,12 @@ def test_every_thread_gets_the_end_of_the_run(
     calls = [client.state, lambda: client.observe(wait=True), client.state] * 2
     calls.append(lambda: client.move(index=10.0, duration_s=0.2))
 
-    def repeat(call):
+    def repeat(client_method):
         while True:
-            call()
+            client_method()
 
     with ThreadPoolExecutor(len(calls)) as threads:
-        running = [threads.submit(repeat, call) for call in calls]
+        running = [threads.submit(repeat, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         ends = [one.exception(60.0) for one in running]
     expected = "the controller ended: it was stopped|the hand no longer accepts goals"
@@ -328,7 +332,7 @@ def test_every_thread_gets_the_end_of_the_run(
     assert client.result["failure"] == ""
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_fault_is_reported_by_name(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -349,7 +353,7 @@ def test_a_fault_is_reported_by_name(
     assert client.result["failure"].startswith("fault ")
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_fault_between_two_calls_is_reported_at_the_end(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -367,7 +371,7 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(
         client.close()
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_task_of_another_program_goes_on(
     work_folder, hand_truth_file, calibration_options, started_processes, monkeypatch, scale_options
 ):
@@ -406,7 +410,7 @@ def start_program(processes, *connect_options):
     return program
 
 
-@REALTIME
+@REALTIME_MARK
 def test_ctrl_c_while_it_starts_leaves_no_controller(
     work_folder, hand_truth_file, started_processes, scale_options
 ):
@@ -420,7 +424,7 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(
     assert not is_running(LOCAL_BUS), "the controller does not continue after commissioning"
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_program_that_is_killed_leaves_no_armed_hand(
     work_folder, hand_truth_file, calibration_options, started_processes, scale_options
 ):

@@ -182,7 +182,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
     assert (clock.offset_ns, len(peer.steps)) == (0, 5), "no tick to finish before the first run"
 
 
-class RecordPeer(RecordingPeer):
+class RecordReturningPeer(RecordingPeer):
     """A fake simulator for the lockstep clock, which exchanges frames as packed records instead of objects."""
 
     def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
@@ -199,7 +199,7 @@ class RecordPeer(RecordingPeer):
 
 def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     runs = []
-    for peer in (RecordingPeer(), RecordPeer()):
+    for peer in (RecordingPeer(), RecordReturningPeer()):
         clock = LockstepClock(peer, PERIOD_NS)
         bus = LockstepBus(clock)
         seen = []
@@ -219,7 +219,7 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
 
 
 def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
-    clock = LockstepClock(RecordPeer(), PERIOD_NS)
+    clock = LockstepClock(RecordReturningPeer(), PERIOD_NS)
     bus = LockstepBus(clock)
     bus.send([Frame(1, b"a"), Frame(ERROR_FLAG | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
     clock.wait(1)

@@ -25,7 +25,7 @@ from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_
 TORQUE_LIMIT_N_M = 0.1
 DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
 DEFECT_TABLE_MARK = "**Defects.** The columns are the protocols of the hand file, the rows the defects of `--broken`."
-WITHOUT_ENDPOINTS = {"torque_feedback": True}
+OPTIONS_WITHOUT_ENDPOINTS = {"torque_feedback": True}
 """Options of an ODrive on a bench without endpoint numbers."""
 
 
@@ -48,7 +48,7 @@ def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
         rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
         found = checks_of(rig)
         assert release_drive(rig, 0.05)
-        virtual_bench.pass_time(2.0)
+        virtual_bench.advance_time(2.0)
         yield found
 
 
@@ -75,7 +75,7 @@ def failed_checks(check_results):
     return [name for name, check in check_results.items() if check.verdict is CheckVerdict.FAILED]
 
 
-def not_checked(check_results):
+def unchecked_results(check_results):
     return [
         name for name, check in check_results.items() if check.verdict is CheckVerdict.NOT_CHECKED
     ]
@@ -85,7 +85,7 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
     failures, place, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
     assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
 
@@ -102,16 +102,16 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
     def wait_and_stall(place, k):
         late = wait(place, k)
         if source.random() < 1.0 / 40.0:
-            place.pass_time(source.uniform(0.0, 0.03))
+            place.advance_time(source.uniform(0.0, 0.03))
             late = wait(place, k)
         return late
 
     monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
     found, place, rig = check_results(protocol)
     assert failed_checks(found) == []
-    assert (not_checked(found) == []) is (protocol in GUARDED_PROTOCOLS)
+    assert (unchecked_results(found) == []) is (protocol in GUARDED_PROTOCOLS)
     assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
 
 
 def test_a_good_drive_passes_three_times_running(protocol):
@@ -139,7 +139,7 @@ def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, shaft_inertia,
     assert abs(place.bench.motors[0].omega) < 20.0
 
 
-CUT_CHECK = "is cut at once, and cleared on command only"
+TORQUE_CUT_CHECK_TITLE = "is cut at once, and cleared on command only"
 FAILED_CHECK = {
     "deaf": "disables on command, and reports it",
     "eager": "makes no torque until it is enabled",
@@ -161,7 +161,7 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
     passed although its settings read back wrong, and failed although its watchdog worked.
     """
     protocol = protocol_column.split()[0]
-    options = WITHOUT_ENDPOINTS if "without" in protocol_column else None
+    options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
     if expected_result == "impossible":
         with pytest.raises(SimulatorError):
             check_fault_has_effect(protocol, drive_fault)
@@ -216,7 +216,7 @@ def test_a_second_drive_never_turns(protocol):
 
 def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
     _, place, rig = check_results(protocol, "deaf")
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
 
@@ -236,14 +236,14 @@ def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_opt
 
     The read-back of its settings passed, although handctl reads no setting without these options.
     """
-    every_option = OPTIONS_BY_PROTOCOL["odrive"]
-    options = WITHOUT_ENDPOINTS | {
-        key: every_option[key] for key in ENDPOINT_OPTIONS[:given_options]
+    all_options = OPTIONS_BY_PROTOCOL["odrive"]
+    options = OPTIONS_WITHOUT_ENDPOINTS | {
+        key: all_options[key] for key in ENDPOINT_OPTIONS[:given_options]
     }
     found, _, _ = check_results("odrive", drive_options=options)
     assert failed_checks(found) == []
     expected = {0: ["readback", "watchdog"], 2: ["readback"], 4: []}[given_options]
-    assert not_checked(found) == [FAILED_CHECK[fault] for fault in expected]
+    assert unchecked_results(found) == [FAILED_CHECK[fault] for fault in expected]
     for fault, missing in (
         ("readback", ENDPOINT_OPTIONS[given_options:]),
         ("watchdog", ENDPOINT_OPTIONS[:2]),
@@ -264,12 +264,12 @@ def test_an_odrive_that_confirms_writes_passes_every_check():
         check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
     }
     assert failed_checks(found) == []
-    assert not_checked(found) == []
+    assert unchecked_results(found) == []
 
 
 def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
     place = VirtualBench("odrive", usb_watchdog_s=0.1)
-    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, WITHOUT_ENDPOINTS)
+    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, OPTIONS_WITHOUT_ENDPOINTS)
     found = {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))}
     assert found[FAILED_CHECK["watchdog"]].verdict is CheckVerdict.PASSED
 
@@ -280,16 +280,16 @@ def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(
     place = VirtualBench(protocol)
     for found in checks_of_three_runs(place, protocol):
         assert failed_checks(found) == []
-        names = not_checked(found)
-        assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], CUT_CHECK]
+        names = unchecked_results(found)
+        assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], TORQUE_CUT_CHECK_TITLE]
         assert all("the protocol has no " in found[name].reason for name in names)
 
 
 def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three_times():
-    place = VirtualBench("odrive", **WITHOUT_ENDPOINTS)
-    for found in checks_of_three_runs(place, "odrive", WITHOUT_ENDPOINTS):
+    place = VirtualBench("odrive", **OPTIONS_WITHOUT_ENDPOINTS)
+    for found in checks_of_three_runs(place, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
         assert failed_checks(found) == []
-        assert len(not_checked(found)) == 2
+        assert len(unchecked_results(found)) == 2
 
 
 def test_a_reason_names_a_few_identifiers_of_many():
@@ -345,7 +345,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
     assert seen == {"READY"}
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase.name == "ENABLED", 0.1)
     rig.run_for(DriveTarget.ENABLE, 0.2)
-    place.pass_time(0.3)
+    place.advance_time(0.3)
     rig.run_tick(DriveTarget.ENABLE)
     rig.run_tick(DriveTarget.ENABLE)
     assert (rig.state.phase.name, rig.state.error_text) == (

@@ -57,8 +57,10 @@ def bench_of(
     )
 
 
-def goal_of(drive_mode, target_value, for_s=2.0, travel_limit=10.0):
-    return JogGoal(drive_mode, target_value, for_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel_limit)
+def goal_of(drive_mode, target_value, duration_s=2.0, travel_limit=10.0):
+    return JogGoal(
+        drive_mode, target_value, duration_s, MOTION_LIMITS, TORQUE_LIMIT_N_M, travel_limit
+    )
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
@@ -141,7 +143,7 @@ def test_travel_beyond_its_limit_stops_the_drive(protocol, drive_mode):
     place, rig, _ = bench_of(protocol, drive_mode)
     result = jog_drive(rig, goal_of(drive_mode, 2.5, 4.0, 0.5))
     assert "expected at most 0.5" in result.failure
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
     assert place.bench.motors[0].servo.kd == 0.0
 
 
@@ -159,7 +161,7 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
     place.wait = wait_with_fast_shaft
     result = jog_drive(rig, goal_of(drive_mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
@@ -210,16 +212,16 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
 
 
-def stall_host(virtual_bench, rig, after_s, missed_ticks):
-    """Let the host miss consecutive ticks, ``after_s`` seconds after the drive was enabled.
+def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
+    """Let the host miss consecutive ticks, ``stall_time_s`` seconds after the drive was enabled.
 
     Return the time [ns] and the command of all ticks in which the drive is enabled.
     """
     wait, advance_drive = virtual_bench.wait, rig.drive.advance
     commands = []
-    stalls = [missed_ticks]
+    remaining_stalls = [missed_ticks]
 
-    class NotedDrive:
+    class CommandRecordingDrive:
         """Drive that stores the commands of the host."""
 
         def __getattr__(self, name):
@@ -231,31 +233,35 @@ def stall_host(virtual_bench, rig, after_s, missed_ticks):
             return advance_drive(state, t_ns, target, command)
 
     def wait_and_stall(k):
-        if stalls and commands and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= after_s:
+        if (
+            remaining_stalls
+            and commands
+            and (k * PERIOD_NS - commands[0][0]) * 1e-9 >= stall_time_s
+        ):
             # During the stall, the test sends commands to the drive. Without these commands, the
             # watchdog of the drive would end the jog.
-            for n in range(stalls.pop()):
+            for n in range(remaining_stalls.pop()):
                 wait(k + n)
                 command = commands[-1][1]
                 virtual_bench.send(
                     advance_drive(rig.state, rig.t_ns, DriveTarget.ENABLE, command)[1]
                 )
-                virtual_bench.pass_time(PERIOD_NS * 1e-9)
+                virtual_bench.advance_time(PERIOD_NS * 1e-9)
         return wait(k)
 
-    drive, rig.drive, virtual_bench.wait = rig.drive, NotedDrive(), wait_and_stall
+    drive, rig.drive, virtual_bench.wait = rig.drive, CommandRecordingDrive(), wait_and_stall
     return commands
 
 
 @pytest.mark.parametrize("missed_ticks", [1, 5, MAX_MISSED_TICKS])
-@pytest.mark.parametrize("after_s", [0.1, 1.98])
+@pytest.mark.parametrize("stall_time_s", [0.1, 1.98])
 @pytest.mark.parametrize("drive_mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
-def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, after_s, missed_ticks):
+def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_s, missed_ticks):
     """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
     ramps = []
     for stall in (0, missed_ticks):
         place, rig, _ = bench_of("mit", drive_mode)
-        commands = stall_host(place, rig, after_s, stall)
+        commands = stall_host(place, rig, stall_time_s, stall)
         target = {DriveMode.TORQUE: 0.005}.get(drive_mode, 2.0)
         goal = goal_of(drive_mode, target)._replace(
             limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4
@@ -270,7 +276,7 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, after_s, mi
     late = gaps.index(max(gaps)) + 1
     # The command of the late tick was computed before the stall. All later commands follow the ramp
     # again. If a stall lasts beyond the planned end of the motion, the motion ends later.
-    if after_s < 1.0:
+    if stall_time_s < 1.0:
         for t_ns, command in ramp[late + 1 : late + 20]:
             assert command == pytest.approx(at_time[t_ns], abs=1e-6)
     assert ramp[-1][1] == pytest.approx(whole[-1][1], abs=1e-6)
@@ -288,7 +294,7 @@ def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     result = jog_drive(rig, goal_of(drive_mode, 1.0))
     assert f"missed {MAX_MISSED_TICKS + 1} ticks in a row" in result.failure
     assert 0.4 < (commands[-1][0] - commands[0][0]) * 1e-9 < 0.7
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
     rig = drive_rig_on(place, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     first = rig.k
-    place.pass_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
+    place.advance_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
     times = []
     send = place.send
     place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
@@ -54,7 +54,7 @@ def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> Non
     place = VirtualBench(protocol, "mute")
     rig = drive_rig_on(place, protocol, 0.1)
     rig.run_for(DriveTarget.POLL, 0.5)
-    assert not rig.confirm_off(0.05)
+    assert not rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
@@ -70,7 +70,7 @@ def test_a_drive_whose_replies_end_after_the_enable_command_is_not_confirmed_off
     place.drain = list  # type: ignore[method-assign]
     place.send = len  # type: ignore[method-assign]
     rig.run_tick(DriveTarget.ENABLE)
-    assert not rig.confirm_off(0.05)
+    assert not rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
@@ -79,7 +79,7 @@ def test_a_good_drive_is_confirmed_off_at_any_time_of_its_setup(protocol: str, t
     rig = drive_rig_on(VirtualBench(protocol), protocol, 0.1)
     for _ in range(ticks):
         rig.run_tick(DriveTarget.POLL)
-    assert rig.confirm_off(0.05)
+    assert rig.confirm_disabled(0.05)
 
 
 @pytest.mark.parametrize("missed_ticks", [0, 6, 20])
@@ -105,7 +105,7 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     rig = drive_rig_on(place, "mit", 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 2.0)
     rig.run_for(DriveTarget.POLL, 0.1)
-    place.pass_time(missed_ticks * PERIOD_NS * 1e-9)
+    place.advance_time(missed_ticks * PERIOD_NS * 1e-9)
     speeds = []
     for _ in range(20):
         rig.run_tick(DriveTarget.POLL)

@@ -19,7 +19,7 @@ from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.loop import StopSignals
 from handctl.session import run
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
@@ -72,11 +72,11 @@ def started_recorders(tmp_path, monkeypatch):
     started = []
     start = Recorder.start
 
-    def remember(*words):
+    def start_and_store(*words):
         started.append(start(*words))
         return started[-1]
 
-    monkeypatch.setattr(run.Recorder, "start", remember)
+    monkeypatch.setattr(run.Recorder, "start", start_and_store)
     return started
 
 
@@ -86,11 +86,11 @@ def plan_and_controller(tmp_path, start_display):
     task = tmp_path / "short.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
-    plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,), start_display=start_display)
+    plan = RunPlan(hand, Gains(), default_control_rate(hand), (0.5,), start_display=start_display)
     return path, plan, run.make_controller(plan, TaskProgram(load_task(task)), None, True)
 
 
-def check_closed(recorder: Recorder, log_path: Path) -> None:
+def check_recorder_closed(recorder: Recorder, log_path: Path) -> None:
     """Check that a recorder process has ended, and that its log has an end mark."""
     assert recorder._child.poll() is not None
     assert scan_path(log_path).complete
@@ -106,7 +106,7 @@ def check_failed_lockstep_run(started_recorders, work_folder, start_display):
     ):
         run.run_lockstep(plan, controller, log, clock)
     (recorder,) = started_recorders
-    check_closed(recorder, log)
+    check_recorder_closed(recorder, log)
 
 
 @pytest.mark.parametrize("failing_step", ["display", "view", "handlers"])
@@ -119,7 +119,7 @@ def test_a_live_run_that_does_not_start_closes_its_recorder(
     if failing_step == "view":
         monkeypatch.setattr(run, "_start_view", raise_error)
     if failing_step == "handlers":
-        monkeypatch.setattr(StopSignals, "handlers_installed", raise_error)
+        monkeypatch.setattr(StopSignals, "install_handlers", raise_error)
     _, plan, controller = plan_and_controller(
         tmp_path, raise_error if failing_step == "display" else lambda plan: display
     )
@@ -128,7 +128,7 @@ def test_a_live_run_that_does_not_start_closes_its_recorder(
     with pytest.raises(StartError):
         run.run_live(plan, controller, log, live_view=failing_step == "view")
     (recorder,) = started_recorders
-    check_closed(recorder, log)
+    check_recorder_closed(recorder, log)
     assert display.closed == (failing_step != "display")
     assert [bus.closed for bus in buses] == [True]
 
@@ -148,12 +148,12 @@ def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, mo
     hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
     first = ClosableBus()
 
-    def open_first(spec, index, *words):
+    def open_only_first_bus(spec, index, *words):
         if index:
             raise BusError("is missing", spec, "a bus")
         return first
 
-    monkeypatch.setattr(bus_watch, "open_bus", open_first)
+    monkeypatch.setattr(bus_watch, "open_bus", open_only_first_bus)
     words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
     assert main(["bus", "watch", *words]) == 1
     assert "is missing" in capsys.readouterr().err

@@ -7,15 +7,15 @@ from handctl import ConfigError
 from handctl.client import Fingertips, FingertipStream
 from handctl.hand.hand_loading import load_hand
 
-HAND = load_hand("jamia11")
+JAMIA11_HAND = load_hand("jamia11")
 START_ANGLE_RAD = np.radians(20.0)
 
 
 def test_tips_and_angles_are_inverse_to_each_other():
-    tips = Fingertips(HAND)
-    assert tips.digits == HAND.digit_names
-    assert tips.joints == HAND.joints
-    angles = {joint: START_ANGLE_RAD + 0.1 * (i % 3) for i, joint in enumerate(HAND.joints)}
+    tips = Fingertips(JAMIA11_HAND)
+    assert tips.digits == JAMIA11_HAND.digit_names
+    assert tips.joints == JAMIA11_HAND.joints
+    angles = {joint: START_ANGLE_RAD + 0.1 * (i % 3) for i, joint in enumerate(JAMIA11_HAND.joints)}
     positions = tips.tips(angles)
     found = tips.angles_deg(positions)
     reached = tips.tips({name: np.radians(angle) for name, angle in found.items()})
@@ -40,19 +40,19 @@ def test_tips_and_angles_are_inverse_to_each_other():
 )
 def test_wrong_positions_are_refused(tip_positions, expected_message):
     with pytest.raises(ConfigError, match=expected_message):
-        Fingertips(HAND).angles_deg(tip_positions)
+        Fingertips(JAMIA11_HAND).angles_deg(tip_positions)
 
 
 @pytest.mark.parametrize("digit_names", [["pinky"], ["index", "index"]])
 def test_wrong_digits_are_refused(digit_names):
     with pytest.raises(ConfigError, match="no digit on the palm, or twice"):
-        Fingertips(HAND, digit_names)
+        Fingertips(JAMIA11_HAND, digit_names)
 
 
 class StreamOwner:
     """Fake client that owns a stream, with a hand at rest."""
 
-    description = HAND
+    description = JAMIA11_HAND
 
     def observe(self):
         """Return an observation in which all joint angles are 20 deg."""
@@ -61,7 +61,7 @@ class StreamOwner:
     def named(self, field):
         """Return the angles of all joints by name [rad]."""
         assert field == "q_rad"
-        return dict.fromkeys(HAND.joints, START_ANGLE_RAD)
+        return dict.fromkeys(JAMIA11_HAND.joints, START_ANGLE_RAD)
 
 
 class StoringSender:
@@ -77,12 +77,12 @@ class StoringSender:
 
 
 def test_a_stream_of_positions_sends_joint_angles():
-    tips = Fingertips(HAND, ["index", "thumb"])
+    tips = Fingertips(JAMIA11_HAND, ["index", "thumb"])
     sender = StoringSender()
     goal = {"stream": "1-1", "space": "joint", "names": list(tips.joints), "rate_Hz": 50.0}
     stream = FingertipStream(StreamOwner(), sender, goal, tips, 0.03, 1.0)
     assert stream.names == ("index", "thumb")
-    positions = Fingertips(HAND, ["index", "thumb"]).tips(
+    positions = Fingertips(JAMIA11_HAND, ["index", "thumb"]).tips(
         dict.fromkeys(tips.joints, np.radians(30.0))
     )
     stream.send(positions)

@@ -63,7 +63,7 @@ def fill_disk(file_path):
             file.write(bytes(4096))
 
 
-def seconds_until(process, awaited_word, timeout_s=20.0):
+def seconds_until_output(process, awaited_word, timeout_s=20.0):
     """Wait until a run prints a given word to standard error.
 
     Return the duration of the wait [s].
@@ -97,16 +97,16 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
     watcher = StatusWatcher(LOCAL_BUS)
     try:
         wait_for_phase("stay", watcher, process)
-        full_at = watcher.request_line(2.0)["k"]
+        tick_of_full_disk = watcher.request_status_line(2.0)["k"]
         fill_disk(small_disk / "other")
-        assert seconds_until(process, b"H08 the disk is full") < 2.5, (
+        assert seconds_until_output(process, b"H08 the disk is full") < 2.5, (
             "the recorder checks the disk every second"
         )
         after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            after = watcher.request_line(0.2) or after
-        assert after["k"] > full_at
+            after = watcher.request_status_line(0.2) or after
+        assert after["k"] > tick_of_full_disk
         assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), (
             "a warning does not stop the hand"
         )
@@ -124,7 +124,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
         assert execute_log(log).differing_ticks == 0, (
             "missing ticks were skipped by a slow host, and not lost by the recorder"
         )
-        assert int(log.k[-1]) >= full_at - 200, (
+        assert int(log.k[-1]) >= tick_of_full_disk - 200, (
             "only ticks in the pipe and in the last chunk are missing"
         )
         assert len(list(log.ticks())) == len(log)

@@ -9,7 +9,7 @@ import os
 
 import pytest
 
-from tests.runtime.killed_controllers import disturb_in_batches, kill_summary
+from tests.runtime.killed_controllers import disturb_in_batches, summary_of_kills
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 CONTROLLER_COUNT = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
@@ -35,8 +35,8 @@ def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale)
     assert [run for run in runs if not run.has_complete_log] == [], (
         "a log lacks the last ticks that were on the bus"
     )
-    assert max(run.tension_left_N for run in runs) < 5.0, kill_summary(runs)
-    assert sum(run.was_driven for run in runs) >= CONTROLLER_COUNT // 2, (
+    assert max(run.remaining_tension_N for run in runs) < 5.0, summary_of_kills(runs)
+    assert sum(run.made_torque for run in runs) >= CONTROLLER_COUNT // 2, (
         "most runs are disturbed while a motor makes torque"
     )
     assert sum(run.was_taut for run in runs) >= CONTROLLER_COUNT // 5, (

@@ -36,7 +36,7 @@ def link_json(**changed_values) -> str:
     return json.dumps([link | changed_values.get("link", {})])
 
 
-def bad_findings(ip_output, data_bitrate=None):
+def failed_findings(ip_output, data_bitrate=None):
     link = parse_link(ip_output)
     assert link is not None
     return [
@@ -47,9 +47,9 @@ def bad_findings(ip_output, data_bitrate=None):
 
 
 def test_a_good_interface_has_only_good_findings():
-    assert bad_findings(link_json()) == []
+    assert failed_findings(link_json()) == []
     fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
-    assert bad_findings(link_json(**fast), 5 * MEGABIT_PER_S) == []
+    assert failed_findings(link_json(**fast), 5 * MEGABIT_PER_S) == []
 
 
 @pytest.mark.parametrize(
@@ -77,13 +77,13 @@ def test_a_good_interface_has_only_good_findings():
 def test_each_finding_names_the_command_that_corrects_it(
     changed_values, finding_subject, correction
 ):
-    (finding,) = bad_findings(link_json(**changed_values))
+    (finding,) = failed_findings(link_json(**changed_values))
     assert finding_subject in finding.observation
     assert correction in finding.fix
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
-    texts = bad_findings(link_json(), 5 * MEGABIT_PER_S)
+    texts = failed_findings(link_json(), 5 * MEGABIT_PER_S)
     assert ["does not carry CAN FD" in finding.observation for finding in texts] == [True, False]
     assert "dbitrate 5000000 fd on" in texts[0].fix
 
@@ -95,14 +95,14 @@ def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     The repair command of one finding did not contain ``restart-ms``. After its execution, another
     finding demanded ``restart-ms``.
     """
-    (finding, *_) = bad_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
+    (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
     assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
     assert "restart-ms 100" in finding.fix
 
 
 def test_lost_arbitration_alone_is_no_fault():
-    assert bad_findings(link_json(xstats={"arbitration_lost": 7})) == []
+    assert failed_findings(link_json(xstats={"arbitration_lost": 7})) == []
 
 
 def test_a_missing_interface_comes_with_the_command():

@@ -14,7 +14,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
@@ -41,7 +41,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     task = tmp_path / "short.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
-    rate = default_rate(hand)
+    rate = default_control_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
     with SimulatorSettings(path, homed=True, wire=wire_words).lockstep_clock(

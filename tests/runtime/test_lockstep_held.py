@@ -15,7 +15,7 @@ from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.hold_limit import MAX_HOLD_S
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 
@@ -29,7 +29,7 @@ def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     task = tmp_path / "bend.toml"
     task.write_text(TASK_HEAD + MOVE_PHASE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")
-    plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,))
+    plan = RunPlan(hand, Gains(), default_control_rate(hand), (0.5,))
     log = tmp_path / "held.mcap"
     with SimulatorSettings("jamia", homed=True).lockstep_clock(plan.period_ns) as clock:
         clock.simulator.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]

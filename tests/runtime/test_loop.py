@@ -21,7 +21,7 @@ from handctl.runtime import loop
 from handctl.runtime.loop import ControlLoop
 
 PERIOD_NS = 1_000_000
-CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
+TORQUE_CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 
 @dataclass
@@ -61,10 +61,10 @@ class FakeBus:
     frames_by_tick: list[list[Frame]] = field(default_factory=list)
     sent: list[tuple[Frame, ...]] = field(default_factory=list)
     pending_events: list[tuple[str, str, int]] = field(default_factory=list)
-    drains: int = 0
+    drain_count: int = 0
 
     def drain(self) -> Frames:
-        self.drains += 1
+        self.drain_count += 1
         return frames_as_records(self.frames_by_tick.pop(0) if self.frames_by_tick else ())
 
     def send(self, frames: Sequence[Frame]) -> int:
@@ -78,7 +78,7 @@ class FakeBus:
 
 
 @dataclass
-class WholeTick:
+class SingleStepTick:
     """A tick that does all its work in the step ``command``."""
 
     tick: Callable[[int, TickIn], tuple[int, TickOut]]
@@ -114,13 +114,14 @@ class RecordedLoop:
 
     def __post_init__(self) -> None:
         self.entries: list[TickIn] = []
-        self.recorded: list[tuple[TickIn, TickOut]] = []
+        self.recorded_ticks: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
         self.loop: ControlLoop[int] = ControlLoop(
-            self.clock, PERIOD_NS, self.buses, lambda state, entry: WholeTick(self.tick, state, entry), CUT_FRAMES,
+            self.clock, PERIOD_NS, self.buses, lambda state, entry: SingleStepTick(self.tick, state, entry),
+            TORQUE_CUT_FRAMES,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
-            lambda entry, out: self.recorded.append((entry, out)),
+            lambda entry, out: self.recorded_ticks.append((entry, out)),
             lambda entry, out: self.shown.append((entry, out)),
         )  # fmt: skip
 
@@ -138,11 +139,11 @@ class RecordedLoop:
 def test_ticks_follow_one_another_at_their_times() -> None:
     run = RecordedLoop()
     assert run.go() == 5
-    assert [entry.k for entry, _ in run.recorded] == [0, 1, 2, 3, 4]
-    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in range(5)]
+    assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1, 2, 3, 4]
+    assert [entry.t_ns for entry, _ in run.recorded_ticks] == [k * PERIOD_NS for k in range(5)]
     assert run.clock.waits == [0, 1, 2, 3, 4]
     assert run.clock.began == 1
-    assert run.shown == run.recorded
+    assert run.shown == run.recorded_ticks
     assert (run.loop.stats.ticks, run.loop.stats.missed_ticks) == (5, 0)
 
 
@@ -155,25 +156,25 @@ def test_the_warm_up_tick_has_no_effect() -> None:
     run.go()
     assert len(run.entries) == 6
     assert run.entries[0] == TickIn(0, 0)
-    assert len(run.recorded) == 5
+    assert len(run.recorded_ticks) == 5
     assert len(run.buses[0].sent) == 5
 
 
 def test_only_ticks_run_with_realtime_priority() -> None:
     run = RecordedLoop()
-    urgent = [False]
+    is_realtime = [False]
 
     @contextmanager
-    def note_urgency() -> Iterator[None]:
-        urgent[0] = True
+    def record_realtime_priority() -> Iterator[None]:
+        is_realtime[0] = True
         yield
-        urgent[0] = False
+        is_realtime[0] = False
 
     seen: list[bool] = []
-    run.loop.tick_priority = note_urgency
-    run.fail = lambda entry: seen.append(urgent[0])
+    run.loop.tick_priority = record_realtime_priority
+    run.fail = lambda entry: seen.append(is_realtime[0])
     run.go()
-    assert seen + urgent == [False, True, True, True, True, True, False], (
+    assert seen + is_realtime == [False, True, True, True, True, True, False], (
         "the first value is of the warm-up"
     )
 
@@ -196,9 +197,11 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
 ) -> None:
     run = RecordedLoop(ticks=4, clock=ScriptedClock(list(lateness_by_tick)))
     run.go()
-    assert [entry.k for entry, _ in run.recorded] == executed_ticks
-    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD_NS for k in executed_ticks]
-    assert [entry.late_ns for entry, _ in run.recorded] == remaining_lateness
+    assert [entry.k for entry, _ in run.recorded_ticks] == executed_ticks
+    assert [entry.t_ns for entry, _ in run.recorded_ticks] == [
+        k * PERIOD_NS for k in executed_ticks
+    ]
+    assert [entry.late_ns for entry, _ in run.recorded_ticks] == remaining_lateness
     assert run.loop.stats.missed_ticks == missed_ticks
     assert run.loop.stats.ticks == 4
     assert list(run.loop.stats.tick_lateness_ns) == (lateness_by_tick + [0] * 4)[:4], (
@@ -221,7 +224,7 @@ def test_received_frames_enter_one_tick_in_order() -> None:
         host=[[IoEvent("recorder", "gone")]],
     )
     run.go()
-    entries = [entry for entry, _ in run.recorded]
+    entries = [entry for entry, _ in run.recorded_ticks]
     assert entries[0].frames == (first, second), "frames from before the run are discarded"
     assert entries[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
     assert [entry.requests for entry in entries] == [("x", "y"), (), ("z",)]
@@ -290,14 +293,16 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
         owner = run.clock if failing_stage == "wait" else left
         whole = getattr(owner, failing_stage)
         setattr(
-            owner, failing_stage, lambda *words: raise_error() if run.recorded else whole(*words)
+            owner,
+            failing_stage,
+            lambda *words: raise_error() if run.recorded_ticks else whole(*words),
         )
     # the frames that disable the drives were not sent
     with pytest.raises(PowerError if failing_stage == "send" else StageError):
         run.go()
-    assert right.sent[-1] == (CUT_FRAMES[1],)
+    assert right.sent[-1] == (TORQUE_CUT_FRAMES[1],)
     if failing_stage != "send":
-        assert left.sent[-1] == (CUT_FRAMES[0],)
+        assert left.sent[-1] == (TORQUE_CUT_FRAMES[0],)
     assert gc.isenabled()
 
 
@@ -308,7 +313,7 @@ def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, 
     """
     times: list[int] = []
 
-    def let_go(
+    def disable_drives(
         state: int, t_ns: int, heard: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
@@ -318,7 +323,7 @@ def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, 
             motors_by_poll.pop(0) if motors_by_poll else ("index", "thumb"),
         )
 
-    recorded_loop.loop.disable_drives = let_go
+    recorded_loop.loop.disable_drives = disable_drives
     recorded_loop.fail = lambda entry: raise_error() if entry.k == 2 else None
     recorded_loop.go()
     return times
@@ -337,23 +342,23 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
     states: list[int] = []
 
-    def disable(
+    def disable_drives(
         state: int, t_ns: int, heard: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         states.append(state)
         return state, (), ()
 
-    def fail_once(*words: object) -> int:
-        if len(run.recorded) == 2:
-            run.recorded.append(run.recorded[0])
+    def fail_in_third_tick(*words: object) -> int:
+        if len(run.recorded_ticks) == 2:
+            run.recorded_ticks.append(run.recorded_ticks[0])
             raise StageError
         return 0
 
-    run.loop.disable_drives = disable
+    run.loop.disable_drives = disable_drives
     if failing_stage == "send":
-        bus.send = fail_once  # type: ignore[method-assign]
+        bus.send = fail_in_third_tick  # type: ignore[method-assign]
     else:
-        run.loop.publish_tick = fail_once  # type: ignore[assignment]
+        run.loop.publish_tick = fail_in_third_tick  # type: ignore[assignment]
     with pytest.raises(StageError):
         run.go()
     assert states == [3], "the state after the third tick"
@@ -366,7 +371,7 @@ def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
         times_of_polls(RecordedLoop(5, buses=[bus]), answers)
     assert answers == []
     assert [sent for sent in bus.sent if sent] == [
-        CUT_FRAMES,
+        TORQUE_CUT_FRAMES,
         (Frame(3, b"off"),),
         (Frame(3, b"off"),),
     ]
@@ -391,13 +396,13 @@ def test_after_a_stall_drives_are_polled_from_the_present_time_on() -> None:
     run = RecordedLoop(600, clock=ScriptedClock([0, 600 * PERIOD_NS]))
     times: list[int] = []
 
-    def disable(
+    def disable_drives(
         state: int, t_ns: int, heard: list[Frame]
     ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
         return state, (), () if len(times) == 2 else ("index",)
 
-    run.loop.disable_drives = disable
+    run.loop.disable_drives = disable_drives
     run.fail = lambda entry: raise_error() if entry.k == 601 else None
     with pytest.raises(StageError):
         run.go()
@@ -421,19 +426,19 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     right = FakeBus(1)
     run = RecordedLoop(5, buses=[left, right])
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
-    capacities = [0, 0, 1]
+    remaining_capacities = [0, 0, 1]
     whole = left.send
 
     def send(frames: Sequence[Frame]) -> int:
-        left.capacity = capacities.pop(0) if frames else 1000
+        left.capacity = remaining_capacities.pop(0) if frames else 1000
         return whole(frames)
 
     left.send = send  # type: ignore[method-assign]
     with pytest.raises(StageError):
         run.go()
-    assert [sent for sent in left.sent if sent] == [(CUT_FRAMES[0],)]
-    assert capacities == []
-    assert right.sent.count((CUT_FRAMES[1],)) == 1
+    assert [sent for sent in left.sent if sent] == [(TORQUE_CUT_FRAMES[0],)]
+    assert remaining_capacities == []
+    assert right.sent.count((TORQUE_CUT_FRAMES[1],)) == 1
 
 
 @pytest.mark.parametrize("refusing_bus", [0, 1])
@@ -456,7 +461,7 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
             whole: Callable[[Sequence[Frame]], int] = bus.send,
             index: int = index,
         ) -> int:
-            if tuple(frames) == (CUT_FRAMES[index],):
+            if tuple(frames) == (TORQUE_CUT_FRAMES[index],):
                 tries.append((index, len(pauses)))
             return whole(frames)
 
@@ -467,9 +472,9 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
         run.go()
     other = 1 - refusing_bus
     assert [pause for index, pause in tries if index == other] == [0]
-    assert buses[other].sent[-1] == (CUT_FRAMES[other],)
+    assert buses[other].sent[-1] == (TORQUE_CUT_FRAMES[other],)
     assert [pause for index, pause in tries if index == refusing_bus] == list(
-        range(loop.CUT_SEND_TRIES)
+        range(loop.TORQUE_CUT_ATTEMPTS)
     )
 
 
@@ -478,8 +483,8 @@ def test_a_failed_tick_sends_nothing_else() -> None:
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     with pytest.raises(StageError):
         run.go()
-    assert run.buses[0].sent == [run.frames, run.frames, CUT_FRAMES]
-    assert [entry.k for entry, _ in run.recorded] == [0, 1]
+    assert run.buses[0].sent == [run.frames, run.frames, TORQUE_CUT_FRAMES]
+    assert [entry.k for entry, _ in run.recorded_ticks] == [0, 1]
 
 
 @pytest.mark.parametrize("with_failure", [False, True])

@@ -21,13 +21,13 @@ from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Mailbox
 from tests.runtime.processes import LOCAL_BUS, READY_TIMEOUT_S
 
-REALTIME = pytest.mark.realtime
+REALTIME_MARK = pytest.mark.realtime
 LEASE_S = 0.6
-HELD_TENSION_N = 12.0
+HOLD_TENSION_N = 12.0
 CLIENT_PROGRAM = f"""
 import handctl, time
 with handctl.connect("jamia", {LOCAL_BUS!r}, **{{options}}) as hand:
-    hand.hold(index={HELD_TENSION_N})
+    hand.hold(index={HOLD_TENSION_N})
     hand.wait_for(phase="live")
     print("held", flush=True)
     time.sleep(100)
@@ -60,7 +60,7 @@ def wait_for_end(client, timeout_s):
     return "the run goes on"
 
 
-@REALTIME
+@REALTIME_MARK
 @pytest.mark.parametrize(
     "client_end",
     ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
@@ -82,7 +82,7 @@ def test_a_lost_client_makes_the_hand_relax(
                 time.sleep(3.0 * LEASE_S / factor)
                 assert client.observe(wait=True).named("tension_N")[
                     "index_tendon"
-                ] == pytest.approx(HELD_TENSION_N, abs=2.0)
+                ] == pytest.approx(HOLD_TENSION_N, abs=2.0)
                 other.send_signal(signal.SIGKILL if client_end == "killed" else signal.SIGSTOP)
             said = wait_for_end(client, 8.0 * LEASE_S)
         finally:
@@ -102,11 +102,11 @@ def test_a_lost_client_makes_the_hand_relax(
             row for row in log.events if row.event.name == "request" and "alive" in row.event.text
         ]
     tension = read_truth(hand_truth_file).column("tension/index_tendon")
-    assert tension.max() > HELD_TENSION_N - 3.0
+    assert tension.max() > HOLD_TENSION_N - 3.0
     assert tension[-10:].max() < 6.0
 
 
-@REALTIME
+@REALTIME_MARK
 @pytest.mark.nightly
 def test_a_program_that_waits_keeps_its_hold(
     work_folder, hand_truth_file, calibration_options, scale_options
@@ -118,13 +118,13 @@ def test_a_program_that_waits_keeps_its_hold(
     factor = float(scale_options[1])
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
     with library.connect("jamia", LOCAL_BUS, *options, lease_s=LEASE_S) as client:
-        client.hold(index=HELD_TENSION_N)
+        client.hold(index=HOLD_TENSION_N)
         time.sleep(4.0 * LEASE_S / factor)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
         with library.connect("jamia", LOCAL_BUS, lease_s=None) as other:
             other.take_over()
-            other.hold(index=HELD_TENSION_N)
+            other.hold(index=HOLD_TENSION_N)
             time.sleep(4.0 * LEASE_S / factor)
             assert client.observe(wait=True).mode == "ACTIVE"
     assert client.result["failure"] == ""

@@ -76,8 +76,8 @@ def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
             out.sendto(data, str(box.path))
-    long, empty, binary = box.read_requests()
-    assert long == "x" * MAX_REQUEST_BYTES
+    long_text, empty, binary = box.read_requests()
+    assert long_text == "x" * MAX_REQUEST_BYTES
     assert empty == ""
     binary.encode()
     box.close()
@@ -106,7 +106,7 @@ def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
     A retry in the same process was therefore refused.
     """
     path = mailbox_path("local:x")
-    open_before = set(os.listdir("/proc/self/fd"))
+    open_files_before = set(os.listdir("/proc/self/fd"))
     with monkeypatch.context() as patch:
         if failing_stage == "unlink":
             path.mkdir()
@@ -117,7 +117,7 @@ def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
             patch.setattr(mailbox, "request_sender_credentials", lambda socket: os.listdir("/no"))
         with pytest.raises(BusError, match="cannot receive requests"):
             Mailbox("local:x")
-    assert set(os.listdir("/proc/self/fd")) == open_before
+    assert set(os.listdir("/proc/self/fd")) == open_files_before
     if failing_stage == "unlink":
         path.rmdir()
     Mailbox("local:x").close()
@@ -256,17 +256,17 @@ def test_watchers_get_each_published_line_once() -> None:
 
 
 def test_a_program_may_watch_two_controllers() -> None:
-    boxes = [Mailbox("local:x"), Mailbox("local:y")]
+    mailboxes = [Mailbox("local:x"), Mailbox("local:y")]
     watchers = [StatusWatcher("local:x"), StatusWatcher("local:y")]
-    for box, watcher in zip(boxes, watchers, strict=True):
-        watcher.request_line(0.0)
+    for box, watcher in zip(mailboxes, watchers, strict=True):
+        watcher.request_status_line(0.0)
         box.read_requests()
         box.publish_status({"name": watcher.name})
-    assert [watcher.next_line(1.0) for watcher in watchers] == [
+    assert [watcher.next_status_line(1.0) for watcher in watchers] == [
         {"name": "local:x"},
         {"name": "local:y"},
     ]
-    for one in (*watchers, *boxes):
+    for one in (*watchers, *mailboxes):
         one.close()
 
 
@@ -297,13 +297,13 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
 
 def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     watcher = StatusWatcher("local:x")
-    assert watcher.request_line(0.01) is None, "no controller runs"
+    assert watcher.request_status_line(0.01) is None, "no controller runs"
     box = Mailbox("local:x")
-    assert watcher.request_line(0.01) is None
+    assert watcher.request_status_line(0.01) is None
     box.read_requests()
     box.publish_status({"k": 1})
     box.publish_status({"k": 2})
-    assert watcher.request_line(0.01) is None, "earlier lines are discarded"
+    assert watcher.request_status_line(0.01) is None, "earlier lines are discarded"
     watcher.close()
     assert not watcher.path.exists()
     box.close()

@@ -84,12 +84,12 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
         "--json",
     )
     try:
-        driving = start_handctl("replay", "drive", str(GOLDEN_LOG), *words)
+        replay_process = start_handctl("replay", "drive", str(GOLDEN_LOG), *words)
         watcher = StatusWatcher(LOCAL_BUS)
-        wait_for_phase("playback", watcher, driving)
+        wait_for_phase("playback", watcher, replay_process)
         time.sleep(0.6)
-        driving.send_signal(signal.SIGINT)
-        code, result, err = process_result(driving)
+        replay_process.send_signal(signal.SIGINT)
+        code, result, err = process_result(replay_process)
         watcher.close()
     finally:
         end_process(simulated)

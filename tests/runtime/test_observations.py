@@ -206,9 +206,9 @@ def test_the_file_is_private_and_is_removed_after_the_run() -> None:
     path = observations_path("local:x")
     assert path.stat().st_mode & 0o777 == 0o600
     reader = ObservationReader("local:x")
-    assert not reader.run_ended
+    assert not reader.has_run_ended
     writer.close()
-    assert reader.run_ended
+    assert reader.has_run_ended
     assert not path.exists()
     reader.close()
     with pytest.raises(

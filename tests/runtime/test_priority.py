@@ -30,7 +30,7 @@ def open_files() -> set[str]:
 
 def test_priority_is_reset_after_the_run() -> None:
     granted = request_priority()
-    assert (scheduling_policy() == os.SCHED_FIFO) == granted.realtime
+    assert (scheduling_policy() == os.SCHED_FIFO) == granted.is_realtime
     restore_priority()
     assert scheduling_policy() == os.SCHED_OTHER
 
@@ -51,7 +51,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
         realtime_priority, "_enter_fifo", lambda level: calls.append("priority") is None
     )
     assert request_priority() == realtime_priority.GrantedPriority(
-        realtime=True, memory_locked=True
+        is_realtime=True, memory_locked=True
     )
     assert calls == ["memory", "priority"]
 
@@ -67,7 +67,7 @@ def test_only_ticks_have_realtime_priority() -> None:
     with realtime_priority.realtime_priority() as granted_now:
         seen.append(scheduling_policy())
     restore_priority()
-    assert granted_now == granted.realtime
+    assert granted_now == granted.is_realtime
     assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert scheduling_policy() == os.SCHED_OTHER
 
@@ -91,7 +91,7 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
 
 def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(tmp_path / "absent"))
-    with realtime_priority.awake_processors() as awake:
+    with realtime_priority.keep_processors_awake() as awake:
         assert not awake
     assert not realtime_priority.prepare_priority().processors_awake
     restore_priority()

@@ -12,7 +12,7 @@ import pytest
 from tests.runtime.processes import READY_TIMEOUT_S, modes_of_complete_log, start_handctl
 
 README_TEXT = (Path(__file__).parents[2] / "README.md").read_text()
-LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+CPU_LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 
 
 def readme_blocks(language: str, *required_texts: str) -> list[str]:
@@ -33,7 +33,9 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(
     simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
     started_processes.append(simulator)
     started_processes.extend(
-        subprocess.Popen([sys.executable, "-c", LOAD_PROGRAM], stdout=subprocess.PIPE, text=True)
+        subprocess.Popen(
+            [sys.executable, "-c", CPU_LOAD_PROGRAM], stdout=subprocess.PIPE, text=True
+        )
         for _ in range(busy_processes)
     )
     (work_folder / "example.py").write_text(program)

@@ -59,9 +59,9 @@ class SharedClockPair:
 
 @pytest.fixture
 def clock_pair(tmp_path, monkeypatch):
-    built = SharedClockPair(tmp_path / "t.clock", monkeypatch)
-    built.between = built.answer
-    return built
+    pair = SharedClockPair(tmp_path / "t.clock", monkeypatch)
+    pair.between = pair.answer
+    return pair
 
 
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
@@ -81,7 +81,7 @@ def test_a_fast_machine_needs_no_pause(clock_pair) -> None:
     clock_pair.controller.start()
     late = [clock_pair.controller.wait(k) for k in range(200)]
     assert max(late) <= 20_000
-    assert clock_pair.controller.pauses == 0
+    assert clock_pair.controller.pause_count == 0
     assert clock_pair.controller.clock_facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
 
 
@@ -93,7 +93,7 @@ def test_the_clock_pauses_for_a_late_controller(clock_pair, late_ms) -> None:
     begin = clock_pair.now
     clock_pair.overshoots = [late_ms * NS_PER_MS]
     assert clock.wait(1) == TOLERATED_LATENESS_NS
-    assert clock.pauses == 1
+    assert clock.pause_count == 1
     assert clock.paused_ns == pytest.approx(late_ms * NS_PER_MS - TOLERATED_LATENESS_NS, abs=20_000)
     assert clock.wait(2) <= 20_000, "the deadlines move with the clock"
     assert clock_pair.now - begin == pytest.approx(2 * PERIOD_NS + clock.paused_ns, abs=50_000)
@@ -110,7 +110,7 @@ def test_ticks_of_a_controller_that_was_stopped_are_missed(clock_pair) -> None:
     clock.wait(0)
     clock_pair.overshoots = [110 * NS_PER_MS]
     assert clock.wait(1) == pytest.approx(110 * NS_PER_MS, abs=20_000)
-    assert clock.pauses == 0
+    assert clock.pause_count == 0
 
 
 def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
@@ -128,7 +128,7 @@ def test_the_clock_waits_for_the_simulator(clock_pair) -> None:
     clock_pair.between = stopped
     assert clock.wait(1) <= TOLERATED_LATENESS_NS
     assert clock_pair.now >= stopped_until
-    assert clock.pauses == 1
+    assert clock.pause_count == 1
     assert clock.paused_ns == pytest.approx(30 * NS_PER_MS - PERIOD_NS, abs=200_000)
     assert max(read) <= clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS
     assert read == sorted(read)
@@ -187,9 +187,9 @@ def test_the_simulator_leaves_a_controller_that_stays_away(clock_pair) -> None:
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    gate = clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS
-    clock_pair.now = gate + simulated.MAX_GATE_WAIT_NS
-    assert clock_pair.simulator.now_ns() == gate
+    gate_ns = clock.start_ns + PERIOD_NS + TOLERATED_LATENESS_NS
+    clock_pair.now = gate_ns + simulated.MAX_GATE_WAIT_NS
+    assert clock_pair.simulator.now_ns() == gate_ns
     clock_pair.now += 1
     assert clock_pair.simulator.now_ns() == clock_pair.now
 
@@ -224,34 +224,36 @@ def test_a_time_stamp_before_the_last_pause_is_converted(clock_pair) -> None:
 def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, seed) -> None:
     """The simulated machine of this test stops the controller and the simulator at random times."""
     rng = random.Random(seed)
-    machine = SharedClockPair(
+    clock_pair = SharedClockPair(
         tmp_path / "t.clock", monkeypatch, scale := rng.choice([0.1, 1.0, 1.0, 4.0])
     )
-    machine.controller.busy_wait = rng.random() < 0.5
+    clock_pair.controller.busy_wait = rng.random() < 0.5
     read = [0]
 
     def advance() -> None:
-        read.append(machine.simulator.now_ns())
+        read.append(clock_pair.simulator.now_ns())
         if rng.random() < 0.7:
-            machine.answer()
+            clock_pair.answer()
 
-    machine.between = advance
-    if machine.controller.busy_wait:
+    clock_pair.between = advance
+    if clock_pair.controller.busy_wait:
         monkeypatch.setattr(
-            time, "monotonic_ns", lambda: setattr(machine, "now", machine.now + 500) or machine.now
+            time,
+            "monotonic_ns",
+            lambda: setattr(clock_pair, "now", clock_pair.now + 500) or clock_pair.now,
         )
-    machine.controller.start()
+    clock_pair.controller.start()
     k = 0
     for _ in range(300):
         if rng.random() < 0.1:
-            machine.overshoots = [rng.randrange(30 * NS_PER_MS)]
-        late = machine.controller.wait(k)
+            clock_pair.overshoots = [rng.randrange(30 * NS_PER_MS)]
+        late = clock_pair.controller.wait(k)
         assert late <= max(TOLERATED_LATENESS_NS, 60_000 * scale), "no tick is missed"
         advance()
-        machine.now += rng.randrange(2 * NS_PER_MS) if rng.random() < 0.1 else 50_000
+        clock_pair.now += rng.randrange(2 * NS_PER_MS) if rng.random() < 0.1 else 50_000
         k += 1 + late // PERIOD_NS
     assert read == sorted(read)
-    assert machine.controller.pauses > 0
+    assert clock_pair.controller.pause_count > 0
 
 
 def test_only_buses_of_this_machine_share_a_clock() -> None:

@@ -17,7 +17,7 @@ class RaisedInTestError(Exception):
 
 def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
     signals = StopSignals()
-    with signals.handlers_installed():
+    with signals.install_handlers():
         assert signals.take_request() == ()
         os.kill(os.getpid(), signal.SIGINT)
         assert signals.take_request() == ('{"do": "stop"}',)
@@ -31,7 +31,7 @@ def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
 
 def test_two_signals_within_a_tick_both_count() -> None:
     signals = StopSignals()
-    with signals.handlers_installed():
+    with signals.install_handlers():
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
         assert signals.take_request() == ('{"do": "stop"}',)
@@ -41,13 +41,13 @@ def test_two_signals_within_a_tick_both_count() -> None:
 def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
     signals = StopSignals()
     before = signal.getsignal(signal.SIGHUP)
-    with signals.handlers_installed():
+    with signals.install_handlers():
         os.kill(os.getpid(), signal.SIGHUP)
         assert signals.take_request() == ('{"do": "stop"}',)
     assert signal.getsignal(signal.SIGHUP) == before
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with signals.handlers_installed():
+        with signals.install_handlers():
             os.kill(os.getpid(), signal.SIGHUP)
             assert signals.take_request() == ()
     finally:
@@ -58,11 +58,11 @@ def test_signal_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     signals = StopSignals()
 
-    def interrupted() -> None:
-        with signals.handlers_installed():
+    def raise_interrupt() -> None:
+        with signals.install_handlers():
             assert signal.getsignal(signal.SIGINT) is signals
             raise RaisedInTestError
 
     with pytest.raises(RaisedInTestError):
-        interrupted()
+        raise_interrupt()
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before

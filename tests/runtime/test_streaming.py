@@ -15,7 +15,7 @@ import pytest
 import handctl as library
 from handctl import ConfigError, DriveError
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
+from handctl.runtime.mailbox import MAX_WATCHERS, SUBSCRIBE_REQUEST, Mailbox, StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,
     READY_TIMEOUT_S,
@@ -24,7 +24,7 @@ from tests.runtime.processes import (
     start_handctl,
 )
 
-REALTIME = pytest.mark.realtime
+REALTIME_MARK = pytest.mark.realtime
 PAGE_TEXT = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 
 
@@ -43,7 +43,7 @@ def live_hand(work_folder, hand_truth_file, calibration_options, scale_options):
         yield client
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_stream_is_followed_observed_logged_and_repeated(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
@@ -92,7 +92,7 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
     assert " 0 differ" in again.stdout
 
 
-@REALTIME
+@REALTIME_MARK
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
     """Reproduce a defect: if another client stopped a move, the call of the move returned as if it were complete."""
     ended = []
@@ -115,7 +115,7 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
         ]
 
 
-@REALTIME
+@REALTIME_MARK
 def test_only_one_of_several_clients_commands_the_hand(live_hand):
     """Reproduce a defect: when one of several clients disconnected, the hand stopped.
 
@@ -166,16 +166,18 @@ def test_every_watcher_gets_its_lines(work_folder):
     box = Mailbox("local:many")
     watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:
-        watcher.send(WATCH_REQUEST, 1.0)
+        watcher.send(SUBSCRIBE_REQUEST, 1.0)
         box.read_requests()
     box.publish_status({"k": 1})
-    heard = [watcher.next_line(0.0) is not None for watcher in watchers]
+    heard = [watcher.next_status_line(0.0) is not None for watcher in watchers]
     assert all(heard[:MAX_WATCHERS])
     for watcher in watchers[MAX_WATCHERS:]:
-        watcher.send(WATCH_REQUEST, 1.0)
+        watcher.send(SUBSCRIBE_REQUEST, 1.0)
         box.read_requests()
         box.publish_status({"k": 2})
-        assert watcher.next_line(0.0) == {"k": 2}, "a further watcher gets a line after a request"
+        assert watcher.next_status_line(0.0) == {"k": 2}, (
+            "a further watcher gets a line after a request"
+        )
     for one in (*watchers, box):
         one.close()
 

@@ -21,26 +21,26 @@ def test_reading_the_clocks_one_after_the_other_is_no_suspend():
 
 def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     now = {"boot": 0, "monotonic": 0}
-    pause = {"before": 0, "after": 0}
+    pause_ns_by_place = {"before": 0, "after": 0}
 
-    def boot():
-        now["boot"] = now["boot"] + pause["before"]
-        now["monotonic"] = now["monotonic"] + pause["before"]
+    def read_boot_clock():
+        now["boot"] = now["boot"] + pause_ns_by_place["before"]
+        now["monotonic"] = now["monotonic"] + pause_ns_by_place["before"]
         boot_ns = now["boot"]
-        now["boot"] = now["boot"] + pause["after"]
-        now["monotonic"] = now["monotonic"] + pause["after"]
+        now["boot"] = now["boot"] + pause_ns_by_place["after"]
+        now["monotonic"] = now["monotonic"] + pause_ns_by_place["after"]
         return boot_ns
 
-    watch = SuspendWatch(boot, lambda: now["monotonic"])
-    for where in pause:
-        pause[where] = 100_000_000
+    watch = SuspendWatch(read_boot_clock, lambda: now["monotonic"])
+    for where in pause_ns_by_place:
+        pause_ns_by_place[where] = 100_000_000
         assert watch.take_events() == []
-        pause[where] = 0
+        pause_ns_by_place[where] = 0
         assert watch.take_events() == []
-    pause["before"] = 100_000_000
+    pause_ns_by_place["before"] = 100_000_000
     now["boot"] = now["boot"] + 10**9
     assert watch.take_events() == [], "a pause and a suspend are not distinguished yet"
-    pause["before"] = 0
+    pause_ns_by_place["before"] = 0
     assert [event.number for event in watch.take_events()] == [1000]
 
 

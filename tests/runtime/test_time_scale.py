@@ -12,7 +12,7 @@ from tests.runtime.processes import LOCAL_BUS, run_handctl, start_hand, time_sca
 
 
 @pytest.fixture
-def slow_hand(work_folder, started_processes):
+def hand_at_slow_time_scale(work_folder, started_processes):
     """Start a simulated hand at 0.3 of real time."""
     started_processes.append(
         start_hand(work_folder / "truth", "--hand", "jamia", *time_scale_options(0.3))
@@ -21,10 +21,10 @@ def slow_hand(work_folder, started_processes):
 
 
 def time_scale_of(**choice):
-    return make_plan(RunChoice("jamia", bus_words=[LOCAL_BUS], **choice)).time_scale
+    return make_plan(RunChoice("jamia", bus_arguments=[LOCAL_BUS], **choice)).time_scale
 
 
-def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
+def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(hand_at_slow_time_scale):
     assert time_scale_of() == 0.3
     assert time_scale_of(time_scale=0.3) == 0.3
     with pytest.raises(
@@ -33,7 +33,7 @@ def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
         time_scale_of(time_scale=1.0)
 
 
-def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(slow_hand):
+def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(hand_at_slow_time_scale):
     for verb in (("run", "--task", "short.toml"), ("bus", "watch", "--for", "1"), ("commission",)):
         ended = run_handctl(*verb, "--hand", "jamia", "--bus", LOCAL_BUS, *time_scale_options(1.0))
         assert ended.returncode == 2
@@ -46,7 +46,7 @@ def test_without_a_simulator_a_run_has_real_time(work_folder):
     assert make_plan(RunChoice("jamia")).time_scale == 1.0
 
 
-def test_the_socket_of_a_killed_simulator_is_passed_over(slow_hand):
-    slow_hand.kill()
-    slow_hand.wait()
+def test_the_socket_of_a_killed_simulator_is_passed_over(hand_at_slow_time_scale):
+    hand_at_slow_time_scale.kill()
+    hand_at_slow_time_scale.wait()
     assert time_scale_of() == 1.0

@@ -68,7 +68,7 @@ class FaultCase(NamedTuple):
         faulty_part: name of the part that has the fault. debounce: number of ticks with the fault
             until it is reported. action: action that the fault demands. latched: True if only an
             operator can clear the fault.
-        only_while_armed: True if the fault is reported only while a drive is armed.
+        is_found_only_while_armed: True if the fault is reported only while a drive is armed.
     """
 
     input_with_fault: TickInput
@@ -77,7 +77,7 @@ class FaultCase(NamedTuple):
     debounce_ticks: int
     action: SafetyAction
     is_latched: bool
-    only_while_armed: bool = False
+    is_found_only_while_armed: bool = False
 
 
 def state_rows(**values_by_field: object) -> TickInput:
@@ -176,16 +176,18 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
     cells: dict[str, dict[object, float]] = {}
     for one in tick_input:
         for name, values in one.state_rows.items():
-            larger = min if name.endswith("_ns") and name != "late_ns" else max
-            mine = cells.setdefault(name, {})
+            merge_function = min if name.endswith("_ns") and name != "late_ns" else max
+            merged_cells = cells.setdefault(name, {})
             for index, value in values.items():
-                mine[index] = larger(mine[index], value) if index in mine else value
+                merged_cells[index] = (
+                    merge_function(merged_cells[index], value) if index in merged_cells else value
+                )
     return TickInput(
         cells, tuple(dict.fromkeys(report for one in tick_input for report in one.reports))
     )
 
 
-def without_torque(tick_input: TickInput) -> TickInput:
+def input_without_torque(tick_input: TickInput) -> TickInput:
     """Return a copy of an input in the mode of a hand that is ready to be armed."""
     return TickInput(
         {**tick_input.state_rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports
@@ -238,24 +240,31 @@ def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
 
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     """Return an input in which the last ``repeated_readings`` load-cell readings repeat those of 16 ticks earlier."""
-    past = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
-    return state_rows(past=past, same={(15, tendon_index): repeated_readings - 1})
+    past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
+    return state_rows(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
 
 
-def first_bus_mode_input(other_node_heard: bool) -> TickInput:
+def input_of_first_bus_mode(other_node_heard: bool) -> TickInput:
     reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], other_node_heard)
     return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
-RELAXING_ROWS = {"mode": {...: int(HandMode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
+STATE_ROWS_WHILE_RELAXING = {
+    "mode": {...: int(HandMode.RELAX)},
+    "mode_since": {...: NOW_NS * 1e-9 - 0.2},
+}
 """Values of the state of a hand that has already been relaxing for longer than this usually takes."""
-AFTER_CUT_ROWS = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
+STATE_ROWS_AFTER_CUT = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Values of the state of a hand whose motors were disabled 100 ms ago."""
 
 
 def tension_after_cut(tension_N: float) -> TickInput:
     return TickInput(
-        {**AFTER_CUT_ROWS, "measured_tension": {...: 5.0, 0: tension_N}, "cut_from": {0: 30.0}}
+        {
+            **STATE_ROWS_AFTER_CUT,
+            "measured_tension": {...: 5.0, 0: tension_N},
+            "cut_from": {0: 30.0},
+        }
     )
 
 
@@ -300,7 +309,8 @@ CASE_BY_FAULT = {
     "B17": FaultCase(late_motor_frames(m0=4),
                      late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1,
                      RELAX, True, True),
-    "B18": FaultCase(first_bus_mode_input(False), first_bus_mode_input(True), "can0 no acknowledge", 20, RELAX, True),
+    "B18": FaultCase(
+        input_of_first_bus_mode(False), input_of_first_bus_mode(True), "can0 no acknowledge", 20, RELAX, True),
     "N01": FaultCase(drive_error(1, DriveFaultCause.DROPPED_OUT), drive_error(1, DriveFaultCause.OTHER), "m1", 1,
                      RELAX, True, True),
     "N02": FaultCase(late_sensor_frames(t1=6),
@@ -347,8 +357,8 @@ CASE_BY_FAULT = {
     "T02b": FaultCase(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
     "T03": FaultCase(measured_tensions(t1=50.1), measured_tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
     "T03b": FaultCase(measured_tensions(t1=60.1), measured_tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
-    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(RELAXING_ROWS)),
-                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(RELAXING_ROWS)), "t1", 1,
+    "T03c": FaultCase(merge_inputs(measured_tensions(t1=50.1), TickInput(STATE_ROWS_WHILE_RELAXING)),
+                      merge_inputs(measured_tensions(t0=139.9, t1=50.0), TickInput(STATE_ROWS_WHILE_RELAXING)), "t1", 1,
                       CUT, True, True),
     "T04a": FaultCase(filtered_residuals(BALANCE, t0=5.1), filtered_residuals(BALANCE, t1=5.0), "t0", 1, WARN, False,
                       True),
@@ -379,7 +389,7 @@ CASE_BY_FAULT = {
     "I11a": FaultCase(open_stream(100_000_001), open_stream(100_000_000), "stream", 1, HOLD, False, True),
     "I11b": FaultCase(open_stream(1_000_000_001), open_stream(1_000_000_000), "stream", 1, RELAX, True, True),
 }  # fmt: skip
-OTHER_SIGNS_BY_FAULT = {
+OTHER_INPUTS_BY_FAULT = {
     "B16": [event_report("ebadf")],
     "N04": [stuck_joint(0, 11.0), stuck_motor(5, -0.6e-3)],
     "N05a": [state_rows(joint_jump={0: 0.4})],
@@ -397,7 +407,7 @@ OTHER_SIGNS_BY_FAULT = {
 }
 
 
-def rested_monitor() -> SyntheticMonitor:
+def monitor_at_rest() -> SyntheticMonitor:
     """Return the safety monitor of a hand at rest.
 
     The residuals of the hand keep the values that a test has set.

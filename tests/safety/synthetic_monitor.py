@@ -27,10 +27,10 @@ from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.state_block import STATE_SCHEMA, StateTables, state_tables
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.fault import (
-    JOINT_INSTANCE,
-    MOTOR_INSTANCE,
-    NODE_INSTANCE,
-    TENDON_INSTANCE,
+    FAULT_PLACE_JOINT,
+    FAULT_PLACE_MOTOR,
+    FAULT_PLACE_NODE,
+    FAULT_PLACE_TENDON,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
@@ -39,8 +39,8 @@ from handctl.safety.tick_verdict import (
     EventReport,
     LatchedFault,
     TickVerdict,
-    faults_counting_since_now,
     judge_tick,
+    newly_active_faults,
 )
 
 PERIOD_S, NAN = 0.002, np.nan
@@ -237,7 +237,7 @@ class SyntheticMonitor:
 
     def conclude(self, demanded_action: int, reports: Iterable[EventReport]) -> TickVerdict:
         """Latch the findings of a tick, add events of buses and host, and select the action."""
-        fresh = faults_counting_since_now(self.limits, self.found_values, self.view("fault_ticks"))
+        fresh = newly_active_faults(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
         self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
         return verdict
@@ -252,13 +252,13 @@ class SyntheticMonitor:
     def instance_name(self, part_kind: str, part_index: int) -> str:
         """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
         names = {
-            TENDON_INSTANCE: self.limits.tendons,
-            MOTOR_INSTANCE: self.limits.motors,
-            JOINT_INSTANCE: self.limits.joints,
+            FAULT_PLACE_TENDON: self.limits.tendons,
+            FAULT_PLACE_MOTOR: self.limits.motors,
+            FAULT_PLACE_JOINT: self.limits.joints,
         }
         return (
-            {**names, NODE_INSTANCE: (*self.limits.motors, LOAD_CELLS)}[part_kind][part_index]
-            if part_kind in {*names, NODE_INSTANCE}
+            {**names, FAULT_PLACE_NODE: (*self.limits.motors, LOAD_CELLS)}[part_kind][part_index]
+            if part_kind in {*names, FAULT_PLACE_NODE}
             else ""
         )
 

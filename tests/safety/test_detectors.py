@@ -10,17 +10,17 @@ from handctl.safety.faults.markdown import (
     catalogue_markdown,
     fault_table_markdown,
     hardware_checklist,
-    is_late,
-    late_rows,
+    late_reaction_rows,
+    reacts_too_late,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.safety_action import SafetyAction
 from tests.safety.fault_cases import (
     drive_error,
+    input_without_torque,
     measured_tensions,
     merge_inputs,
-    rested_monitor,
-    without_torque,
+    monitor_at_rest,
 )
 
 
@@ -31,12 +31,12 @@ def test_causes_of_a_drive_s_error() -> None:
         drive_error(1, DriveFaultCause.HOT, 11),
         drive_error(2, DriveFaultCause.LOST, 12),
     )
-    assert rested_monitor().tick(tick_input.state_rows)["N11"] == {
+    assert monitor_at_rest().tick(tick_input.state_rows)["N11"] == {
         "m0": 9.0,
         "m1": 11.0,
         "m2": 12.0,
     }
-    assert "N11" not in rested_monitor().tick(without_torque(tick_input).state_rows)
+    assert "N11" not in monitor_at_rest().tick(input_without_torque(tick_input).state_rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
         for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
@@ -50,11 +50,11 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).state_rows)["T03"] == {
+    assert monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.5).state_rows)["T03"] == {
         "t1": 50.5
     }
-    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).state_rows)
-    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_rows)[
+    assert "T03" not in monitor_at_rest().tick(measured_tensions(t0=140.0, t1=50.0).state_rows)
+    assert monitor_at_rest().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).state_rows)[
         "T03"
     ] == {
         "t0": 150.0,
@@ -85,10 +85,11 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 
 @pytest.mark.parametrize(("catalogue_row", "last_columns"), [
     (CatalogueRow("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
-    (CatalogueRow("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
-    (CatalogueRow("B12", "t", "fault table", tested="x.py"), "1 tick | x.py |"),
+    (CatalogueRow("B12", "t", "fault table", ticks=2, odrive_extra_ms=9),
+     "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
+    (CatalogueRow("B12", "t", "fault table", tested_by="x.py"), "1 tick | x.py |"),
     (CatalogueRow("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
-    (CatalogueRow("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
+    (CatalogueRow("B12", "t", "files", tested_by="x.py"), "before torque | x.py |"),
     (CatalogueRow("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
 def test_catalogue_row_has_all_columns(catalogue_row: CatalogueRow, last_columns: str) -> None:
@@ -116,23 +117,25 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         CatalogueRow("A", "t", "fault table", ticks=2, required=3),
         CatalogueRow("B", "t", "fault table", ticks=3, required=3),
     )
-    longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
+    row_with_reason = CatalogueRow(
+        "C", "u", "fault table", ticks=1, ms=30, required=5, why="because"
+    )
     free = CatalogueRow(
         "D", "t", "fault table", ticks=9
     )  # the reaction to a fault without a required reaction time is never late
-    at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
-    assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [
+    row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
+    assert [reacts_too_late(one) for one in (soon, just, row_with_reason, free, row_in_time)] == [
         False,
         False,
         True,
         False,
         True,
     ]
-    assert late_rows((soon, just, longer, free)).splitlines() == [
+    assert late_reaction_rows((soon, just, row_with_reason, free)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
-    assert longer.latest_ms(200.0) == 35.0
+    assert row_with_reason.max_reaction_ms(200.0) == 35.0
 
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:

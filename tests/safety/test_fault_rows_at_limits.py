@@ -9,15 +9,15 @@ from handctl.safety.tick_verdict import LatchedFault, locate_reports, second_con
 from tests.safety.fault_cases import (
     EIGHT_TENDON_LIMITS,
     INPUT_AT_REST,
-    RELAXING_ROWS,
+    STATE_ROWS_WHILE_RELAXING,
     TickInput,
     event_report,
     late_motor_frames,
     lost_frames,
     measured_tensions,
     merge_inputs,
+    monitor_at_rest,
     reset_for_input,
-    rested_monitor,
     state_rows,
 )
 from tests.safety.test_fault_table import check_ticks
@@ -28,17 +28,17 @@ INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.t
 
 def findings_of_fault(fault_id: str, tick_input: TickInput) -> list[tuple[str, float]]:
     """Run the detectors for one tick, and return the findings of one fault as pairs of a part and a value."""
-    monitor = rested_monitor()
+    monitor = monitor_at_rest()
     return list(monitor.tick(reset_for_input(monitor, tick_input)).get(fault_id, {}).items())
 
 
 def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
-    monitor = rested_monitor()
+    monitor = monitor_at_rest()
     monitor.latched = (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
     verdict = monitor.judge()
     assert monitor.latched == (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
     assert (verdict.action, verdict.findings) == (SafetyAction.CUT, ())
-    assert rested_monitor().judge().action == SafetyAction.PASS
+    assert monitor_at_rest().judge().action == SafetyAction.PASS
 
 
 def test_a_finding_has_its_measured_value() -> None:
@@ -54,18 +54,22 @@ def test_a_finding_has_its_measured_value() -> None:
 
 
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
-    everybody = late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 3))
-    assert findings_of_fault("B01", merge_inputs(everybody, state_rows(missed=3))) == []
+    input_with_late_motors = late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 3))
+    assert (
+        findings_of_fault("B01", merge_inputs(input_with_late_motors, state_rows(missed=3))) == []
+    )
     assert findings_of_fault(
-        "B01", merge_inputs(everybody, state_rows(missed=3), late_motor_frames(m1=4))
+        "B01", merge_inputs(input_with_late_motors, state_rows(missed=3), late_motor_frames(m1=4))
     ) == [("m1", 4)]
     assert findings_of_fault("B01", late_motor_frames(m0=1)) == [("m0", 1)]
 
 
 def test_a_node_without_reply_is_reported_after_the_stated_number_of_ticks() -> None:
-    most = EIGHT_TENDON_LIMITS.one_silent_ticks
-    assert findings_of_fault("B17", late_motor_frames(m0=most - 1)) == []
-    assert findings_of_fault("B17", late_motor_frames(m1=most)) == [("m1", float(most))]
+    silent_ticks = EIGHT_TENDON_LIMITS.one_silent_ticks
+    assert findings_of_fault("B17", late_motor_frames(m0=silent_ticks - 1)) == []
+    assert findings_of_fault("B17", late_motor_frames(m1=silent_ticks)) == [
+        ("m1", float(silent_ticks))
+    ]
 
 
 def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
@@ -87,11 +91,13 @@ def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> 
     high = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
     high.state_rows["measured_tension"][1] = EIGHT_TENDON_LIMITS.tension_rail + 1.0
     assert findings_of_fault("T03c", high) == []
-    assert findings_of_fault("T03c", TickInput(high.state_rows | RELAXING_ROWS)) == [
+    assert findings_of_fault("T03c", TickInput(high.state_rows | STATE_ROWS_WHILE_RELAXING)) == [
         ("t1", EIGHT_TENDON_LIMITS.tension_rail + 1.0)
     ]
     assert (
-        findings_of_fault("T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_rows | RELAXING_ROWS))
+        findings_of_fault(
+            "T03c", TickInput(INPUT_WITHOUT_TENSIONS.state_rows | STATE_ROWS_WHILE_RELAXING)
+        )
         == []
     )
 

@@ -12,9 +12,9 @@ from handctl.core.detectors import fault_detection as compiled_judge
 from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.safety import tick_verdict as judgement
 from handctl.safety.faults.fault import (
-    ENDED_BY_ITSELF,
-    ENDED_BY_OPERATOR,
-    TENDON_INSTANCE,
+    CLEARED_BY_ITSELF,
+    CLEARED_BY_OPERATOR,
+    FAULT_PLACE_TENDON,
     Fault,
 )
 from handctl.safety.faults.table import (
@@ -26,21 +26,21 @@ from handctl.safety.faults.table import (
     FAULTS_BY_EVENT_KIND,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
-from handctl.safety.safety_limits import SafetyLimits, ticks_for
+from handctl.safety.safety_limits import SafetyLimits, tick_count_for_time
 from handctl.safety.tick_verdict import TickVerdict
 from tests.safety.fault_cases import (
     CASE_BY_FAULT,
     EIGHT_TENDON_LIMITS,
     INPUT_AT_REST,
-    OTHER_SIGNS_BY_FAULT,
+    OTHER_INPUTS_BY_FAULT,
     TickInput,
     drive_temperatures,
     filtered_residuals,
+    input_without_torque,
     measured_tensions,
     merge_inputs,
+    monitor_at_rest,
     reset_for_input,
-    rested_monitor,
-    without_torque,
 )
 from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted
 
@@ -51,7 +51,7 @@ def check_ticks(
     *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
-    monitor = monitor or rested_monitor()
+    monitor = monitor or monitor_at_rest()
     return monitor, [
         monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
         for tick_input in tick_inputs
@@ -66,7 +66,7 @@ def check_fault_alone(
     Return the monitor after these ticks, the action that it demands in each tick, and the findings that
     it reports.
     """
-    monitor, actions, reported = monitor or rested_monitor(), [], []
+    monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
         verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
@@ -122,9 +122,9 @@ def test_just_below_its_threshold_it_never_counts(fault_id: str) -> None:
     assert not reported
 
 
-@pytest.mark.parametrize("fault_id", OTHER_SIGNS_BY_FAULT)
+@pytest.mark.parametrize("fault_id", OTHER_INPUTS_BY_FAULT)
 def test_every_sign_of_a_fault_is_detected(fault_id: str) -> None:
-    for tick_input in OTHER_SIGNS_BY_FAULT[fault_id]:
+    for tick_input in OTHER_INPUTS_BY_FAULT[fault_id]:
         _, actions, _ = check_fault_alone(
             fault_id, *[tick_input] * CASE_BY_FAULT[fault_id].debounce_ticks
         )
@@ -136,8 +136,10 @@ def test_interrupted_fault_counts_from_zero(fault_id: str) -> None:
     case = CASE_BY_FAULT[fault_id]
     if case.debounce_ticks == 1:
         return
-    almost = [case.input_with_fault] * (case.debounce_ticks - 1)
-    _, actions, _ = check_fault_alone(fault_id, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
+    input_below_debounce = [case.input_with_fault] * (case.debounce_ticks - 1)
+    _, actions, _ = check_fault_alone(
+        fault_id, *input_below_debounce, INPUT_AT_REST, *input_below_debounce, INPUT_AT_REST
+    )
     assert set(actions) == {SafetyAction.PASS}
 
 
@@ -177,9 +179,9 @@ def test_clearing_a_present_fault_has_no_effect(fault_id: str) -> None:
 def test_a_silent_drive_is_no_fault_while_torque_is_off(fault_id: str) -> None:
     case = CASE_BY_FAULT[fault_id]
     _, actions, _ = check_fault_alone(
-        fault_id, *[without_torque(case.input_with_fault)] * (case.debounce_ticks + 1)
+        fault_id, *[input_without_torque(case.input_with_fault)] * (case.debounce_ticks + 1)
     )
-    assert actions[-1] == (SafetyAction.PASS if case.only_while_armed else case.action)
+    assert actions[-1] == (SafetyAction.PASS if case.is_found_only_while_armed else case.action)
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
@@ -195,7 +197,7 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.title
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
-        assert fault.clears in ("by the operator", "by itself")
+        assert fault.cleared_by in ("by the operator", "by itself")
         assert fault.latched == CASE_BY_FAULT[fault.id].is_latched
         assert fault.action < SafetyAction.RELAX or fault.latched, (
             "only a person ends a relax or a cut"
@@ -227,7 +229,9 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
     assert {
         one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
     } == FAULTS_OF_TENSION_LOOP
-    assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {
+    assert {
+        one for one, release in relaxing.items() if release is RelaxMethod.FAST_TENSION_LOOP
+    } == {
         "T03",
         "T06",
     }
@@ -237,13 +241,13 @@ def test_properties_of_faults_are_consistent() -> None:
     for fault in FAULT_TABLE:
         if fault.makes_tension_unreliable or fault.shows_torque_after_cut:
             assert fault.latched, fault.id
-            assert TENDON_INSTANCE in fault.per, fault.id
+            assert FAULT_PLACE_TENDON in fault.fault_places, fault.id
         if fault.caused_by_lateness:
             assert fault.latched, fault.id
         if fault.makes_tension_unreliable:
             assert fault.needs_load_cell, fault.id
         if fault.needs_load_cell or fault.needs_joint_encoders:
-            assert TENDON_INSTANCE in fault.per, fault.id
+            assert FAULT_PLACE_TENDON in fault.fault_places, fault.id
 
 
 def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
@@ -253,7 +257,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
         if line.startswith("| RELAX ")
     ]
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
-    for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
+    for release in (RelaxMethod.FAST_TENSION_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that disables the motors at once does not relax the hand.
         relaxing = {
             one.id
@@ -269,10 +273,10 @@ def test_a_fault_is_either_found_or_reported() -> None:
     For each kind of part, a detector has one row in the fault table.
     """
     for fault in FAULT_TABLE:
-        assert bool(fault.per) != bool(fault.reports), fault.id
-        assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
-        assert fault.name or "hand" not in fault.per
-    assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), (
+        assert bool(fault.fault_places) != bool(fault.reports), fault.id
+        assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.fault_places)
+        assert fault.name or "hand" not in fault.fault_places
+    assert len(DETECTOR_ROWS) <= len(monitor_at_rest().view("fault_ticks")), (
         "there is room for how long each is present"
     )
     assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
@@ -288,7 +292,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
 def test_a_time_is_rounded_to_ticks(
     duration_s: float, period_s: float, minimum_ticks: int, expected_ticks: int
 ) -> None:
-    assert ticks_for(duration_s, period_s, minimum_ticks) == expected_ticks
+    assert tick_count_for_time(duration_s, period_s, minimum_ticks) == expected_ticks
 
 
 def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
@@ -298,7 +302,7 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
 
     In this test, interpreted code debounces the fault.
     """
-    case, monitor, seen = CASE_BY_FAULT[fault_id], rested_monitor(), []
+    case, monitor, seen = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
     for tick_input in [
         case.input_below_limit,
@@ -321,7 +325,7 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
 
 
 @pytest.fixture
-def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Return a function that replaces the declaration of a fault by a changed declaration."""
 
     def declare_fault(other: Fault) -> None:
@@ -344,21 +348,21 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 
 @pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
-def test_a_changed_row_would_be_noticed(fault_id: str, declare_changed) -> None:
+def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
 
     The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[fault_id]
-    other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
-    changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
+    other = CLEARED_BY_ITSELF if fault.latched else CLEARED_BY_OPERATOR
+    changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, cleared_by=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
     changed += [
         replace(fault, action=SafetyAction(fault.action + step))
         for step in (-1, 1)
         if 0 <= fault.action + step <= 4
     ]
-    declare_changed(fault)
+    redeclare_fault(fault)
     right = trace_fault(fault_id)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
@@ -366,7 +370,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, declare_changed) -> None:
             True,
         ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
-        declare_changed(mutant)
+        redeclare_fault(mutant)
         assert trace_fault(fault_id) != right, mutant
 
 
@@ -384,7 +388,7 @@ def test_a_moved_threshold_would_be_noticed(fault_id: str, step_sign: int) -> No
     moved: SafetyLimits = replace(
         EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + step_sign * step}
     )
-    case, monitor = CASE_BY_FAULT[fault_id], rested_monitor()
+    case, monitor = CASE_BY_FAULT[fault_id], monitor_at_rest()
     monitor.replace_limits(moved)
     _, actions, _ = check_fault_alone(
         fault_id,

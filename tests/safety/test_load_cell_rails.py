@@ -6,7 +6,12 @@ from dataclasses import replace
 import pytest
 
 from handctl.safety.safety_action import SafetyAction
-from tests.safety.fault_cases import measured_tensions, merge_inputs, state_rows, without_torque
+from tests.safety.fault_cases import (
+    input_without_torque,
+    measured_tensions,
+    merge_inputs,
+    state_rows,
+)
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
 RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
@@ -40,6 +45,8 @@ def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() 
     """
     tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
     assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.state_rows)["T06"] == {"t1": -3.0}
-    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(tick_input).state_rows)
+    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(
+        input_without_torque(tick_input).state_rows
+    )
     high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_rows(saturated={1: 1}))
     assert SyntheticMonitor(RAIL_LIMITS).tick(high.state_rows)["T06"] == {"t0": 250.0, "t1": 244.0}

@@ -36,7 +36,7 @@ def loss_bits(bits_text: str) -> int:
     return int(bits_text, 2)
 
 
-def window_words(loss_window: int) -> tuple[int, int]:
+def loss_window_words(loss_window: int) -> tuple[int, int]:
     """Return the two words that store a window of losses.
 
     One has the newer half of the window, and the other the older half.
@@ -52,7 +52,7 @@ class LossWindows(SyntheticMonitor):
 
     def __init__(self, motor_losses: int = 0, cell_losses: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
-        pairs = (window_words(motor_losses), window_words(cell_losses))
+        pairs = (loss_window_words(motor_losses), loss_window_words(cell_losses))
         self.set_rows(
             {
                 "lost": {
@@ -62,7 +62,7 @@ class LossWindows(SyntheticMonitor):
         )
 
     def run_tick_without_replies(
-        self, motor_missed: bool = False, cells_missed: bool = False, **value_by_field: Any
+        self, is_motor_missing: bool = False, are_cells_missing: bool = False, **value_by_field: Any
     ) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied.
 
@@ -70,8 +70,8 @@ class LossWindows(SyntheticMonitor):
         """
         self.tick(
             {
-                "feedback_ns": NOW_NS - motor_missed * PERIOD_NS,
-                "group_ns": NOW_NS - cells_missed * PERIOD_NS,
+                "feedback_ns": NOW_NS - is_motor_missing * PERIOD_NS,
+                "group_ns": NOW_NS - are_cells_missing * PERIOD_NS,
             },
             **value_by_field,
         )
@@ -89,7 +89,7 @@ class LossWindows(SyntheticMonitor):
 HALF_WINDOW = LOSS_WINDOW_TICKS // 2
 
 
-@pytest.mark.parametrize(("windows_before", "missed_now", "windows_after"), [
+@pytest.mark.parametrize(("windows_before", "missing_replies", "windows_after"), [
     ((0, 0), (False, False), (0, 0)),
     ((0, 0), (True, False), (0b1, 0b0)),
     ((0, 0), (True, True), (0b1, 0b1)),
@@ -101,8 +101,8 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
     ((1 << (HALF_WINDOW - 1), 1 << HALF_WINDOW), (False, True), (1 << HALF_WINDOW, 1 << HALF_WINDOW + 1 | 1)),
 ])  # fmt: skip
-def test_window_shifts_by_one_bit_per_tick(windows_before, missed_now, windows_after):
-    assert LossWindows(*windows_before).run_tick_without_replies(*missed_now) == windows_after
+def test_window_shifts_by_one_bit_per_tick(windows_before, missing_replies, windows_after):
+    assert LossWindows(*windows_before).run_tick_without_replies(*missing_replies) == windows_after
 
 
 def test_lost_replies_are_counted_per_window():
@@ -173,9 +173,9 @@ def refusal_counter(control_rate_hz: float) -> Any:
         Controller._count_refusals(
             controller, state, (TickEvent("warn", "request", "", ""),) * refused_count
         )
-        lately = state.decisions.refusals
-        assert int(window.view("refused").item()) == len(lately)
-        return lately
+        recent_refusals = state.decisions.refusals
+        assert int(window.view("refused").item()) == len(recent_refusals)
+        return recent_refusals
 
     return count_refusals
 
@@ -191,7 +191,7 @@ def test_refused_goals_are_those_of_the_last_second():
 def test_lost_and_malformed_replies_are_counted_separately():
     window = LossWindows()
     window.set_rows({"misread_now": {1: 1}})
-    assert window.run_tick_without_replies(motor_missed=True) == (1, 0)
+    assert window.run_tick_without_replies(is_motor_missing=True) == (1, 0)
     assert window.field_values("misshapen") == [0, 1]
     assert window.run_tick_without_replies(misread_now=0) == (2, 0)
     assert window.field_values("misshapen") == [0, 2]

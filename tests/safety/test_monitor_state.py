@@ -63,12 +63,12 @@ FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "po
          "read": "joints_read"}  # fmt: skip
 
 
-def resting_tick(**changed_measurements: Any) -> dict[str, Any]:
+def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
     """Return the measurements of two tendons that rest under 20 N, with some changes.
 
     A single number applies to both tendons.
     """
-    facts = {
+    resting_measurements = {
         "tension": 20.0,
         "travel": 0.0,
         "speed": 0.0,
@@ -77,11 +77,13 @@ def resting_tick(**changed_measurements: Any) -> dict[str, Any]:
         "joints": NAN,
         "read": False,
     }
-    facts |= changed_measurements
+    resting_measurements |= changed_measurements
     # Travel and position come from the same encoder. The travel is the position times the spool
     # radius.
-    facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
-    return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
+    resting_measurements.setdefault(
+        "position", np.asarray(resting_measurements["travel"]) / SPOOL_RADIUS_M
+    )
+    return {FIELD_BY_NAME[name]: value for name, value in resting_measurements.items()}
 
 
 def monitor_at_20_newton(
@@ -104,7 +106,7 @@ def run_ticks(
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(tick_count):
         found = monitor.tick(
-            resting_tick(
+            measurements_at_rest(
                 **{name: v(k) if callable(v) else v for name, v in changed_measurements.items()}
             )
         )
@@ -134,7 +136,7 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = run_ticks(10)
     monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
-    assert monitor.tick(resting_tick(), mode=int(HandMode.READY)) == {}
+    assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
         first, end = {
             "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
@@ -154,8 +156,8 @@ def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = run_ticks(3)[0]
     monitor.set_rows({"mode": int(HandMode.CUT)})
     for _ in range(50):
-        assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0], force=0.0))
-    assert monitor.tick(resting_tick(tension=[30.0, 8.0], force=0.0))["N16"] == {"a": 30.0}
+        assert "N16" not in monitor.tick(measurements_at_rest(tension=[30.0, 8.0], force=0.0))
+    assert monitor.tick(measurements_at_rest(tension=[30.0, 8.0], force=0.0))["N16"] == {"a": 30.0}
     assert monitor.field_values("cut_from") == [30.0, 8.0]
 
 
@@ -164,7 +166,7 @@ def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut()
     run_ticks(2, monitor, tension=NAN)
     monitor.set_rows({"mode": int(HandMode.CUT)})
     for k in range(51):
-        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN, force=0.0))
+        found = monitor.tick(measurements_at_rest(tension=[30.0, 8.0] if k else NAN, force=0.0))
     assert found["N16"] == {"a": 30.0}
     assert monitor.field_values("cut_from") == [30.0, 25.0]
 
@@ -190,8 +192,8 @@ def test_lasting_residual_is_a_fault(tension, expected_residual):
     """
     monitor, found = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
-    all_cells = {name: pytest.approx(expected_residual, abs=0.05) for name in "ab"}
-    assert found.get("T04a", {}) == (all_cells if expected_residual > 5.0 else {})
+    expected_residuals = {name: pytest.approx(expected_residual, abs=0.05) for name in "ab"}
+    assert found.get("T04a", {}) == (expected_residuals if expected_residual > 5.0 else {})
 
 
 @pytest.mark.parametrize(
@@ -226,9 +228,13 @@ def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported)
     monitor = run_ticks(30)[0]
     monitor.set_rows({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
     _, found = run_ticks(1, monitor, force=29.0, tension=29.0)
-    grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
-    assert grown == pytest.approx([excess_friction_N - 2.9] * 2, abs=0.01)
-    assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if is_reported else {})
+    excess_frictions = [
+        call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)
+    ]
+    assert excess_frictions == pytest.approx([excess_friction_N - 2.9] * 2, abs=0.01)
+    assert found.get("T09", {}) == (
+        dict(zip("ab", excess_frictions, strict=True)) if is_reported else {}
+    )
 
 
 def test_a_noisy_encoder_is_detected():
@@ -313,7 +319,7 @@ def run_sparse_joints(
             if k % TICKS_PER_JOINT_READING == 0
             else {n: v for n, v in changed_measurements.items() if n == "travel"}
         )
-        reported.append(monitor.tick(resting_tick(**read)))
+        reported.append(monitor.tick(measurements_at_rest(**read)))
     return reported
 
 
@@ -347,16 +353,18 @@ def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
     for every in (1, TICKS_PER_JOINT_READING):
         monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
         run_ticks(100, monitor, excursion=0.0, read=True)
-        begun = None
+        detection_time_s = None
         for k in range(400):
             read = (
                 {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True}
                 if k % every == 0
                 else {}
             )
-            found = monitor.tick(resting_tick(**read))
-            begun = k * PERIOD_S if begun is None and "N06a" in found else begun
-        assert begun == pytest.approx(0.584, abs=0.01)
+            found = monitor.tick(measurements_at_rest(**read))
+            detection_time_s = (
+                k * PERIOD_S if detection_time_s is None and "N06a" in found else detection_time_s
+            )
+        assert detection_time_s == pytest.approx(0.584, abs=0.01)
 
 
 def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
@@ -383,7 +391,7 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     first = None
     for k in range(60):
         found = monitor.tick(
-            resting_tick(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
+            measurements_at_rest(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
         )
         first = k if first is None and "N04" in found else first
     assert first == 48
@@ -502,15 +510,15 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(reply_late_
         monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + reply_late_ticks else (at + 0.05, speed)
-            rows = resting_tick(position=at, speed=speed, force=23.0 + 40.0 * speed)
+            rows = measurements_at_rest(position=at, speed=speed, force=23.0 + 40.0 * speed)
             noisy |= "N07" in monitor.tick(rows, missed=missed_ticks if k == 10 else 0)
         return noisy, monitor.view("residual")[BALANCE]
 
-    noisy, balance = run_over_gap(4)
-    assert not noisy
+    is_noise_reported, balance = run_over_gap(4)
+    assert not is_noise_reported
     assert np.abs(balance).max() < 0.05
-    noisy, balance = run_over_gap(0)
-    assert noisy, "positive control"
+    is_noise_reported, balance = run_over_gap(0)
+    assert is_noise_reported, "positive control"
     assert np.abs(balance).max() > 0.5
 
 

@@ -12,17 +12,22 @@ import pytest
 from handctl.core.detectors import stuck_sensors, tendon_slip
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD, SETTLE_S
-from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
+from handctl.safety.faults.node import (
+    STUCK_SENSOR_GOAL_CHANGE_M,
+    STUCK_SENSOR_JOINT_CHANGE_DEG,
+    STUCK_SENSOR_TENSION_CHANGE_N,
+    STUCK_SENSOR_TIME_S,
+)
 from handctl.safety.faults.tendon import (
-    CELL_FORCE_N,
-    CELL_TICKS,
-    DERAILED_DEG,
-    DERAILED_WITHOUT_CELL_DEG,
-    SLACK_N,
-    TAUT_N,
+    DERAILED_TENDON_DEG,
+    DERAILED_TENDON_WITHOUT_CELL_DEG,
+    SLACK_TENSION_N,
+    STUCK_CELL_FORCE_RANGE_N,
+    STUCK_CELL_READINGS,
+    TAUT_TENSION_N,
 )
 from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_interpreted
-from tests.safety.test_monitor_state import make_monitor, resting_tick
+from tests.safety.test_monitor_state import make_monitor, measurements_at_rest
 
 SOFT_STIFFNESS = 5e3
 """Low stiffness of a tendon [N/m]. With this stiffness, 20 N stretch the tendon by 4 mm."""
@@ -42,8 +47,10 @@ def monitor() -> SyntheticMonitor:
     return monitor
 
 
-def joint_turns(monitor: SyntheticMonitor, **changed_measurements: Any) -> list[float]:
-    monitor.set_rows(resting_tick(**changed_measurements) | {"bears": 1})
+def joint_rotations_from_spools(
+    monitor: SyntheticMonitor, **changed_measurements: Any
+) -> list[float]:
+    monitor.set_rows(measurements_at_rest(**changed_measurements) | {"bears": 1})
     return [
         call_interpreted(
             stuck_sensors.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j
@@ -58,9 +65,11 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
     This length does not move the joint.
     """
     np.testing.assert_allclose(
-        joint_turns(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ), 0.0, atol=1e-12
+        joint_rotations_from_spools(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ),
+        0.0,
+        atol=1e-12,
     )
-    wound = joint_turns(
+    wound = joint_rotations_from_spools(
         monitor, travel=[20.0 / SOFT_STIFFNESS + 1e-3, 20.0 / SOFT_STIFFNESS], **JOINTS_READ
     )
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
@@ -71,12 +80,13 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor
     assert math.isnan(angle), "it says nothing"
 
 
-@pytest.mark.parametrize(("tension_N", "expected_taut_time"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
-                                               (TAUT_N + 1e-9, 1.0 + PERIOD_S)])  # fmt: skip
+@pytest.mark.parametrize(("tension_N", "expected_taut_time"), [
+    (SLACK_TENSION_N, 1.0), (SLACK_TENSION_N - 1e-9, 0.0), (TAUT_TENSION_N, 1.0),
+                                               (TAUT_TENSION_N + 1e-9, 1.0 + PERIOD_S)])  # fmt: skip
 def test_the_taut_time_does_not_change_between_slack_and_taut(
     monitor: SyntheticMonitor, tension_N: float, expected_taut_time: float
 ) -> None:
-    monitor.tick(resting_tick(tension=tension_N, **JOINTS_READ), taut_s=1.0)
+    monitor.tick(measurements_at_rest(tension=tension_N, **JOINTS_READ), taut_s=1.0)
     assert monitor.field_values("taut_s") == [expected_taut_time, expected_taut_time]
 
 
@@ -84,7 +94,7 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
     monitor: SyntheticMonitor,
 ) -> None:
     for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
-        now = resting_tick(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
+        now = measurements_at_rest(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
         begin, slipped = monitor.field_values("slip_from"), monitor.field_values("slip")
         assert np.isnan(begin[0]) != settled
@@ -105,16 +115,18 @@ def stuck_names(
     """
     zero = [0.0, 0.0]
     found = monitor.tick(
-        resting_tick(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings, cell_stuck=equal_readings,
+        measurements_at_rest(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings,
+        cell_stuck=equal_readings,
         joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
         followed=changed_state.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(changed_state.get("tension", zero))],
         cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
-    stands = found.get("N04", {})
+    stuck_findings = found.get("N04", {})
     return {
-        "motor": [name for name in stands if name[0] == "m"], "joint": [name for name in stands if name[0] == "j"],
+        "motor": [name for name in stuck_findings if name[0] == "m"],
+        "joint": [name for name in stuck_findings if name[0] == "j"],
         "cell": list(found.get("T05", {})),
     }  # fmt: skip
 
@@ -122,24 +134,28 @@ def stuck_names(
 def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
     monitor: SyntheticMonitor,
 ) -> None:
-    long = int(STUCK_S / PERIOD_S)
+    stuck_ticks = int(STUCK_SENSOR_TIME_S / PERIOD_S)
     assert not any(stuck_names(monitor, 9999, 20.0, {}).values())
-    at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
-          "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
+    at = {"goal": [STUCK_SENSOR_GOAL_CHANGE_M, 0.0], "tension": [0.0, STUCK_SENSOR_TENSION_CHANGE_N],
+          "pushed": [STUCK_CELL_FORCE_RANGE_N, 9.0],
+          "turned": [STUCK_SENSOR_JOINT_CHANGE_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
     assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
     beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert stuck_names(monitor, long, 20.0, beyond) == all_names
-    assert stuck_names(monitor, long - 1, 20.0, beyond) == all_names | {"motor": [], "joint": []}
+    assert stuck_names(monitor, stuck_ticks, 20.0, beyond) == all_names
+    assert stuck_names(monitor, stuck_ticks - 1, 20.0, beyond) == all_names | {
+        "motor": [],
+        "joint": [],
+    }
 
 
 def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
     monitor: SyntheticMonitor,
 ) -> None:
     pushed = {"pushed": [9.0, 9.0]}
-    assert stuck_names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
-    assert stuck_names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
-    assert stuck_names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], (
+    assert stuck_names(monitor, STUCK_CELL_READINGS - 1, 20.0, pushed)["cell"] == ["a", "b"]
+    assert stuck_names(monitor, STUCK_CELL_READINGS - 2, 20.0, pushed)["cell"] == []
+    assert stuck_names(monitor, STUCK_CELL_READINGS - 1, TAUT_TENSION_N, pushed)["cell"] == [], (
         "a slack tendon's cell may rest"
     )
 
@@ -147,10 +163,10 @@ def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
 def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
-    for k in range(CELL_TICKS + 2):
-        found = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
-        assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= CELL_TICKS), k
-    assert monitor.field_values("cell_stuck")[0] > CELL_TICKS
+    for k in range(STUCK_CELL_READINGS + 2):
+        found = monitor.tick(measurements_at_rest(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= STUCK_CELL_READINGS), k
+    assert monitor.field_values("cell_stuck")[0] > STUCK_CELL_READINGS
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
@@ -163,15 +179,16 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     reported = []
     for force in (20.0, 24.0, 16.0, 20.0):
-        for _ in range(CELL_TICKS):
-            found = monitor.tick(resting_tick(force=force, tension=20.0))
+        for _ in range(STUCK_CELL_READINGS):
+            found = monitor.tick(measurements_at_rest(force=force, tension=20.0))
         reported.append("T05" in found)
     assert reported == [False, False, True, True]
     assert found["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 
 @pytest.mark.parametrize(
-    ("cell_group", "pulley_limit"), [([0, 1], DERAILED_DEG), ([-1, -1], DERAILED_WITHOUT_CELL_DEG)]
+    ("cell_group", "pulley_limit"),
+    [([0, 1], DERAILED_TENDON_DEG), ([-1, -1], DERAILED_TENDON_WITHOUT_CELL_DEG)],
 )
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     monitor: SyntheticMonitor, cell_group: list[int], pulley_limit: float
@@ -184,16 +201,18 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 
     def slip_and_count(excursion_difference: float) -> tuple[float, float]:
         monitor.set_rows(
-            resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -excursion_difference})
+            measurements_at_rest(
+                **JOINTS_READ | {"tension": 0.0, "excursion": -excursion_difference}
+            )
         )
         monitor.set_rows(
             {
                 "taut_s": 9.0,
                 "slip_from": 0.0,
                 "derailed": 0.0,
-                "measured_tension": TAUT_N,
-                "tension": TAUT_N,
-                "measured_travel": TAUT_N / SOFT_STIFFNESS,
+                "measured_tension": TAUT_TENSION_N,
+                "tension": TAUT_TENSION_N,
+                "measured_travel": TAUT_TENSION_N / SOFT_STIFFNESS,
             }
         )
         call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
@@ -206,11 +225,11 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 
 
 @pytest.mark.parametrize(
-    ("cell_group", "commanded_force_N", "is_judged"),
+    ("cell_group", "commanded_force_N", "is_checked"),
     [([-1, -1], 20.0, True), ([-1, -1], np.nan, False), ([0, 1], np.nan, True)],
 )
 def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
-    monitor: SyntheticMonitor, cell_group: list[int], commanded_force_N: float, is_judged: bool
+    monitor: SyntheticMonitor, cell_group: list[int], commanded_force_N: float, is_checked: bool
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
@@ -218,16 +237,16 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
     looked like tension.
     """
     monitor.set_constants(cell_group=cell_group)
-    monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))
+    monitor.set_rows(measurements_at_rest(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))
     monitor.set_rows(
         {
             "wanted": commanded_force_N,
             "taut_s": 9.0,
             "slip_from": 0.0,
-            "measured_tension": TAUT_N,
-            "tension": TAUT_N,
+            "measured_tension": TAUT_TENSION_N,
+            "tension": TAUT_TENSION_N,
         }
     )
     call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
-    assert np.isnan(monitor.field_values("slip")[0]) != is_judged
-    assert (monitor.field_values("taut_s")[0] == 0.0) != is_judged
+    assert np.isnan(monitor.field_values("slip")[0]) != is_checked
+    assert (monitor.field_values("taut_s")[0] == 0.0) != is_checked

@@ -36,16 +36,19 @@ class OpenRequests(SyntheticMonitor):
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
-    def send_requests(self, tick_index: int, must_reply: tuple[bool, ...] | None = None) -> None:
+    def send_requests(
+        self, tick_index: int, motors_must_reply: tuple[bool, ...] | None = None
+    ) -> None:
         """Send one request to every motor.
 
-        A motor that is not in ``must_reply`` may leave its request unanswered.
+        A motor that is not in ``motors_must_reply`` may leave its request unanswered.
         """
-        if must_reply:
+        if motors_must_reply:
             self.set_rows(
                 {
                     "phase_before": [
-                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in must_reply
+                        int(DrivePhase.READY if one else DrivePhase.READY - 1)
+                        for one in motors_must_reply
                     ]
                 }
             )
@@ -63,7 +66,7 @@ class OpenRequests(SyntheticMonitor):
         return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
-@pytest.mark.parametrize(("open_request_ticks", "replies_to_each_request", "open_after_tick"), [
+@pytest.mark.parametrize(("open_request_ticks", "replies_to_each_request", "outstanding_after_tick"), [
     (((), ()), (True, True), ((7,), (7,))),
     (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # this drive need only reply to the last request
@@ -75,11 +78,11 @@ class OpenRequests(SyntheticMonitor):
         ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # not the last request
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(
-    open_request_ticks, replies_to_each_request, open_after_tick
+    open_request_ticks, replies_to_each_request, outstanding_after_tick
 ):
     questions = OpenRequests(open_request_ticks)
     questions.send_requests(7, replies_to_each_request)
-    assert questions.outstanding == open_after_tick
+    assert questions.outstanding == outstanding_after_tick
 
 
 def test_outstanding_requests_are_limited() -> None:
@@ -90,7 +93,7 @@ def test_outstanding_requests_are_limited() -> None:
     assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
 
-@pytest.mark.parametrize(("open_request_ticks", "reply_counts", "open_after_tick", "excess_motors"), [
+@pytest.mark.parametrize(("open_request_ticks", "reply_counts", "outstanding_after_tick", "excess_motors"), [
     (((1,), (1,)), [1, 1], ((), ()), []),
     (((1,), (1,)), [1, 0], ((), (1,)), []),
     # a late reply and a new reply arrive in one tick
@@ -105,11 +108,11 @@ def test_outstanding_requests_are_limited() -> None:
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
 def test_replies_match_requests_and_the_rest_is_excess(
-    open_request_ticks, reply_counts, open_after_tick, excess_motors
+    open_request_ticks, reply_counts, outstanding_after_tick, excess_motors
 ):
     questions = OpenRequests(open_request_ticks)
     assert questions.receive_replies(reply_counts) == excess_motors
-    assert questions.outstanding == open_after_tick
+    assert questions.outstanding == outstanding_after_tick
     expected = [
         1 + len(ticks) if n in excess_motors else 0 for n, ticks in enumerate(open_request_ticks)
     ]
@@ -129,10 +132,10 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
         questions.set_rows({"open_questions": 0})
         for k in range(start, start + ticks_without_reply + 1):
             questions.send_requests(k)
-            extra = questions.receive_replies(
+            excess_motors = questions.receive_replies(
                 [0] if k < start + ticks_without_reply else [ticks_without_reply + 1]
             )
-            assert extra == [], f"from tick {start} on"
+            assert excess_motors == [], f"from tick {start} on"
         assert questions.outstanding == ((),)
         questions.send_requests(k + 1)
         assert questions.receive_replies([2]) == [0]

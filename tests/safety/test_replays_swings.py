@@ -13,8 +13,8 @@ from handctl.campaign.fault_matrix import GRASP_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.detectors import replayed_readings
 from handctl.core.tick_types import HandMode
-from handctl.safety.faults.node import SWING_S
-from handctl.session.run_plan import default_rate
+from handctl.safety.faults.node import OSCILLATION_DURATION_S
+from handctl.session.run_plan import default_control_rate
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -113,7 +113,7 @@ def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(
     when, rms = first_oscillation(
         20.0 * np.sin(2.0 * math.pi * swing_frequency_hz * t), 1.0 / control_rate_hz
     )
-    assert SWING_S <= when < 0.35
+    assert OSCILLATION_DURATION_S <= when < 0.35
     assert 8.0 < rms < 20.0
 
 
@@ -147,7 +147,7 @@ def test_a_grasping_hand_relaxes(
     fault_command: str, expected_faults: set[str], duration_s: float, seed: int
 ) -> None:
     hand = hand_with_protocol("jamia", "mit")
-    with homed_run(hand, default_rate(hand), seed) as course:
+    with homed_run(hand, default_control_rate(hand), seed) as course:
         advance_to_stage(course, GRASP_STAGE)
         which = seed % 4
         course.simulated_hand.inject(

@@ -31,17 +31,27 @@ def test_recorder_events_become_faults() -> None:
 
 
 def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
-    unheard, other = (
+    missing_acknowledge_report, other_report = (
         ("error_frame", "can0 no acknowledge", 3.0),
         ("error_frame", "can0 overload", 2.0),
     )
-    located = locate_reports(filter_error_frames([other, unheard, unheard], any_node_heard=False))
-    assert [(fault.id, name, value) for fault, name, value in located] == [
+    located_faults = locate_reports(
+        filter_error_frames(
+            [other_report, missing_acknowledge_report, missing_acknowledge_report],
+            has_node_answered=False,
+        )
+    )
+    assert [(fault.id, name, value) for fault, name, value in located_faults] == [
         ("B18", "can0 no acknowledge", 3.0)
     ]
-    other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], any_node_heard=False)
+    other_kind = filter_error_frames(
+        [other_report, ("enobufs", "protocol", 1.0)], has_node_answered=False
+    )
     assert [fault.id for fault, _, _ in locate_reports(other_kind)] == ["B15"]
-    assert locate_reports(filter_error_frames([unheard], any_node_heard=True)) == []
+    assert (
+        locate_reports(filter_error_frames([missing_acknowledge_report], has_node_answered=True))
+        == []
+    )
 
 
 def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> None:
@@ -49,14 +59,18 @@ def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> N
 
     A reply proves that the bus has other nodes.
     """
-    unheard = ("error_frame", "can0 no acknowledge", 3.0)
+    missing_acknowledge_report = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)
-        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], any_node_heard=False) == [
+        assert filter_error_frames(
+            [one, ("enobufs", "can0", 1.0), one], has_node_answered=False
+        ) == [
             ("enobufs", "can0", 1.0),
             one,
         ]
-    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], any_node_heard=True) == [
-        ("enobufs", "can0", 1.0)
-    ]
-    assert filter_error_frames([("error_frame", "can0 overload", 2.0)], any_node_heard=False) == []
+    assert filter_error_frames(
+        [missing_acknowledge_report, ("enobufs", "can0", 1.0)], has_node_answered=True
+    ) == [("enobufs", "can0", 1.0)]
+    assert (
+        filter_error_frames([("error_frame", "can0 overload", 2.0)], has_node_answered=False) == []
+    )

@@ -22,8 +22,8 @@ from tests.safety.fault_cases import (
     late_motor_frames,
     measured_tensions,
     merge_inputs,
+    monitor_at_rest,
     reset_for_input,
-    rested_monitor,
     state_rows,
 )
 from tests.safety.synthetic_monitor import SyntheticMonitor
@@ -84,8 +84,8 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
     left = [case.action for case in (a, b) if case.is_latched]
     assert after.action >= max(left, default=SafetyAction.PASS)
     monitor.clear_latched()
-    _, (calm,) = check_ticks(INPUT_AT_REST, monitor=monitor)
-    assert calm.action == SafetyAction.PASS
+    _, (verdict_without_fault,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    assert verdict_without_fault.action == SafetyAction.PASS
     assert monitor.latched == ()
 
 
@@ -140,22 +140,25 @@ def test_additional_faults_never_weaken_the_action(
     The second run has additional faults in some ticks. The action in the second run is never weaker
     than in the first run.
     """
-    less, more = rested_monitor(), rested_monitor()
-    for tick_input, extra, cleared in ticks:
+    monitor_with_fewer_faults, monitor_with_more_faults = monitor_at_rest(), monitor_at_rest()
+    for tick_input, added_faults, cleared in ticks:
         if cleared:
-            less.clear_latched()
-            more.clear_latched()
-        mild = judge_input(less, tick_input)
-        wild = judge_input(more, merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in extra)))
-        assert wild.action >= mild.action
-        assert set(less.latched) <= set(more.latched)
+            monitor_with_fewer_faults.clear_latched()
+            monitor_with_more_faults.clear_latched()
+        verdict_with_fewer_faults = judge_input(monitor_with_fewer_faults, tick_input)
+        verdict_with_more_faults = judge_input(
+            monitor_with_more_faults,
+            merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in added_faults)),
+        )
+        assert verdict_with_more_faults.action >= verdict_with_fewer_faults.action
+        assert set(monitor_with_fewer_faults.latched) <= set(monitor_with_more_faults.latched)
 
 
 @given(course_of_faults)
 def test_latches_only_grow_between_clearings(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
-    monitor, reported = rested_monitor(), list[tuple[str, str]]()
+    monitor, reported = monitor_at_rest(), list[tuple[str, str]]()
     for tick_input, _, cleared in ticks:
         before = () if cleared else monitor.latched
         if cleared:

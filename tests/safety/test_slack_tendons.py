@@ -13,8 +13,8 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.digit_reference import MINIMUM_JERK
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.tick_types import HandMode
-from handctl.safety.faults.node import STILL_PULLING_N
-from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
+from handctl.safety.faults.node import PULL_AFTER_CUT_N
+from handctl.safety.faults.tendon import SLACK_TENSION_N, SNAP_MIN_COMMAND_N, TAUT_TENSION_N
 from tests.safety.synthetic_monitor import (
     PERIOD_S,
     SPOOL_RADIUS_M,
@@ -141,7 +141,7 @@ def test_a_snapped_tendon_is_detected(
     assert tendons.reported.get("T01", {}) == ({"t1": spool_speed} if is_detected else {})
 
 
-@pytest.mark.parametrize(("commanded_tension_N", "speed_gain", "friction_N", "digit_moves", "speed_limit"), [
+@pytest.mark.parametrize(("commanded_tension_N", "speed_gain", "friction_N", "is_digit_moving", "speed_limit"), [
     # The tension loop has the gain 0.1. A free spool reaches ((1 + 0.1) goal - friction) / speed_gain.
     (11.0, 460.0, 3.0, False, 0.6 * 9.1 / 460.0),   # 0.0119 m/s, the extensor of n_plus_1
     (24.0, 460.0, 3.0, False, 0.03),                # 0.6 times the speed of the free spool is 0.0305 m/s
@@ -151,7 +151,7 @@ def test_a_snapped_tendon_is_detected(
     (11.0, 460.0, 3.0, True, 0.03),                 # the final speed of a motion is unknown
 ])  # fmt: skip
 def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
-    commanded_tension_N, speed_gain, friction_N, digit_moves, speed_limit
+    commanded_tension_N, speed_gain, friction_N, is_digit_moving, speed_limit
 ):
     """The extensor of a grasp has a small commanded tension.
 
@@ -161,7 +161,7 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
 
     def is_snapped(spool_speed):
         tendon = FilteredTendons(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
-        if digit_moves:
+        if is_digit_moving:
             tendon.set_rows({"way_kind": MINIMUM_JERK})
         tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction_N)
         tendon.run_tick([2.2], [commanded_tension_N], measured_tension=0.0, speed=spool_speed)
@@ -346,4 +346,4 @@ def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
-    assert SLACK_N < TAUT_N < SNAP_N < STILL_PULLING_N
+    assert SLACK_TENSION_N < TAUT_TENSION_N < SNAP_MIN_COMMAND_N < PULL_AFTER_CUT_N

@@ -20,10 +20,10 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.tick_types import HandMode
-from handctl.safety.faults.node import NOT_OBEYED_N
+from handctl.safety.faults.node import TORQUE_DIFFERENCE_LIMIT_N
 from handctl.safety.faults.tendon import (
+    EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
-    FRICTION_WARN_N,
     RESIDUAL_WARN_N,
 )
 from tests.safety.synthetic_monitor import (
@@ -138,8 +138,8 @@ def test_acceleration_torque_is_no_residual():
 
     state = residuals_after(0.1, lambda t: 20.0, force, speed_at=lambda t: 10.0 * t, noise_N=0.0)
     assert abs(state.filtered_residual(BALANCE)) < 0.2
-    still = residuals_after(0.1, lambda t: 20.0, force, noise_N=0.0)
-    assert still.filtered_residual(BALANCE) > 10.0, "it would be, if the rotor stood"
+    rotor_at_rest = residuals_after(0.1, lambda t: 20.0, force, noise_N=0.0)
+    assert rotor_at_rest.filtered_residual(BALANCE) > 10.0, "it would be, if the rotor stood"
 
 
 @pytest.mark.parametrize("cell_drift_N", [-20.0, 20.0])
@@ -202,9 +202,9 @@ def test_missing_torque_is_detected():
     state = residuals_after(
         20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 39.0
     )
-    assert state.filtered_residual(COMMAND_DIFFERENCE) > NOT_OBEYED_N
+    assert state.filtered_residual(COMMAND_DIFFERENCE) > TORQUE_DIFFERENCE_LIMIT_N
     state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, commanded_force=lambda t: 14.9)
-    assert state.filtered_residual(COMMAND_DIFFERENCE) < NOT_OBEYED_N
+    assert state.filtered_residual(COMMAND_DIFFERENCE) < TORQUE_DIFFERENCE_LIMIT_N
 
 
 def test_noise_causes_no_fault_in_ten_thousand_hours():
@@ -218,9 +218,11 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
         ]
     )
     chance = 1.0 / (10_000.0 * 3600.0 / PERIOD_S)
-    rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
-    assert 0.5 < rare < 1.5, "the noise was felt"
-    assert rare < min(RESIDUAL_WARN_N, FRICTION_WARN_N, NOT_OBEYED_N)
+    residual_of_chance = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
+    assert 0.5 < residual_of_chance < 1.5, "the noise was felt"
+    assert residual_of_chance < min(
+        RESIDUAL_WARN_N, EXCESS_FRICTION_WARN_N, TORQUE_DIFFERENCE_LIMIT_N
+    )
 
 
 def test_losses_of_every_second_reply_are_counted():
@@ -289,8 +291,8 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(spool_speed):
     balance = (
         30.0 - 20.0 - MOTOR_DAMPING * spool_speed - COULOMB_FRICTION_N * np.tanh(spool_speed / 1e-3)
     )
-    share = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
-    assert rotor.filtered_residual(BALANCE) == pytest.approx(share * balance, rel=1e-12)
+    filter_gain = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
+    assert rotor.filtered_residual(BALANCE) == pytest.approx(filter_gain * balance, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def delayed_reports(commanded: np.ndarray, delay_ticks: int = 1) -> np.ndarray:
 @pytest.mark.parametrize("noise_N", [0.02, 0.05, 0.1, 1.0])
 def test_a_report_that_follows_is_never_doubted(seed: int, noise_N: float) -> None:
     commanded = noisy_commands(seed, noise_N)
-    assert not doubted_motors(commanded, delayed_reports(commanded)).any()
+    assert not motors_with_doubtful_reports(commanded, delayed_reports(commanded)).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -110,13 +110,13 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(
         if report_fault == "swapped"
         else delayed_reports(commanded, 26)
     )
-    assert doubted_motors(commanded, made).all()
+    assert motors_with_doubtful_reports(commanded, made).all()
 
 
 def test_constant_command_and_constant_report_give_no_verdict() -> None:
-    still = np.full((COMMAND_TICKS, 2), 90.0)
-    assert not motors_after(still, delayed_reports(noisy_commands(1))).now_unfollowed
-    assert not motors_after(noisy_commands(1), still).now_unfollowed
+    constant_command = np.full((COMMAND_TICKS, 2), 90.0)
+    assert not motors_after(constant_command, delayed_reports(noisy_commands(1))).now_unfollowed
+    assert not motors_after(noisy_commands(1), constant_command).now_unfollowed
 
 
 def test_missing_reports_are_left_out() -> None:
@@ -145,7 +145,7 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
     In that demo, a busy host had read each reply one tick late.
     """
     commanded = noisy_commands(seed, noise_N)
-    assert not doubted_motors(commanded, delayed_reports(commanded, 2)).any()
+    assert not motors_with_doubtful_reports(commanded, delayed_reports(commanded, 2)).any()
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -156,34 +156,34 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """
     random = np.random.default_rng(seed)
     commanded, made = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
-    obeyed, standstill = commanded[0].copy(), 0
+    obeyed, stalled_tick_count = commanded[0].copy(), 0
     for k in range(1, COMMAND_TICKS):
-        standstill = (
-            standstill - 1
-            if standstill
+        stalled_tick_count = (
+            stalled_tick_count - 1
+            if stalled_tick_count
             else int(random.integers(1, 6)) * int(random.random() < 0.04)
         )
-        if standstill:
+        if stalled_tick_count:
             commanded[k:] += random.choice((-2.0, 2.0))
         else:
             made[k], obeyed = obeyed, commanded[k].copy()
     return commanded, rounded_to_counts(made)
 
 
-def doubted_motors(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
+def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
     """Return, for each of two motors, True if any tick reports that the motor does not follow its commands."""
     return motors_after(commanded, reported).ever_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_answers_after_a_standstill_are_not_a_fault(seed: int) -> None:
-    assert not doubted_motors(*stalled_commands(seed)).any()
+    assert not motors_with_doubtful_reports(*stalled_commands(seed)).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
     commanded, made = stalled_commands(seed)
-    assert doubted_motors(commanded + noisy_commands(seed + 100), made[:, ::-1]).all()
+    assert motors_with_doubtful_reports(commanded + noisy_commands(seed + 100), made[:, ::-1]).all()
 
 
 def diverging_commands() -> np.ndarray:
@@ -191,8 +191,8 @@ def diverging_commands() -> np.ndarray:
 
     The commands grow from 1 N by a factor e every 8 ms, as they did in a run of the hand orca_like.
     """
-    growth = np.exp(np.arange(20) / 4.0)
-    return np.column_stack((growth, -growth))
+    growing_command = np.exp(np.arange(20) / 4.0)
+    return np.column_stack((growing_command, -growing_command))
 
 
 def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
@@ -229,12 +229,12 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
     Some reports and commands are lost.
     """
     random = np.random.default_rng(seed)
-    jumps = (
+    command_steps = (
         50.0
         * random.uniform(-1.0, 1.0, (COMMAND_TICKS, 2))
         * (random.random((COMMAND_TICKS, 2)) < 0.05)
     )
-    commanded = np.clip(np.cumsum(jumps, axis=0), -100.0, 100.0)
+    commanded = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
     commanded += 40.0 * np.sin(np.arange(COMMAND_TICKS) / 4.0)[:, None]
     made = delayed_reports(commanded, ticks)
     lost = np.flatnonzero(random.random(COMMAND_TICKS - 5) < 0.02) + 2

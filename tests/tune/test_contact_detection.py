@@ -13,8 +13,8 @@ from benchmarks.identify import draw_gains, draw_plant, excite_and_fit, true_par
 from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.identify.contact_detection import (
-    CLEAR_SCORE,
-    CONTACT_SCORE,
+    MAX_SCORE_WITHOUT_CONTACT,
+    MIN_CONTACT_SCORE,
     ResidualRamp,
     are_joints_moving,
     steepest_ramp,
@@ -147,8 +147,8 @@ def test_noise_without_contact_has_no_kink() -> None:
     scores = [
         abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))
     ]
-    assert max(scores) < CONTACT_SCORE
-    assert np.mean(np.array(scores) < CLEAR_SCORE) > 0.97
+    assert max(scores) < MIN_CONTACT_SCORE
+    assert np.mean(np.array(scores) < MAX_SCORE_WITHOUT_CONTACT) > 0.97
 
 
 @pytest.mark.parametrize("kink_start", [0.1, 0.2, 0.3, 0.4])
@@ -172,12 +172,17 @@ def test_a_fit_without_a_sweep_reports_no_contact() -> None:
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
-    good = ResidualRamp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, CONTACT_SCORE)
+    good = ResidualRamp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, MIN_CONTACT_SCORE)
     assert good.excludes_contact
     assert not good.is_contact
-    for changes in ({"score": -3.1}, {"rows": 20}, {"outliers": 0.01}, {"mean_square": 1.6}):
+    for changes in (
+        {"score": -3.1},
+        {"rows": 20},
+        {"outlier_fraction": 0.01},
+        {"mean_square": 1.6},
+    ):
         assert not good._replace(**changes).excludes_contact
-    assert good._replace(score=-CONTACT_SCORE).is_contact
+    assert good._replace(score=-MIN_CONTACT_SCORE).is_contact
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:

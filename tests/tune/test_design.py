@@ -26,7 +26,7 @@ from handctl.tune.loops.gain_design import (
     worst_margins,
 )
 from handctl.tune.loops.linear_models import LoopKind, PlantFactors
-from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, draw_ensemble, ensemble_widths
+from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, factor_half_widths, sample_ensemble
 from tests.conftest import NIGHTLY
 
 MANY_PLANTS = 8
@@ -46,7 +46,7 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
         hand, packaged_gains(hand_name), control_rate(None, hand, bus_loads(hand))
     )
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
-    worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(count, 0)))
+    worst = worst_margins(model, tuple(linear_factors(one) for one in sample_ensemble(count, 0)))
     assert worst.are_sufficient, worst
 
 
@@ -57,20 +57,20 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     """
     hand = load_hand("t42")
     left, right = hand.digit
-    heavy = left.model_copy(
+    heavy_digit = left.model_copy(
         update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)}
     )
     model = HandModel.from_hand(
-        hand.model_copy(update={"digit": (heavy, right)}), packaged_gains("t42"), 500.0
+        hand.model_copy(update={"digit": (heavy_digit, right)}), packaged_gains("t42"), 500.0
     )
     plants = (PlantFactors(),)
     both = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
     assert both.gains.tendon == ()
     found = design_gains(model, plants)
-    assert found.worst_after.are_sufficient
-    (light,) = found.gains.tendon
-    assert light.name == "right_flexor"
-    assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
+    assert found.worst_margins_after.are_sufficient
+    (light_tendon_gains,) = found.gains.tendon
+    assert light_tendon_gains.name == "right_flexor"
+    assert light_tendon_gains.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
@@ -90,22 +90,26 @@ def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in draw_ensemble(2, 0))
-    bold = Gains.model_validate({"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}})
-    jamia = model_with_gains(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
+    plants = tuple(linear_factors(one) for one in sample_ensemble(2, 0))
+    gains_with_large_force = Gains.model_validate(
+        {"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}}
+    )
+    jamia = model_with_gains(
+        jamia, gains_with_large_force.model_copy(update={"filter": jamia.gains.filter})
+    )
     assert not keeps_required_margins(jamia, plants)
     found = design_gains(jamia, plants)
-    assert found.worst_after.are_sufficient
-    assert not found.worst_before.are_sufficient
+    assert found.worst_margins_after.are_sufficient
+    assert not found.worst_margins_before.are_sufficient
     assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
-    bolder = found.gains.model_copy(
+    gains_with_more_authority = found.gains.model_copy(
         update={
             "tension": found.gains.tension.model_copy(
                 update={"force_N": 1.3 * found.gains.tension.force_N}
             )
         }
     )
-    assert not keeps_required_margins(model_with_gains(jamia, bolder), plants)
+    assert not keeps_required_margins(model_with_gains(jamia, gains_with_more_authority), plants)
     same = model_with_gains(jamia, found.as_weights())
     assert np.allclose(
         same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6
@@ -113,9 +117,11 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
 
 
 def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
-    without = Gains.model_validate({"motion": {"disturbance_rejection": 0.0}})
+    gains_without_rejection = Gains.model_validate({"motion": {"disturbance_rejection": 0.0}})
     with pytest.raises(ValueError, match="margins"):
-        design_gains(model_with_gains(jamia, without), (PlantFactors(torque_constant=30.0),))
+        design_gains(
+            model_with_gains(jamia, gains_without_rejection), (PlantFactors(torque_constant=30.0),)
+        )
 
 
 @pytest.mark.parametrize("pole_frequency_hz", [3.0, 6.0])
@@ -158,9 +164,11 @@ def test_placed_poles_that_no_weights_have_are_refused(
 
 
 def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
-    drawn = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+    drawn = sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
     assert drawn[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
-    assert draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != draw_ensemble(65, 4)
+    assert (
+        sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != sample_ensemble(65, 4)
+    )
     stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2
@@ -181,18 +189,18 @@ def identification_of_tendon(tendon_stiffness: float, half_width: float) -> Iden
 
 
 def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> None:
-    spread = ensemble_widths(
+    spread = factor_half_widths(
         {
             "index_tendon": identification_of_tendon(5e4, 1.5e4),
             "thumb_tendon": identification_of_tendon(5e4, 2e4),
         }
     )
     assert spread == {"stiffness": pytest.approx(0.4)}
-    drawn = [one["stiffness"] for one in draw_ensemble(65, 0, spread)]
+    drawn = [one["stiffness"] for one in sample_ensemble(65, 0, spread)]
     assert min(drawn) < 0.62
     assert max(drawn) > 1.38
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in draw_ensemble(3, 1))
+    plants = tuple(linear_factors(one) for one in sample_ensemble(3, 1))
     assert worst_margins(jamia, plants).shortfall >= worst_margins(jamia, plants[:1]).shortfall

@@ -11,7 +11,7 @@ import pytest
 from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains, load_gains_file
 from handctl.errors import ConfigError
-from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore
+from handctl.tune.gains_store import MANUAL_EDIT_NOTE, GainsStore
 
 
 def gains_with_force(force_N: float) -> Gains:
@@ -83,7 +83,7 @@ def test_gains_edited_by_hand_are_kept(gains_store: GainsStore) -> None:
         77.0,
         22.0,
     ]
-    assert gains_store.history_entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
+    assert gains_store.history_entries()[1].file.provenance.note == MANUAL_EDIT_NOTE
     assert gains_store.roll_back().gains == gains_with_force(77.0)
 
 
@@ -101,17 +101,17 @@ def test_copied_gains_follow_the_newest_entry(gains_store: GainsStore, tmp_path:
 
 def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> None:
     gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
-    assert gains_store.set_aside() is None
-    renamed = []
+    assert gains_store.rename_damaged_file() is None
+    renamed_files = []
     for text in ("schema = [", "nonsense = 1"):
         gains_store.path.write_text(text)
         with pytest.raises(ConfigError):
             gains_store.roll_back()
-        aside = gains_store.set_aside()
+        aside = gains_store.rename_damaged_file()
         assert aside is not None
-        renamed.append((aside.name, aside.read_text()))
+        renamed_files.append((aside.name, aside.read_text()))
         assert gains_store.roll_back(to=1).gains == gains_with_force(21.0)
-    assert renamed == [
+    assert renamed_files == [
         ("jamia.gains.damaged.toml", "schema = ["),
         ("jamia.gains.damaged1.toml", "nonsense = 1"),
     ]

@@ -31,15 +31,15 @@ from handctl.tune.identify.fit_motor import (
     _window_value,
 )
 from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
-from handctl.tune.identify.identifiability import _lacks_encoders, _reason_not_identified
+from handctl.tune.identify.identifiability import _needs_missing_encoders, _reason_not_identified
 from handctl.tune.identify.identification_figure import _draw_parameters
 from handctl.tune.identify.identify import identify_tendons, result_table
 
-SPRUNG_PARAMETERS = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
+PARAMETERS_OF_SPRUNG_DIGIT = PARAMETER_TOLERANCES.keys() - {"moment_arm", "pretension"}
 """Parameters that the identification estimates for digits with return springs."""
 GOLDEN_LOGS = Path(__file__).parents[2] / "logs" / "golden"
 SEED_COUNT = 100
-MIN_COVERED = 90
+MIN_COVERED_PERCENT = 90
 
 
 WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
@@ -64,7 +64,7 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     """
     row = measure_digit(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
+    assert {parameter["name"] for parameter in row["parameters"]} == PARAMETERS_OF_SPRUNG_DIGIT
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
         parameter
@@ -80,7 +80,7 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
     confidence intervals of these two parameters are therefore wider.
     """
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
-    assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG_PARAMETERS
+    assert {parameter["name"] for parameter in row["parameters"]} == PARAMETERS_OF_SPRUNG_DIGIT
     assert [
         parameter
         for parameter in row["parameters"]
@@ -101,16 +101,18 @@ def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> No
         [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEED_COUNT + 1)]
     )
     assert figures["failed"] == []
-    parameters = {name: figures["parameters"][name] for name in SPRUNG_PARAMETERS}
+    parameters = {name: figures["parameters"][name] for name in PARAMETERS_OF_SPRUNG_DIGIT}
     assert {
         name: found["covered"]
         for name, found in parameters.items()
-        if found["covered"] < MIN_COVERED
+        if found["covered"] < MIN_COVERED_PERCENT
     } == {}
     assert {
-        name: found["within"] for name, found in parameters.items() if found["within"] < MIN_COVERED
+        name: found["within"]
+        for name, found in parameters.items()
+        if found["within"] < MIN_COVERED_PERCENT
     } == {}
-    assert figures["all_covered_all_at_once"] >= MIN_COVERED
+    assert figures["all_covered_all_at_once"] >= MIN_COVERED_PERCENT
 
 
 def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
@@ -162,7 +164,7 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
         excitation_steps(hand, ("pinky",))
 
 
-def identified_with(**parameter_values: float) -> IdentifiedParameters:
+def identified_parameters(**parameter_values: float) -> IdentifiedParameters:
     n = len(parameter_values)
     rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
     return IdentifiedParameters(
@@ -177,7 +179,7 @@ def identified_with(**parameter_values: float) -> IdentifiedParameters:
 def test_the_controller_s_hand_is_the_identified_one() -> None:
     hand = load_hand("jamia")
     known = {
-        "thumb_tendon": identified_with(
+        "thumb_tendon": identified_parameters(
             tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9
         )
     }
@@ -191,16 +193,16 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
 
 
 def test_a_name_of_an_earlier_version_is_still_read() -> None:
-    found = identified_with(tendon_stiffness=8e4, delay=1e-4)
+    found = identified_parameters(tendon_stiffness=8e4, delay=1e-4)
     earlier = found.model_dump() | {"names": ("rope_stiffness", "delay")}
     assert IdentifiedParameters.model_validate(earlier) == found
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     hand = load_hand("jamia")
-    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    rows = dict.fromkeys(hand.tendon_names, nothing)
-    known = {"ring_tendon": identified_with(capstan=0.09, delay=1e-4)}
+    tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, tendon_calibration)
+    known = {"ring_tendon": identified_parameters(capstan=0.09, delay=1e-4)}
     made = Calibration(
         hand="jamia",
         identity=hand.identity,
@@ -230,7 +232,10 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
     )
     write_calibration(
-        path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}})
+        path,
+        made.model_copy(
+            update={"identified": {"ring_tendon": identified_parameters(capstan=0.04)}}
+        ),
     )
     known = load_tuned_hand("jamia", path)
     assert known.hand.identity == hand.identity != known.identified_hand.identity
@@ -291,8 +296,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}
     hand = hand_from_content(content, "test")
-    assert _lacks_encoders(hand, "index") != with_joint_encoders
-    assert not _lacks_encoders(load_hand("jamia"), "index")
+    assert _needs_missing_encoders(hand, "index") != with_joint_encoders
+    assert not _needs_missing_encoders(load_hand("jamia"), "index")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
@@ -315,10 +320,10 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
 
 
 def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
-    old = identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
+    old = identified_parameters(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )
-    new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(
+    new = identified_parameters(motor_inertia=2e-4, torque_gain=0.9).model_copy(
         update={"log": ("b.mcap",)}
     )
     both = IdentifiedParameters.model_validate(new.beside(old).model_dump())

@@ -20,8 +20,8 @@ from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
-    PAIR_HIGH_FRACTION,
-    STRETCH_FRACTION,
+    PAIR_MAX_TENSION_FRACTION,
+    STRETCH_TENSION_FRACTION,
     sweep_range,
 )
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
@@ -29,12 +29,12 @@ from handctl.tune.identify.identifiability import unobservable_parameters
 
 SEED_RANGE = range(20)
 TESTED_HANDS = ("n_plus_1", "orca_like")
-MIN_COVERED = 0.9
+MIN_COVERED_FRACTION = 0.9
 """At least this fraction of all true parameter values must lie inside the identified confidence intervals.
 
 The expected fraction is 0.95.
 """
-MIN_COVERED_OF_EACH = 0.8
+MIN_COVERED_FRACTION_PER_PARAMETER = 0.8
 """For each single parameter, at least this fraction of the true values must lie inside the intervals.
 
 The limit is lower, because a parameter has only 40 to 70 values in this test.
@@ -83,8 +83,12 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand_nam
     found = {name: row for name, row in figures["parameters"].items() if row["identified"]}
     covered = {name: row["covered"] for name, row in found.items()}
     identified = {name: row["identified"] for name, row in found.items()}
-    assert [name for name in found if covered[name] < MIN_COVERED_OF_EACH * identified[name]] == []
-    assert sum(covered.values()) >= MIN_COVERED * sum(identified.values())
+    assert [
+        name
+        for name in found
+        if covered[name] < MIN_COVERED_FRACTION_PER_PARAMETER * identified[name]
+    ] == []
+    assert sum(covered.values()) >= MIN_COVERED_FRACTION * sum(identified.values())
 
 
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
@@ -95,10 +99,10 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
         own = [step for step in steps if step.digit == digit.name]
         assert sum(step.duration_s for step in own) < 35.0
         low, high = sweep_range(digit)
-        least, most = digit.reach
-        assert (least < low).all()
+        lowest_angles, highest_angles = digit.reach
+        assert (lowest_angles < low).all()
         assert (low < high).all()
-        assert (high < most).all()
+        assert (high < highest_angles).all()
         for step in own:
             if step.kind == "move":
                 assert (np.array(step.targets) >= low - 1e-9).all()
@@ -106,7 +110,9 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
             if step.kind == "tension":
                 ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon[digit.tendons]])
                 is_pair = bool(hand.is_pair[digit.tendons].any())
-                largest = (PAIR_HIGH_FRACTION if is_pair else STRETCH_FRACTION) * ceiling
+                largest = (
+                    PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
+                ) * ceiling
                 assert (np.abs(step.targets) <= largest + 1e-9).all()
                 floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[digit.tendons]])
                 assert is_pair or (np.array(step.targets) >= floor).all()
@@ -128,12 +134,14 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     At the joint, friction lowers the tension of one tendon and raises that of the other. The
     difference of both tensions turns the joint.
     """
-    nets = np.linspace(-40.0, 40.0, 81)
-    spool = tension_of_pair(nets, 10.0, np.full(81, passes_wrist))
+    net_tensions = np.linspace(-40.0, 40.0, 81)
+    spool = tension_of_pair(net_tensions, 10.0, np.full(81, passes_wrist))
     first, second = (
         np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0)
     )
-    np.testing.assert_allclose(first * passes_wrist - second / passes_wrist, nets, atol=1e-9)
+    np.testing.assert_allclose(
+        first * passes_wrist - second / passes_wrist, net_tensions, atol=1e-9
+    )
 
 
 def test_the_stretch_of_a_pair_makes_its_net_tension() -> None:
@@ -166,10 +174,10 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
 
     assert ticks(SafetyAction.HOLD, 0.0, 4.0) == []
     assert ticks(SafetyAction.WARN, 4.0, 9.0) == []
-    limit.refuse_stopped("a run")
+    limit.raise_if_stopped("a run")
     assert ticks(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
     with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
-        limit.refuse_stopped("a run")
+        limit.raise_if_stopped("a run")
 
 
 def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() -> None:

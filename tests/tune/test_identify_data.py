@@ -26,12 +26,14 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
             joints = hand.digit_joints[digit.name]
             found += int((data.free & active).sum())
             for k in np.flatnonzero(data.free):
-                while_before = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
-                assert not held[while_before, joints].any()
+                transient_ticks = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
+                assert not held[transient_ticks, joints].any()
                 assert (
-                    angles[while_before, joints] > np.array(digit.joint_min_deg) + STOP_DISTANCE_DEG
+                    angles[transient_ticks, joints]
+                    > np.array(digit.joint_min_deg) + STOP_DISTANCE_DEG
                 ).all()
                 assert (
-                    angles[while_before, joints] < np.array(digit.joint_max_deg) - STOP_DISTANCE_DEG
+                    angles[transient_ticks, joints]
+                    < np.array(digit.joint_max_deg) - STOP_DISTANCE_DEG
                 ).all()
     assert found > 60, "free samples are found"

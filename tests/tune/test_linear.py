@@ -37,11 +37,11 @@ def test_the_linear_controller_predicts_the_running_one(
         moved = steps * random.normal(size=len(state))
         reading_step = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
         after = tick(state + moved, reading + reading_step) - centre
-        predicted = np.concatenate(
+        predicted_state = np.concatenate(
             [K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step]
         )
         scale = np.append(steps, 1e-6)
-        assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
+        assert np.abs((predicted_state - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
 
 
 @pytest.mark.parametrize("loop_kind", LOOP_KINDS)

@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import evaluate_job, score_exercise
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 
 
 @pytest.mark.parametrize("seed", [1000, 1002])
@@ -39,7 +39,7 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
         "hand": load_hand(hand).to_toml(),
         "rate_hz": 500.0,
         "gains": packaged_gains(hand).model_dump(by_alias=True),
-        "plants": list(draw_ensemble(1, 0)),
+        "plants": list(sample_ensemble(1, 0)),
         "seed": 1,
     }
     assert evaluate_job(json.loads(json.dumps(job))) == evaluate_job(job)

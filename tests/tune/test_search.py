@@ -18,7 +18,7 @@ from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import GainScore, evaluate_job
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 from handctl.tune.search.search import (
     RANDOM_BATCH_COUNT,
     SearchPlan,
@@ -44,7 +44,7 @@ def search_plan() -> SearchPlan:
         load_hand("jamia").to_toml(),
         500.0,
         Gains(),
-        draw_ensemble(1, 0),
+        sample_ensemble(1, 0),
         seed=5,
         trials=TRIAL_COUNT,
     )
@@ -182,13 +182,17 @@ def long_search(
 
     Return the plan, the result, and the bytes of the search's journal.
     """
-    longer = replace(
+    longer_plan = replace(
         search_plan,
         trials=8 * RANDOM_BATCH_COUNT + 2,
         others=(Gains(motion=MotionGains(force_N=20.0)),),
     )
     path = tmp_path_factory.mktemp("study") / "whole"
-    return longer, run_search(longer, path, FakeWorkers(), _ignore_result), path.read_bytes()
+    return (
+        longer_plan,
+        run_search(longer_plan, path, FakeWorkers(), _ignore_result),
+        path.read_bytes(),
+    )
 
 
 @pytest.mark.parametrize("journal_fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
@@ -200,27 +204,27 @@ def test_search_resumes_from_a_truncated_journal(
     Some cuts are in the part of the journal after the random trials. In this part, the sampler
     chooses the trials.
     """
-    longer, found, journal = long_search
+    longer_plan, found, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(journal_fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
-    assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
-    assert run_search(longer, path, FakeWorkers(), _ignore_result) == found
+    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == found
+    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == found
 
 
 def test_an_extended_search_equals_one_long_search(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
-    longer, found, _ = long_search
+    longer_plan, found, _ = long_search
     assert (
         len(
             run_search(
-                replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _ignore_result
+                replace(longer_plan, trials=10), tmp_path / "study", FakeWorkers(), _ignore_result
             ).trials
         )
         == 10
     )
-    assert run_search(longer, tmp_path / "study", FakeWorkers(), _ignore_result) == found
+    assert run_search(longer_plan, tmp_path / "study", FakeWorkers(), _ignore_result) == found
 
 
 @pytest.mark.parametrize(
@@ -239,13 +243,13 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
     original_bytes: bytes,
     damaged_bytes: bytes,
 ) -> None:
-    longer, _, journal = long_search
-    damaged = journal.replace(original_bytes, damaged_bytes)
-    assert damaged != journal
-    (tmp_path / "study").write_bytes(damaged)
+    longer_plan, _, journal = long_search
+    damaged_journal = journal.replace(original_bytes, damaged_bytes)
+    assert damaged_journal != journal
+    (tmp_path / "study").write_bytes(damaged_journal)
     with pytest.raises(ConfigError, match="cannot be used"):
-        run_search(longer, tmp_path / "study", FakeWorkers(), _ignore_result)
-    assert (tmp_path / "study").read_bytes().startswith(damaged)
+        run_search(longer_plan, tmp_path / "study", FakeWorkers(), _ignore_result)
+    assert (tmp_path / "study").read_bytes().startswith(damaged_journal)
 
 
 @pytest.mark.nightly
@@ -285,7 +289,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(
 
 
 def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: Path) -> None:
-    class Meanwhile(InProcessWorkers):
+    class WorkersWithSecondSearch(InProcessWorkers):
         """Workers that start a second search with the same journal before they compute the jobs of the first search."""
 
         def compute_scores(
@@ -298,7 +302,10 @@ def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: 
     assert (
         len(
             run_search(
-                replace(search_plan, trials=1), tmp_path / "one", Meanwhile(), _ignore_result
+                replace(search_plan, trials=1),
+                tmp_path / "one",
+                WorkersWithSecondSearch(),
+                _ignore_result,
             ).trials
         )
         == 1
@@ -328,13 +335,13 @@ def test_only_good_trials_are_chosen() -> None:
         return SearchTrial(number, {}, GainScore(*numbers, failure=failure))
 
     first = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
-    best, front = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
+    best, front_trial = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
     short, failed = (
         trial(3, 0.1, 0.1, 0.1, 60.0, 0.1),
         trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
     )
-    beaten = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = SearchResult.from_trials((first, best, front, short, failed, beaten))
+    dominated_trial = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
+    found = SearchResult.from_trials((first, best, front_trial, short, failed, dominated_trial))
     assert found.best == best
     assert found.pareto_front == (1, 2)
     assert found.relative_cost(first) == pytest.approx(1.0)
@@ -342,23 +349,30 @@ def test_only_good_trials_are_chosen() -> None:
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
     lost = SearchTrial(0, {}, GainScore(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
-    feasible = [
+    feasible_trials = [
         SearchTrial(1, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.1)),
         SearchTrial(2, {}, GainScore(0.5, 1.0, 1.5, 60.0, -0.1)),
     ]
-    found = SearchResult.from_trials((lost, *feasible))
-    assert [found.relative_cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
-    assert found.best == feasible[1]
+    found = SearchResult.from_trials((lost, *feasible_trials))
+    assert [found.relative_cost(one) for one in feasible_trials] == pytest.approx([1.0, 0.5])
+    assert found.best == feasible_trials[1]
 
 
 def test_first_trial_keeps_gains_outside_the_search_space(search_plan: SearchPlan) -> None:
-    bold = replace(search_plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
-    assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
-    assert bold.trial_job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(
-        by_alias=True
+    plan_outside_search_space = replace(
+        search_plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01))
     )
     assert (
-        bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s
+        plan_outside_search_space.gains_of(0, clamped_gains(plan_outside_search_space.gains))
+        == plan_outside_search_space.gains
+    )
+    assert plan_outside_search_space.trial_job(0, clamped_gains(plan_outside_search_space.gains))[
+        "gains"
+    ] == plan_outside_search_space.gains.model_dump(by_alias=True)
+    assert (
+        plan_outside_search_space.gains_of(
+            1, clamped_gains(plan_outside_search_space.gains)
+        ).motion.speed_error_m_s
         == GAIN_RANGES["motion.speed_error_m_s"].low
     )
 
@@ -367,8 +381,8 @@ def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> 
     assert all(
         one.low <= clamped_gains(Gains())[key] <= one.high for key, one in GAIN_RANGES.items()
     )
-    wild = Gains(motion=MotionGains(position_error_m=0.09))
+    gains_outside_search_space = Gains(motion=MotionGains(position_error_m=0.09))
     assert (
-        clamped_gains(wild)["motion.position_error_m"]
+        clamped_gains(gains_outside_search_space)["motion.position_error_m"]
         == GAIN_RANGES["motion.position_error_m"].high
     )

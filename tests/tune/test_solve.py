@@ -34,12 +34,12 @@ def test_equal_times_take_a_few_seconds_at_most(time_span_s: float) -> None:
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
-    covariance, freedom = _parameter_covariance(
+    covariance, degrees_of_freedom = _parameter_covariance(
         jacobian, residual, np.linspace(0.0, time_span_s, 4000)
     )
     assert time.process_time() - begin < 20.0
     assert np.isfinite(covariance).all()
-    assert np.isfinite(freedom).all()
+    assert np.isfinite(degrees_of_freedom).all()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -55,12 +55,14 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
         np.linspace(0.0, 20.0 * NOISE_BLOCK_S, 2000, endpoint=False),
     )
     residual = random.normal(size=2000)
-    unlucky = residual * np.where((times > NOISE_BLOCK_S) & (times < 2.0 * NOISE_BLOCK_S), 6.0, 1.0)
-    _, freedom = _parameter_covariance(jacobian, residual, times)
-    _, less = _parameter_covariance(jacobian, unlucky, times)
-    assert less == pytest.approx(freedom)
-    assert (freedom > 14.0).all()
-    assert (freedom < 21.0).all()
+    residual_with_large_block = residual * np.where(
+        (times > NOISE_BLOCK_S) & (times < 2.0 * NOISE_BLOCK_S), 6.0, 1.0
+    )
+    _, degrees_of_freedom = _parameter_covariance(jacobian, residual, times)
+    _, degrees_with_large_block = _parameter_covariance(jacobian, residual_with_large_block, times)
+    assert degrees_with_large_block == pytest.approx(degrees_of_freedom)
+    assert (degrees_of_freedom > 14.0).all()
+    assert (degrees_of_freedom < 21.0).all()
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
@@ -70,8 +72,8 @@ def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
-        covariance, freedom = _parameter_covariance(
+        covariance, degrees_of_freedom = _parameter_covariance(
             jacobian, np.ones(102), np.linspace(0.0, 5.0, 100)
         )
     assert np.isfinite(covariance).all()
-    assert freedom[0] < 30.0 < 1e6 < freedom[1] < np.inf
+    assert degrees_of_freedom[0] < 30.0 < 1e6 < degrees_of_freedom[1] < np.inf

@@ -18,12 +18,12 @@ from handctl.tune.loops.gain_design import (
     distinct_tendons,
     keeps_required_margins,
     linear_factors,
-    with_largest_authority,
+    model_with_largest_authority,
 )
 from handctl.tune.loops.linear_models import (
     LinearSystem,
     LoopKind,
-    _half_closed,
+    _half_closed_coordinates,
     controller_system,
     open_loop,
 )
@@ -35,20 +35,20 @@ from handctl.tune.loops.margins import (
     margins_of_loop,
 )
 from handctl.tune.loops.step_tests import (
-    DESIGN_FRACTION,
-    SEED_STEP,
+    DESIGN_LIMIT_FRACTION,
+    SEED_INCREMENT,
     RestTest,
     StepOscillation,
     is_loop_ringing,
     median_swing,
     simulate_swing,
 )
-from handctl.tune.search.ensemble import draw_ensemble
+from handctl.tune.search.ensemble import sample_ensemble
 from tests.conftest import NIGHTLY
 
 TESTED_HANDS = packaged_hands()
 SEED_RANGE = range(20) if NIGHTLY else range(2)
-QUICK_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
+EVERY_RUN_HANDS = tuple(name for name in TESTED_HANDS if NIGHTLY or name != "orca_like")
 """Packaged hands whose tests run in ordinary test runs.
 
 For a hand of 17 joints, the simulation that tests whether the hand comes to rest takes more than
@@ -117,8 +117,8 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """
     model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
-    per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
-    assert per_newton > 0.5
+    force_per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
+    assert force_per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]
     assert len(integral) >= 1  # the gain of the integral while the torque is below its limit
@@ -126,10 +126,10 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
-    still = LinearSystem(
+    open_system = LinearSystem(
         np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002
     )
-    for found in (margins_of_loop(still), confirmed_margins(still)):
+    for found in (margins_of_loop(open_system), confirmed_margins(open_system)):
         assert (
             found.gain_db,
             found.phase_deg,
@@ -206,7 +206,7 @@ def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int)
     Return the model with the gains of this design.
     """
     after = HandModel.from_hand(model.hand, gain_design.gains, 1.0 / model.period)
-    for factors in draw_ensemble(2, seed):
+    for factors in sample_ensemble(2, seed):
         for i in distinct_tendons(after):
             assert all(
                 is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind
@@ -218,7 +218,7 @@ def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int)
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
     """All eigenvalues of a design are inside the unit circle, even without a test in simulation."""
     model = model_of("jamia", seed, 3.0)
-    found = design_gains(model, tuple(linear_factors(one) for one in draw_ensemble(2, seed)))
+    found = design_gains(model, tuple(linear_factors(one) for one in sample_ensemble(2, seed)))
     check_design_is_stable(model, found, seed)
 
 
@@ -230,11 +230,11 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
 
     The simulated hand comes to rest, even with a seed that the design has not used.
     """
-    model, factors = model_of(hand_name, seed, 3.0), draw_ensemble(2, seed)
+    model, factors = model_of(hand_name, seed, 3.0), sample_ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
         found = design_gains(
-            model, plants, RestTest(model.hand, factors, plants, seed, DESIGN_FRACTION)
+            model, plants, RestTest(model.hand, factors, plants, seed, DESIGN_LIMIT_FRACTION)
         )
     except ValueError:
         return  # in this case, no design is written
@@ -250,7 +250,7 @@ def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
-    designed = with_largest_authority(model, LoopKind.MOTION, plants)
+    designed = model_with_largest_authority(model, LoopKind.MOTION, plants)
     assert designed is not None
     assert keeps_required_margins(designed, plants, (LoopKind.MOTION,))
 
@@ -275,7 +275,7 @@ def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
 
     The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
-    factors = draw_ensemble(2, 0)
+    factors = sample_ensemble(2, 0)
     plants = tuple(linear_factors(one) for one in factors)
     return RestTest(model.hand, factors, plants, 0, friction_fraction)
 
@@ -291,7 +291,7 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     assert swing.failure == ""
 
 
-@pytest.mark.parametrize("hand_name", QUICK_HANDS)
+@pytest.mark.parametrize("hand_name", EVERY_RUN_HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand_name: str) -> None:
     """An oscillation that also occurs without feedback is not an oscillation of the control loop."""
     model = HandModel.from_hand(
@@ -321,14 +321,14 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         load_hand(hand_name), Gains(), RATE_BY_HAND_HZ.get(hand_name, 200.0)
     )
 
-    def fake(
+    def fake_simulate_swing(
         hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
         return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
-    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
     proof = rest_test_of(model)
     assert proof(model) == is_accepted
     assert ("0.5 of the friction swings" in proof.reason) != is_accepted
@@ -345,7 +345,7 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
     def swing(hand_name: object, tried: HandModel, factors: object, seed: int) -> StepOscillation:
-        return StepOscillation(0.0, 0.0, (runs[seed // SEED_STEP],) * 4)
+        return StepOscillation(0.0, 0.0, (runs[seed // SEED_INCREMENT],) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", swing)
     assert median_swing(jamia.hand, jamia, {}, 0).hold_swings_N == (1.0,) * 4
@@ -363,7 +363,7 @@ def test_a_design_keeps_a_distance_from_the_limits(
         ),
     )
     assert rest_test_of(jamia)(jamia)
-    assert not rest_test_of(jamia, DESIGN_FRACTION)(jamia)
+    assert not rest_test_of(jamia, DESIGN_LIMIT_FRACTION)(jamia)
 
 
 def rest_test_with(
@@ -378,7 +378,7 @@ def rest_test_with(
     gains.
     """
 
-    def fake(
+    def fake_simulate_swing(
         hand_name: object, tried: HandModel, factors: dict[str, float], seed: int
     ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
@@ -387,7 +387,7 @@ def rest_test_with(
         )
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
-    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.step_tests.simulate_swing", fake_simulate_swing)
     return rest_test_of(model)
 
 
@@ -399,9 +399,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
     The tensions of index and ring finger oscillate by 2 to 5 N, and those of middle finger and
     thumb by less than 0.1 N.
     """
-    chatter = (4.1, 0.0, 3.9, 0.0)
-    assert rest_test_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
-    proof = rest_test_with(monkeypatch, jamia, chatter, (4.1, 3.9, 3.9, 3.9))
+    chatter_N = (4.1, 0.0, 3.9, 0.0)
+    assert rest_test_with(monkeypatch, jamia, chatter_N, (5.0, 0.1, 4.4, 0.1))(jamia)
+    proof = rest_test_with(monkeypatch, jamia, chatter_N, (4.1, 3.9, 3.9, 3.9))
     assert not proof(jamia)
     assert "0.5 of the friction swings" in proof.reason
 
@@ -413,19 +413,19 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(
 
     The gains are nevertheless refused, because the eigenvalues show that the loop oscillates.
     """
-    chatter = (4.0, 4.0, 4.0, 4.0)
+    chatter_N = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
-    ringing = HandModel.from_hand(jamia.hand, Gains.model_validate(slow), 500.0)
-    assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
+    model_with_ringing_loop = HandModel.from_hand(jamia.hand, Gains.model_validate(slow), 500.0)
+    assert is_stable(open_loop(model_with_ringing_loop, 0, LoopKind.TENSION))
     assert all(
         is_loop_ringing(model, linear_factors({"friction": 0.5}))
-        for model in (ringing, model_with_force_weight(393.0))
+        for model in (model_with_ringing_loop, model_with_force_weight(393.0))
     )
     assert not is_loop_ringing(jamia, linear_factors({"friction": 0.5}))
-    proof = rest_test_with(monkeypatch, ringing, chatter, chatter)
-    assert not proof(ringing)
+    proof = rest_test_with(monkeypatch, model_with_ringing_loop, chatter_N, chatter_N)
+    assert not proof(model_with_ringing_loop)
     assert "of a loop that oscillates" in proof.reason
-    assert rest_test_with(monkeypatch, jamia, chatter, chatter)(jamia)
+    assert rest_test_with(monkeypatch, jamia, chatter_N, chatter_N)(jamia)
 
 
 def test_gains_that_fail_at_the_least_friction_are_refused(
@@ -436,10 +436,10 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
     The gains are then refused.
     """
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
-    still = StepOscillation(0.0, 0.0, (0.0,) * 4)
+    no_oscillation = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
-        lambda hand, m, f, s: lost if f == {"friction": 0.5} else still,
+        lambda hand, m, f, s: lost if f == {"friction": 0.5} else no_oscillation,
     )
     proof = rest_test_of(jamia)
     assert not proof(jamia)
@@ -466,7 +466,7 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
         hand_from_content(content, "a hand with another coupling"), Gains(), 500.0
     )
     digit = model.digits[0]
-    coordinates = _half_closed(digit)
+    coordinates = _half_closed_coordinates(digit)
     joints = digit.coupling @ coordinates
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)

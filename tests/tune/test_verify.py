@@ -22,7 +22,7 @@ from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
 from handctl.safety.safety_action import SafetyAction
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.gains_verification import (
     VerifyLimits,
@@ -32,7 +32,7 @@ from handctl.tune.gains_verification import (
 )
 from handctl.tune.scoring import GroundTruth, digit_angles, score_ticks
 
-CALM_GAINS = Gains(
+GAINS_WITHOUT_RINGING = Gains(
     motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
 )
 UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
@@ -42,10 +42,12 @@ def _verify_gains(
     new_gains: Gains, log_path: Path, hand: Hand | None = None, motion_amplitude: float = 0.2
 ) -> VerifyObserver:
     hand = hand or load_hand("jamia")
-    rate = default_rate(hand)
-    plan = RunPlan(hand, CALM_GAINS, rate, (0.5,))
+    rate = default_control_rate(hand)
+    plan = RunPlan(hand, GAINS_WITHOUT_RINGING, rate, (0.5,))
     amplitudes = (motion_amplitude, motion_amplitude)
-    observer = VerifyObserver(hand, CALM_GAINS, new_gains, amplitudes=amplitudes, old_rounds=1)
+    observer = VerifyObserver(
+        hand, GAINS_WITHOUT_RINGING, new_gains, amplitudes=amplitudes, rounds_with_old_gains=1
+    )
     with SimulatorSettings(hand, homed=True).lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
@@ -59,7 +61,7 @@ def _verify_gains(
 
 @pytest.mark.parametrize(
     ("new_gains", "is_rolled_back"),
-    [pytest.param(CALM_GAINS, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
+    [pytest.param(GAINS_WITHOUT_RINGING, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
 )
 def test_ringing_gains_are_rolled_back(
     new_gains: Gains, is_rolled_back: bool, tmp_path: Path
@@ -103,7 +105,7 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     ]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0
     hand = load_hand(str(file))
-    observer = _verify_gains(CALM_GAINS, tmp_path / "wide.mcap", hand, 1.0)
+    observer = _verify_gains(GAINS_WITHOUT_RINGING, tmp_path / "wide.mcap", hand, 1.0)
     assert observer.rollback is None
     blocked = observer.blocked
     assert blocked is not None
@@ -111,13 +113,15 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     assert "the amplitude is too large for this hand" in str(blocked)
     with RunLog(tmp_path / "wide.mcap") as log:
         scores = scores_by_round(log, hand, None, 0)
-    limit_deg = math.degrees(VerifyLimits().tracking_rad)
+    limit_deg = math.degrees(VerifyLimits().max_tracking_error_rad)
     assert all(score.tracking_deg < limit_deg / 4 for score in scores)
     # With the amplitude that the command proposes, the digits do not touch each other.
     assert 0.05 <= blocked.proposed_amplitude < 1.0
-    narrow = _verify_gains(CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude)
-    assert narrow.blocked is None
-    assert narrow.rollback is None
+    run_with_proposed_amplitude = _verify_gains(
+        GAINS_WITHOUT_RINGING, tmp_path / "free.mcap", hand, blocked.proposed_amplitude
+    )
+    assert run_with_proposed_amplitude.blocked is None
+    assert run_with_proposed_amplitude.rollback is None
 
 
 GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
@@ -138,7 +142,7 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
 ) -> None:
     """Reproduce a defect: the lag of a prismatic joint in m was compared with 0.35 rad, so no lag was too large."""
     hand = load_hand(GRIPPER_FOLDER / hand_file)
-    observer = VerifyObserver(hand, CALM_GAINS, CALM_GAINS)
+    observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
     numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
     places, first = TelemetryPlaces(), 0
     for name, size in (
@@ -169,14 +173,14 @@ def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
     reached = goal - np.array(lag_by_joint)
-    nothing = np.zeros((2, len(hand.tendon)))
+    zeros = np.zeros((2, len(hand.tendon)))
     score = score_ticks(
         np.array([0, 1_000_000]),
         np.array(["move", "move"]),
         digit_angles(hand, goal),
-        nothing,
-        nothing,
-        GroundTruth(digit_angles(hand, reached), nothing),
+        zeros,
+        zeros,
+        GroundTruth(digit_angles(hand, reached), zeros),
     )
     assert score.tracking_deg == pytest.approx(tracking_deg)
 
@@ -208,8 +212,8 @@ def test_the_page_about_tuning_quotes_the_report() -> None:
     page = Path(__file__).parents[2] / "docs" / "how-to" / "tuning.md"
     text = " ".join(page.read_text(encoding="utf-8").split())
     why = "motor torques oscillate by 60.9 N m/s, limit 60.0"
-    quote = gains_return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
-    assert f'"{quote}"' in text
+    quoted_text = gains_return_text({"t_s": 13.298, "k": 6649, "amplitude": 0.3, "why": why})
+    assert f'"{quoted_text}"' in text
     rounds = round_amplitudes(1.0)
-    later_rounds = {_gains_label(i, {"amplitude": rounds[2]}, rounds) for i in range(2, 5)}
-    assert all(f'"{label}"' in text for label in later_rounds)
+    later_round_labels = {_gains_label(i, {"amplitude": rounds[2]}, rounds) for i in range(2, 5)}
+    assert all(f'"{label}"' in text for label in later_round_labels)

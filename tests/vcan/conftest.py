@@ -20,7 +20,7 @@ import pytest
 
 from tests.vcan import uml_guest
 
-INSIDE_FOLDER = Path(__file__).parent / "inside"
+GUEST_TESTS_FOLDER = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 VCAN_IS_REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
@@ -40,7 +40,7 @@ _reports_key = pytest.StashKey[ReportsByTest]()
 def pytest_itemcollected(item: pytest.Item) -> None:
     item.add_marker("realtime")
     item.add_marker("alone")
-    if item.path.is_relative_to(INSIDE_FOLDER):
+    if item.path.is_relative_to(GUEST_TESTS_FOLDER):
         item.add_marker("vcan")
         if not REPORTS_FILE:
             item.add_marker(
@@ -58,24 +58,26 @@ def pytest_runtest_makereport(
         with open(REPORTS_FILE, "a", encoding="utf-8") as file:
             file.write(json.dumps(data) + "\n")
         return report
-    return _unless_required(report)
+    return _report_unless_required(report)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    if REPORTS_FILE or not item.path.is_relative_to(INSIDE_FOLDER):
+    if REPORTS_FILE or not item.path.is_relative_to(GUEST_TESTS_FOLDER):
         return None
     if _reports_key not in item.session.stash:
-        inner = [other for other in item.session.items if other.path.is_relative_to(INSIDE_FOLDER)]
-        item.session.stash[_reports_key] = _run_inside(inner)
+        inner = [
+            other for other in item.session.items if other.path.is_relative_to(GUEST_TESTS_FOLDER)
+        ]
+        item.session.stash[_reports_key] = _run_in_guests(inner)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for report in item.session.stash[_reports_key][item.nodeid]:
-        item.ihook.pytest_runtest_logreport(report=_unless_required(report))
+        item.ihook.pytest_runtest_logreport(report=_report_unless_required(report))
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
 
 
-def _run_inside(items: Sequence[pytest.Item]) -> ReportsByTest:
+def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
     """Run tests, each in the guest that runs its file, and return their reports."""
     kind, reason = uml_guest.vcan_access()
     if not kind:
@@ -146,7 +148,7 @@ def _make_report(
     return pytest.TestReport(**data, keywords={}, when="call", sections=[])  # type: ignore[arg-type]
 
 
-def _unless_required(report: pytest.TestReport) -> pytest.TestReport:
+def _report_unless_required(report: pytest.TestReport) -> pytest.TestReport:
     waits = "HANDCTL_NIGHTLY" in str(report.longrepr)
     if VCAN_IS_REQUIRED and report.skipped and not waits and not hasattr(report, "wasxfail"):
         report.outcome = "failed"

@@ -37,14 +37,14 @@ class ClientProgram(NamedTuple):
     Attributes:
         module: module of the program in ``tests.vcan.clients``.
         check_count: number of checks of the program.
-        drive_words: protocol and options of the simulated drives.
+        drive_arguments: protocol and options of the simulated drives.
         package: requirement of the client, installed without its own requirements.
         requirements: requirements that the used part of the client imports.
     """
 
     module: str
     check_count: int
-    drive_words: tuple[str, ...]
+    drive_arguments: tuple[str, ...]
     package: str
     requirements: tuple[str, ...] = ()
 
@@ -154,7 +154,7 @@ def test_a_client_of_another_author_passes_all_its_checks(name: str, client_pyth
             "tests.vcan.clients.guest",
             str(client_python),
             f"tests.vcan.clients.{program.module}",
-            *program.drive_words,
+            *program.drive_arguments,
         ],
         _client_variables(client_python),
         RUN_TIMEOUT_S,

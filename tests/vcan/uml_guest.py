@@ -138,7 +138,7 @@ def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None
 
 
 def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
-    with _on_one_core():
+    with _pin_to_one_core():
         process = _start_process(
             _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
         )
@@ -159,7 +159,7 @@ def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None
 
 
 @contextlib.contextmanager
-def _on_one_core() -> Iterator[None]:
+def _pin_to_one_core() -> Iterator[None]:
     """Keep the child processes of this thread on one core.
 
     The next guest runs on the next core. On the host, a guest consists of two processes that run
@@ -176,9 +176,9 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _guest_command(job: Path) -> list[str]:
-    init = Path(__file__).with_name("init").resolve()
+    init_program = Path(__file__).with_name("init").resolve()
     return [
-        *_with_all_registers(job),
+        *_command_prefix_for_amx(job),
         *(
             "linux.uml",
             f"mem={MEMORY_BYTES >> 20}M",
@@ -188,7 +188,7 @@ def _guest_command(job: Path) -> list[str]:
             "rw",
         ),
         *(
-            f"init={init}",
+            f"init={init_program}",
             "con=null",
             "con0=null,fd:1",
             "con1=null",
@@ -200,7 +200,7 @@ def _guest_command(job: Path) -> list[str]:
     ]
 
 
-def _with_all_registers(job: Path) -> list[str]:
+def _command_prefix_for_amx(job: Path) -> list[str]:
     """Return the prefix of the command of the guest.
 
     On a processor with AMX, a prefix is needed, because the guest does not save the AMX registers.

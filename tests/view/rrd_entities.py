@@ -19,12 +19,12 @@ class RecordingEntity(NamedTuple):
     Attributes:
         times: run time of each row [ns]. For a static entity, the array is empty.
         rows: values of each component in all rows, by the name of the component.
-        static: constant value of each static component, by the name of the component.
+        static_values: constant value of each static component, by the name of the component.
     """
 
     times: NDArray[np.int64]
     rows: dict[str, list[Any]]
-    static: dict[str, Any]
+    static_values: dict[str, Any]
 
     def table(self, component_name: str) -> NDArray[np.float64]:
         """Return the values of a component in all rows, (rows, instances)."""
@@ -47,7 +47,7 @@ def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
             name: batch.column(name).to_pylist() for name, kind in kinds.items() if kind == b"data"
         }
         if not chunk.timeline_names:
-            entity.static.update({name: values[-1] for name, values in data.items()})
+            entity.static_values.update({name: values[-1] for name, values in data.items()})
             continue
         assert chunk.timeline_names == ["run_time"]
         times = np.asarray(batch.column("run_time").cast(pa.int64()))
@@ -64,7 +64,7 @@ def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
 def _sorted_by_time(entity: RecordingEntity) -> RecordingEntity:
     order = np.argsort(entity.times, kind="stable")
     rows = {name: [values[i] for i in order] for name, values in entity.rows.items()}
-    return RecordingEntity(entity.times[order], rows, entity.static)
+    return RecordingEntity(entity.times[order], rows, entity.static_values)
 
 
 def entities_of_file(recording_path: Path) -> dict[str, RecordingEntity]:

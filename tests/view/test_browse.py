@@ -20,7 +20,7 @@ from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.log_writer import LogWriter
 from handctl.view.browse import browse_log
 from handctl.view.dashboard_picture import connect_client, wait_until_loaded
-from handctl.view.rerun_conversion import run_chunks
+from handctl.view.rerun_conversion import chunks_of_run
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
@@ -43,7 +43,7 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     assert since[0] == 0
     assert 1_000_000_000 <= since[1] < 1_250_000_000
     late: list[int] = []
-    for chunk in run_chunks(GOLDEN_LOG, run, 1_000_000_000):
+    for chunk in chunks_of_run(GOLDEN_LOG, run, 1_000_000_000):
         if chunk.entity_path == "/loop/late" and RUN_TIME_TIMELINE in chunk.timeline_names:
             late.append(chunk.num_rows)
     assert late[0] == sizes[0]

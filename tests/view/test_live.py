@@ -39,16 +39,16 @@ def url_of(live_view_process: "subprocess.Popen[bytes]") -> str:
     raise AssertionError("no viewer")
 
 
-def shown_until_ns(client: "ViewerClient") -> int:
+def latest_received_ns(client: "ViewerClient") -> int:
     """Return the latest run time of the data that the viewer has received [ns]."""
     return timeline_end(client.get_state(), RUN_TIME_TIMELINE)
 
 
 def wait_for_time(client: "ViewerClient", t_ns: int) -> int:
     end = time.monotonic() + VIEWER_TIMEOUT_S
-    while shown_until_ns(client) < t_ns and time.monotonic() < end:
+    while latest_received_ns(client) < t_ns and time.monotonic() < end:
         time.sleep(0.1)
-    return shown_until_ns(client)
+    return latest_received_ns(client)
 
 
 def test_a_growing_log_arrives_in_the_viewer(
@@ -72,7 +72,7 @@ def test_a_growing_log_arrives_in_the_viewer(
         client = ViewerClient.connect(url_of(follower))
         viewers = psutil.Process(follower.pid).children()
         assert wait_for_time(client, 1_000_000_000) >= 1_000_000_000
-        assert shown_until_ns(client) <= ticks[199][0].t_ns
+        assert latest_received_ns(client) <= ticks[199][0].t_ns
         for tick_in, out in ticks[200:]:
             recorder.send_record(pack_tick_record(tick_in, out))
         recorder.close("finished")

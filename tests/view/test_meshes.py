@@ -57,7 +57,7 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
     run = run_info_of(mesh_log)
     assert run.missing_mesh_note == ""
     for mesh in meshes_of_hand(run.hand):
-        shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static
+        shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static_values
         assert shown["CoordinateFrame:frame"] == [mesh.link]
         assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
         assert shown["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]

@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from handctl.cli.main import main
-from handctl.view.dashboard_picture import connect_client, view_problem_reports, wait_until_loaded
+from handctl.view.dashboard_picture import (
+    connect_client,
+    problem_reports_of_view,
+    wait_until_loaded,
+)
 from handctl.view.scene import palette
 from handctl.view.viewer import Viewer, running_viewer
 
@@ -31,9 +35,9 @@ def pixels_of_png(png_bytes: bytes) -> NDArray[np.int16]:
 
 def fraction_near_colour(pixels: NDArray[np.int16], colour: palette.Colour) -> float:
     """Return the fraction of pixels whose hue is near the hue of ``colour``, at any brightness."""
-    light = np.linalg.norm(pixels, axis=2)
-    cosine = pixels @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
-    return float(((cosine > 0.995) & (light > 80)).mean())
+    brightness = np.linalg.norm(pixels, axis=2)
+    cosine = pixels @ np.array(colour) / np.maximum(brightness * np.linalg.norm(colour), 1e-9)
+    return float(((cosine > 0.995) & (brightness > 80)).mean())
 
 
 def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
@@ -78,13 +82,13 @@ def test_a_bare_log_opens_with_a_hand_that_moves(
     _, client = bare_viewer
     state = client.get_state()
     (hand,) = (view for view in state.views if view.view_class == "3D")
-    shots = []
+    screenshots = []
     for at_s in (0.1, 1.5):
         client.set_time("message_log_time", timestamp=at_s, play_state="paused")
         time.sleep(0.7)
-        shots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
-    assert view_problem_reports(client) == []
-    moved = (np.abs(shots[0] - shots[1]).max(axis=2) > 30).mean()
+        screenshots.append(pixels_of_png(client.take_screenshot(view_id=hand.view_id)))
+    assert problem_reports_of_view(client) == []
+    moved = (np.abs(screenshots[0] - screenshots[1]).max(axis=2) > 30).mean()
     assert 0.005 < moved < 0.5
     assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
 
@@ -132,10 +136,10 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
     left = iter([state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))])
 
-    class Busy:
+    class ClientWithoutTimes:
         def get_state(self) -> ViewerState:
             return next(left)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    wait_until_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
+    wait_until_loaded(ClientWithoutTimes(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
     assert next(left, None) is None

@@ -11,7 +11,7 @@ from rrd_entities import read_entities, run_info_of
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogFile
 from handctl.view.log_tail import LogTail
-from handctl.view.rerun_conversion import log_chunks
+from handctl.view.rerun_conversion import chunks_of_log
 from handctl.view.scene.topic_converters import TopicConverters
 
 
@@ -39,17 +39,17 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
     for size in growing_file_sizes(whole, seed):
         path.write_bytes(whole[:size])
-        assert not (tail.log_ended and size < 0.9 * len(whole))
+        assert not (tail.has_log_ended and size < 0.9 * len(whole))
         since = tail.write_new_chunks(part)
         if since is not None:
-            chunks += log_chunks(part, converters, "part", since)
+            chunks += chunks_of_log(part, converters, "part", since)
             times += 1
-    assert tail.log_ended
+    assert tail.has_log_ended
     assert tail.write_new_chunks(part) is None
     assert times > 4
     shown, expected = (
         read_entities(chunks),
-        read_entities(log_chunks(jamia_path, TopicConverters(run), "whole")),
+        read_entities(chunks_of_log(jamia_path, TopicConverters(run), "whole")),
     )
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
@@ -92,7 +92,7 @@ def test_a_call_reads_no_record_again(
     assert len(offsets) <= 3, "the two magic texts, and the head of the incomplete record"
     path.write_bytes(whole)
     assert tail.write_new_chunks(part) is not None
-    assert tail.log_ended
+    assert tail.has_log_ended
     offsets.clear()
     assert tail.write_new_chunks(part) is None
     assert offsets == []

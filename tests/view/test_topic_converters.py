@@ -21,7 +21,7 @@ from handctl.view import rerun_conversion
 from handctl.view.scene import palette
 from handctl.view.scene.bus_load_calculator import LOAD_WINDOW_NS
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, near_limits
+from handctl.view.scene.topic_converters import ARROW_LENGTH_M_PER_N, limits_near_tensions
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def test_every_number_of_the_controller_is_there_under_its_name(
         one = recorded_entities[f"/controller/{name}"]
         np.testing.assert_array_equal(one.times, run_log.t_ns)
         np.testing.assert_array_equal(one.table("Scalars:scalars"), run_log.field(name))
-        assert tuple(one.static["SeriesLines:names"]) == run_log.names(name)
+        assert tuple(one.static_values["SeriesLines:names"]) == run_log.names(name)
 
 
 def test_tension_has_its_band_and_command(
@@ -58,7 +58,7 @@ def test_tension_has_its_band_and_command(
         recorded_entities["/tension/command"].table("Scalars:scalars"),
         run_log.field("tension_goal"),
     )
-    assert one.static["Measurements:names"] == list(run_log.header.tendons)
+    assert one.static_values["Measurements:names"] == list(run_log.header.tendons)
 
 
 def test_a_distant_limit_is_not_drawn(
@@ -70,8 +70,10 @@ def test_a_distant_limit_is_not_drawn(
     limit = recorded_entities.get("/tension/limit")
     assert limit is None or not limit.times.size
     tension = np.array([[3.0, 30.0], [np.nan, 66.0]])
-    np.testing.assert_array_equal(near_limits([40.0, 110.0, 200.0], tension), [40, 110, np.nan])
-    assert np.isnan(near_limits([110.0], np.full((2, 2), np.nan))).all()
+    np.testing.assert_array_equal(
+        limits_near_tensions([40.0, 110.0, 200.0], tension), [40, 110, np.nan]
+    )
+    assert np.isnan(limits_near_tensions([110.0], np.full((2, 2), np.nan))).all()
 
 
 def test_angles_are_in_degrees_digit_by_digit(
@@ -103,7 +105,7 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
         )
         at = int(force.argmax())
         assert one.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
-        assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
+        assert one.static_values["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
 def test_states_change_as_in_the_log(
@@ -124,7 +126,9 @@ def test_states_change_as_in_the_log(
         shown = {
             names[0] for names in recorded_entities[f"/state/{lane}"].rows["StateChange:state"]
         }
-        assert shown <= set(recorded_entities[f"/state/{lane}"].static["StateConfiguration:values"])
+        assert shown <= set(
+            recorded_entities[f"/state/{lane}"].static_values["StateConfiguration:values"]
+        )
 
 
 def test_lateness_and_bus_load_add_up(
@@ -202,15 +206,15 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
     }
     assert visuals == {path for path in recorded_entities if path.startswith("/hand/")}
     for path in visuals:
-        static = recorded_entities[path].static
-        (kind,) = {name.split(":")[0] for name in static} & {
+        static_values = recorded_entities[path].static_values
+        (kind,) = {name.split(":")[0] for name in static_values} & {
             "Boxes3D",
             "Cylinders3D",
             "Ellipsoids3D",
         }
-        assert static[f"{kind}:fill_mode"] == [3]
+        assert static_values[f"{kind}:fill_mode"] == [3]
     red, green, blue = palette.digit_colour(0)
-    first = recorded_entities["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
+    first = recorded_entities["/hand/index_link1/visual_0"].static_values["Cylinders3D:colors"]
     assert first == [red << 24 | green << 16 | blue << 8 | 255]
 
 
@@ -224,7 +228,9 @@ def test_time_slices_do_not_change_the_recording(
     recorded_entities: dict[str, RecordingEntity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
-    again = read_entities(rerun_conversion.run_chunks(log_path, run_info_of(log_path), 333_000_000))
+    again = read_entities(
+        rerun_conversion.chunks_of_run(log_path, run_info_of(log_path), 333_000_000)
+    )
     assert again.keys() == recorded_entities.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]
@@ -239,7 +245,7 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(log_fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = read_entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
             shown["/controller/q"].table("Scalars:scalars"), half.field("q")
         )
@@ -255,7 +261,7 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = read_entities(rerun_conversion.run_chunks(cut, run_info_of(cut)))
+        shown = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
 
 

@@ -91,7 +91,7 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
     }
     made = RunRecording(np.zeros(0), {}, [], [])
     times = []
-    run.record_ticks = False
+    run.are_ticks_recorded = False
     for _ in range(round(seconds * 1e9 / run.period_ns)):
         t = run.k * run.period_ns * 1e-9
         truth = run.simulated_hand.truth()

@@ -12,9 +12,9 @@ from typing import NamedTuple
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
-from handctl.safety.faults.tendon import CELL_FORCE_ERROR_N, CELL_FORCE_N
+from handctl.safety.faults.tendon import FORCE_RANGE_ERROR_N, STUCK_CELL_FORCE_RANGE_N
 from handctl.safety.safety_action import SafetyAction
-from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S, ticks_for
+from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS, tick_count_for_time
 
 ARMING_STAGE = "arming"
 FREE_STAGE = "free motion"
@@ -299,7 +299,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         (GRASP_STAGE,)),
     MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
     MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, accepted_faults=("T05", "T04"), stages=(GRASP_STAGE,),
-        force_change_N=CELL_FORCE_N + CELL_FORCE_ERROR_N),
+        force_change_N=STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N),
     MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, accepted_faults=("T05b",)),
     MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, accepted_faults=("T05b",)),
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, accepted_faults=("T06",), stages=ALL_STAGES),
@@ -394,7 +394,7 @@ def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
     """
     sizes = {
         # One tick more than the shortest stall that is a fault.
-        "stall": ticks_for(STALLED_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
+        "stall": tick_count_for_time(MAX_STALL_S, period_ms * 1e-3, MIN_STALLED_TICKS) + 1,
         "late": max(MIN_LATE_MS, MIN_LATE_TICKS * period_ms),
         "jump": POSITION_JUMP_RAD * max(1.0, period_ms / POSITION_JUMP_MS),
         "rough": POSITION_NOISE_RAD * max(1.0, (period_ms / POSITION_NOISE_MS) ** 2),

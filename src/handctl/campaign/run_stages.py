@@ -25,7 +25,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_forked_copy
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE_NUMBER = 0x10
@@ -105,7 +105,7 @@ def hand_with_drives(
         for bus in hand.bus
     )
     replaced = hand.model_copy(update={"motor": motors, "bus": buses})
-    too_slow = len(buses) == 1 and default_rate(replaced) < MIN_CONTROL_RATE_HZ
+    too_slow = len(buses) == 1 and default_control_rate(replaced) < MIN_CONTROL_RATE_HZ
     return with_more_buses(replaced, SPLIT_BUS_RATE_HZ) if too_slow else replaced
 
 

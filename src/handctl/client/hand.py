@@ -42,9 +42,9 @@ from handctl.programs.stream_plans import target_horizon_s
 from handctl.programs.task import HoldPhase
 from handctl.runtime.confirmed_requests import (
     CONFIRMATION_TIMEOUT_S,
-    follow_until_off,
-    is_hand_off,
+    are_drives_off,
     send_with_confirmation,
+    wait_until_drives_off,
 )
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
@@ -546,7 +546,7 @@ class HandClient:
                 end = time.monotonic() + timeout_s
                 self._note_call()
                 yield Observation(record, self.description)
-            elif reader.run_ended:
+            elif reader.has_run_ended:
                 return
             else:
                 self._check_run_and_timeout(reader, end)
@@ -596,17 +596,17 @@ class HandClient:
         The first call opens the reader. So the first call must come before the run ends.
         """
         if self._observations is not None:
-            if not self._observations.run_ended:
+            if not self._observations.has_run_ended:
                 return self._observations
             self._collect_result()
         self._check_not_ended()
-        if self._observations is None or self._observations.run_ended:
+        if self._observations is None or self._observations.has_run_ended:
             self._observations = ObservationReader(self.bus)
         return self._observations
 
     def _check_run_and_timeout(self, reader: ObservationReader, end: float) -> None:
         """Raise an error if the run has ended, or if the end time ``end`` of a wait has passed."""
-        if reader.run_ended:
+        if reader.has_run_ended:
             self._collect_result()
             self._check_not_ended()
             raise DriveError("the run has ended", f"bus {self.bus}")
@@ -642,11 +642,11 @@ class HandClient:
         while True:
             self._check_not_ended()
             with self._lock:
-                line = self._watcher.request_line(
+                line = self._watcher.request_status_line(
                     max(0.0, min(STATE_POLL_PERIOD_S, end - time.monotonic()))
                 )
             if line is not None:
-                self._is_hand_off |= is_hand_off(line)
+                self._is_hand_off |= are_drives_off(line)
                 return line
             if time.monotonic() >= end:
                 raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
@@ -685,7 +685,7 @@ class HandClient:
         """
         with self._lock:
             line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, is_repeated=True)
-            follow_until_off(self._watcher, "stop", line)
+            wait_until_drives_off(self._watcher, "stop", line)
             self._is_hand_off = True
 
     def close(self) -> None:

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import TELEMETRY_AXES, HandMode, Vector
 from handctl.hand.description import Hand
 from handctl.programs.stream_plans import StreamStatus
-from handctl.runtime.observations import PUBLISHED_NAMES
+from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
-AXIS_OF_FIELD = {PUBLISHED_NAMES[name]: axis for name, axis in TELEMETRY_AXES.items()}
+AXIS_OF_FIELD = {PUBLISHED_NAME_BY_FIELD[name]: axis for name, axis in TELEMETRY_AXES.items()}
 """For each array in an observation, the kind of its elements: joint, tendon, motor or digit."""
 
 

@@ -29,7 +29,7 @@ from handctl.drives.contract import (
 )
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
-from handctl.safety.faults.node import STILL_PULLING_S
+from handctl.safety.faults.node import PULL_AFTER_CUT_TIME_S
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.safety_action import SafetyAction
 
@@ -44,10 +44,10 @@ READY_DURATION_S = 0.1
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
-CUT_DURATION_S = STILL_PULLING_S
+CUT_DURATION_S = PULL_AFTER_CUT_TIME_S
 """Time for which the frames that cut the torque are repeated [s]."""
 RELEASE_CHECK_TICKS = 2
-"""Ticks after ``STILL_PULLING_S`` in which the detector of tendons that still pull (N16) has the last word."""
+"""Ticks after ``PULL_AFTER_CUT_TIME_S`` in which the detector of tendons that still pull (N16) has the last word."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -373,7 +373,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
     if not enabled:
         # A drive may report that it is disabled although its motor still pulls.
         ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
-        checked = ticks_without_torque * inputs.model.period >= STILL_PULLING_S
+        checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if checked else HandMode.DISARM), ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""

@@ -140,7 +140,7 @@ def present_relax_rate(state: ControllerState) -> float:
     """Return the rate at which the envelope, the upper bound of the motor forces, falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
-        if RelaxMethod.FAST_LOOP in _release_methods(state)
+        if RelaxMethod.FAST_TENSION_LOOP in _release_methods(state)
         else RELAX_RATE_N_PER_S
     )
 

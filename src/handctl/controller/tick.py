@@ -68,9 +68,9 @@ from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
     FaultFinding,
-    faults_counting_since_now,
     filter_error_frames,
     judge_tick,
+    newly_active_faults,
     second_controller_reports,
 )
 
@@ -489,7 +489,7 @@ class Controller:
             self.derived.layout.initial,
         )
         new_findings = (
-            faults_counting_since_now(self.derived.limits, found, state.view("fault_ticks"))
+            newly_active_faults(self.derived.limits, found, state.view("fault_ticks"))
             if state.run_integer(s.NEW_FAULTS)
             else []
         )

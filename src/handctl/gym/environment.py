@@ -37,7 +37,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.programs.stream_plans import target_horizon_s
-from handctl.session.run_plan import check_hand_ready, default_rate
+from handctl.session.run_plan import check_hand_ready, default_control_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0
@@ -252,7 +252,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             self._path, self.choose_scene(), plant_seed, self._perturb or None, homed=True
         )
         run = self._episode_stack.enter_context(simulator.begin_run(self._controller))
-        run.record_ticks = False
+        run.are_ticks_recorded = False
         self._run = run
         self._camera = None
         if not run.run_until(lambda out: out.phase == "live", READY_TIMEOUT_S):
@@ -425,7 +425,7 @@ def _controller_of_file(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)
-    model = HandModel.from_hand(hand, packaged_gains(hand.name), default_rate(hand))
+    model = HandModel.from_hand(hand, packaged_gains(hand.name), default_control_rate(hand))
     return homed_controller(model, LiveProgram())
 
 

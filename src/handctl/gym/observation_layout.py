@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.hand.description import Hand
-from handctl.runtime.observations import PUBLISHED_NAMES
+from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
 Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
-FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAMES.items()}
+FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
 """Field of the telemetry that provides the values of an observation's part, by name of the part."""
 
 

@@ -236,9 +236,9 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
         given = units.displayed(angles_of_frames[frame])[joint]
-        least, most = units.displayed(hand.joint_limits)[:, joint]
+        lower_limit, upper_limit = units.displayed(hand.joint_limits)[:, joint]
         problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
-        raise ConfigError(problem, episode_name, f"{least:g} to {most:g} {unit}")
+        raise ConfigError(problem, episode_name, f"{lower_limit:g} to {upper_limit:g} {unit}")
     return np.clip(angles_of_frames, low, high)
 
 

@@ -26,7 +26,7 @@ from handctl.safety.safety_limits import (
     MIN_SILENT_TICKS,
     MIN_STALLED_TICKS,
     SafetyLimits,
-    ticks_for,
+    tick_count_for_time,
 )
 
 TensionLimit = Annotated[float, Field(gt=0, le=1000)]
@@ -113,13 +113,13 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     return replace(
         old,
         tension_trip=trip,
-        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        silent_ticks=tick_count_for_time(silent / 1e3, period, MIN_SILENT_TICKS)
         if silent
         else old.silent_ticks,
-        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        one_silent_ticks=tick_count_for_time(silent / 1e3, period, MIN_SILENT_TICKS)
         if silent
         else old.one_silent_ticks,
-        stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS)
+        stalled_ticks=tick_count_for_time(stalled / 1e3, period, MIN_STALLED_TICKS)
         if stalled
         else old.stalled_ticks,
         temperature_soft=soft or old.temperature_soft,

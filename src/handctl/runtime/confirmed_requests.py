@@ -17,7 +17,7 @@ from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
 from handctl.runtime.buses.bus_opening import LOCAL_BUS_PREFIX
-from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, WATCH_REQUEST, StatusWatcher
+from handctl.runtime.mailbox import SEND_RETRY_PERIOD_S, SUBSCRIBE_REQUEST, StatusWatcher
 from handctl.runtime.socket_paths import mailbox_path
 
 CONFIRMATION_TIMEOUT_S = 2.0
@@ -25,12 +25,12 @@ CONFIRMATION_TIMEOUT_S = 2.0
 
 A controller that relaxes its hand after a stop may also be silent for this time.
 """
-REQUEST_REPEAT_S = 0.25
+REQUEST_REPEAT_PERIOD_S = 0.25
 """Time after which a request is sent again [s].
 
 A request is repeated only if it may arrive twice without another effect.
 """
-OFF_TIMEOUT_S = 10.0
+DISABLE_TIMEOUT_S = 10.0
 """Longest time from a stop until all drives have confirmed that they are off, in the run's time [s]."""
 CONTROLLER_SILENT_TEXT = "the controller is silent"
 MAILBOX_FULL_TEXT = "its mailbox is full"
@@ -53,7 +53,7 @@ def open_watcher(bus: str, command_word: str) -> StatusWatcher:
 
 
 @contextmanager
-def absent_controller_reported(bus: str) -> Iterator[None]:
+def report_absent_controller(bus: str) -> Iterator[None]:
     """Replace an UnconfirmedError in a block if no controller of a local bus has a mailbox.
 
     No motor of a simulated hand needs its power removed. A killed controller leaves its mailbox, and
@@ -66,11 +66,11 @@ def absent_controller_reported(bus: str) -> Iterator[None]:
         BusError: the bus is local, and had no mailbox before the block and none after it.
     """
     simulated = bus.startswith(LOCAL_BUS_PREFIX)
-    had_mailbox = not simulated or os.path.lexists(mailbox_path(bus))
+    mailbox_may_exist = not simulated or os.path.lexists(mailbox_path(bus))
     try:
         yield
     except UnconfirmedError:
-        if had_mailbox or os.path.lexists(mailbox_path(bus)):
+        if mailbox_may_exist or os.path.lexists(mailbox_path(bus)):
             raise
         raise BusError(
             "no controller runs on this bus", f"bus {bus}", "the first bus of a running handctl run"
@@ -100,11 +100,11 @@ def send_with_confirmation(
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     sent = False
     reason = CONTROLLER_SILENT_TEXT
-    watcher.discard_lines()
+    watcher.discard_status_lines()
     while (left := end - time.monotonic()) > 0.0:
         if is_repeated or not sent:
             sent, reason = _try_send_request(
-                watcher, data, min(left, REQUEST_REPEAT_S) if is_repeated else left
+                watcher, data, min(left, REQUEST_REPEAT_PERIOD_S) if is_repeated else left
             )
         if not sent:
             if not (is_repeated or reason == MAILBOX_FULL_TEXT):
@@ -112,7 +112,9 @@ def send_with_confirmation(
             time.sleep(min(left, SEND_RETRY_PERIOD_S))
             continue
         left = max(0.0, end - time.monotonic())
-        for line in watcher.status_lines(min(left, REQUEST_REPEAT_S) if is_repeated else left):
+        for line in watcher.status_lines(
+            min(left, REQUEST_REPEAT_PERIOD_S) if is_repeated else left
+        ):
             if (texts := events_for_request(name, line["events"])) is not None:
                 return line, texts
     raise UnconfirmedError(watcher.name, str(request["do"]), reason)
@@ -156,14 +158,18 @@ def request_action(bus: str, command_word: str) -> StatusLine:
     """
     watcher = open_watcher(bus, command_word)
     try:
-        with absent_controller_reported(bus):
+        with report_absent_controller(bus):
             line, _ = send_with_confirmation(watcher, {"do": command_word}, is_repeated=True)
-        return line if command_word == "clear" else follow_until_off(watcher, command_word, line)
+        return (
+            line if command_word == "clear" else wait_until_drives_off(watcher, command_word, line)
+        )
     finally:
         watcher.close()
 
 
-def follow_until_off(watcher: StatusWatcher, command_word: str, line: StatusLine) -> StatusLine:
+def wait_until_drives_off(
+    watcher: StatusWatcher, command_word: str, line: StatusLine
+) -> StatusLine:
     """Wait until a controller that stops its hand reports that every drive is disabled.
 
     Args:
@@ -180,11 +186,11 @@ def follow_until_off(watcher: StatusWatcher, command_word: str, line: StatusLine
     """
     start_s = float(line["t_s"])
     while True:
-        if is_hand_off(line):
+        if are_drives_off(line):
             return line
         if line["mode"] == HandMode.DONE.name:
-            raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
-        if line["t_s"] > start_s + OFF_TIMEOUT_S:
+            raise PowerError("; ".join(_mode_event_texts(line)), f"bus {watcher.name}")
+        if line["t_s"] > start_s + DISABLE_TIMEOUT_S:
             raise UnconfirmedError(
                 watcher.name,
                 command_word,
@@ -199,23 +205,23 @@ def follow_until_off(watcher: StatusWatcher, command_word: str, line: StatusLine
                     command_word,
                     f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
-            new = watcher.next_line(0.0) or _subscribe_again(watcher)
+            new = watcher.next_status_line(0.0) or _subscribe_again(watcher)
         line = new
 
 
-def is_hand_off(line: StatusLine) -> bool:
+def are_drives_off(line: StatusLine) -> bool:
     """Return True if a status line reports the end of the run with every drive off."""
     return bool(line["mode"] == HandMode.DONE.name) and not any(
-        REMOVE_POWER in text for text in _mode_texts(line)
+        REMOVE_POWER in text for text in _mode_event_texts(line)
     )
 
 
-def _mode_texts(line: StatusLine) -> list[str]:
+def _mode_event_texts(line: StatusLine) -> list[str]:
     """Return the texts of the events about mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
 def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
     """Subscribe to the status lines again, and return the next status line."""
-    _try_send_request(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
-    return watcher.next_line(REQUEST_REPEAT_S)
+    _try_send_request(watcher, SUBSCRIBE_REQUEST, REQUEST_REPEAT_PERIOD_S)
+    return watcher.next_status_line(REQUEST_REPEAT_PERIOD_S)

@@ -27,7 +27,7 @@ class HoldLimit:
 
     stop_reason: str = ""
     _fault: str = ""
-    _since_ns: int = -1
+    _hold_start_ns: int = -1
     _requests: list[str] = field(default_factory=list)
 
     def poll_requests(self) -> tuple[str, ...]:
@@ -42,15 +42,15 @@ class HoldLimit:
             if event.name == "fault":
                 self._fault = event.text
         if out.mode != HandMode.ACTIVE or out.action < SafetyAction.HOLD:
-            self._since_ns = -1
+            self._hold_start_ns = -1
             return
-        if self._since_ns < 0:
-            self._since_ns = entry.t_ns
-        if entry.t_ns - self._since_ns > MAX_HOLD_S * 1e9 and not self.stop_reason:
+        if self._hold_start_ns < 0:
+            self._hold_start_ns = entry.t_ns
+        if entry.t_ns - self._hold_start_ns > MAX_HOLD_S * 1e9 and not self.stop_reason:
             self.stop_reason = self._fault or "a fault"
             self._requests.append(STOP_REQUEST)
 
-    def refuse_stopped(self, where: str) -> None:
+    def raise_if_stopped(self, where: str) -> None:
         """Raise an error if this observer has stopped the run.
 
         Raises:

@@ -53,12 +53,12 @@ class TickInProgress(Protocol[T]):
         ...
 
 
-CUT_SEND_TRIES = 20
+TORQUE_CUT_ATTEMPTS = 20
 """Number of attempts to send the torque cut after an error, if an interface refuses its frames."""
-CUT_RETRY_PAUSE_S = 1e-3
+TORQUE_CUT_RETRY_PAUSE_S = 1e-3
 """Pause between two attempts to send the torque cut [s]. A frame takes 0.1 ms on the wire."""
 
-CUT_CONFIRMATION_NS = 500_000_000
+DISABLE_CONFIRMATION_TIMEOUT_NS = 500_000_000
 """Longest time for which the drives are polled after an error [ns].
 
 The heartbeat of a drive may come as rarely as every 100 ms.
@@ -144,20 +144,20 @@ class StopSignals:
         return (STOP_REQUEST,) if self.converted_count == 1 else (CUT_REQUEST,)
 
     @contextmanager
-    def handlers_installed(self) -> Iterator[None]:
+    def install_handlers(self) -> Iterator[None]:
         """Install the signal handler during a ``with`` block."""
-        under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        is_sighup_ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
         with installed_handler(
-            self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])
+            self, signal.SIGINT, signal.SIGTERM, *([] if is_sighup_ignored else [signal.SIGHUP])
         ):
             yield
 
 
-def _no_snapshot(entry: TickIn, state: object) -> None:
+def _skip_snapshot(entry: TickIn, state: object) -> None:
     """Do nothing. This function takes the place of a recorder of snapshots, if the run has none."""
 
 
-def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
+def _skip_publication(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
     This function takes the place of the programs that observe the run, if there are none.
@@ -206,8 +206,8 @@ class ControlLoop(Generic[S]):
     take_host_events: Callable[[], list[IoEvent]]
     record_tick: Callable[[TickIn, TickOut], None]
     show_tick: Callable[[TickIn, TickOut], None]
-    keep_snapshot: Callable[[TickIn, S], None] = _no_snapshot
-    publish_tick: Callable[[TickIn, TickOut, S, int], None] = _no_observer
+    keep_snapshot: Callable[[TickIn, S], None] = _skip_snapshot
+    publish_tick: Callable[[TickIn, TickOut, S, int], None] = _skip_publication
     disable_drives: (
         Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None
     ) = None
@@ -232,13 +232,13 @@ class ControlLoop(Generic[S]):
                 # Frames that were received before the run do not belong to any tick.
                 for bus in self.buses:
                     bus.drain()
-                return self._run_guarded(state)
+                return self._run_and_disable_on_error(state)
         finally:
             gc.enable()
             gc.unfreeze()
             self.stats.cpu_s = time.process_time() - cpu_s
 
-    def _run_guarded(self, state: S) -> S:
+    def _run_and_disable_on_error(self, state: S) -> S:
         """Run the ticks of the run. After any error, disable the drives and raise the error again.
 
         Raises:
@@ -251,8 +251,8 @@ class ControlLoop(Generic[S]):
         except Exception as error:
             left: tuple[str, ...] = ("the drives are unknown, because their query failed as well",)
             try:
-                self._send_cut()
-                left = self._poll_until_off(last[0])
+                self._send_torque_cut()
+                left = self._poll_until_disabled(last[0])
             finally:
                 if left:
                     raise PowerError(
@@ -260,16 +260,18 @@ class ControlLoop(Generic[S]):
                     ) from error
             raise
 
-    def _poll_until_off(self, state: S) -> tuple[str, ...]:
+    def _poll_until_disabled(self, state: S) -> tuple[str, ...]:
         """Disable all drives after an error.
 
         Poll the drives until all of them report that they are disabled, but no longer than
-        CUT_CONFIRMATION_NS. Return the names of the drives that have not reported this.
+        DISABLE_CONFIRMATION_TIMEOUT_NS. Return the names of the drives that have not reported this.
         """
         if self.disable_drives is None:
             return ()
         left: tuple[str, ...] = ()
-        for k in range(self._k + 1, self._k + 2 + CUT_CONFIRMATION_NS // self.period_ns):
+        for k in range(
+            self._k + 1, self._k + 2 + DISABLE_CONFIRMATION_TIMEOUT_NS // self.period_ns
+        ):
             self.clock.wait(k)
             received = [frame for bus in self.buses for frame in bus.drain()]
             state, frames, left = self.disable_drives(state, k * self.period_ns, received)
@@ -278,7 +280,7 @@ class ControlLoop(Generic[S]):
             self._send(frames)
         return left
 
-    def _send_cut(self) -> None:
+    def _send_torque_cut(self) -> None:
         """Send the frames that remove the torque on every bus.
 
         If a queue is full of commands and refuses some of these frames, they are sent again.
@@ -288,13 +290,13 @@ class ControlLoop(Generic[S]):
             (bus, [f for f in self.cut_frames if f.bus == index or alone])
             for index, bus in enumerate(self.buses)
         ]
-        for _ in range(CUT_SEND_TRIES):
-            self._send_cut_once(left)
+        for _ in range(TORQUE_CUT_ATTEMPTS):
+            self._send_torque_cut_once(left)
             if not any(frames for _, frames in left):
                 return
-            time.sleep(CUT_RETRY_PAUSE_S)
+            time.sleep(TORQUE_CUT_RETRY_PAUSE_S)
 
-    def _send_cut_once(self, unsent_frames: list[tuple[LoopBus, list[Frame]]]) -> None:
+    def _send_torque_cut_once(self, unsent_frames: list[tuple[LoopBus, list[Frame]]]) -> None:
         """Send the frames in ``unsent_frames`` on their buses, and remove the accepted frames from ``unsent_frames``.
 
         If one bus raises an exception, the frames are still sent on the other buses.
@@ -306,7 +308,7 @@ class ControlLoop(Generic[S]):
             if frames:
                 del frames[: bus.send(frames)]
         finally:
-            self._send_cut_once(others)
+            self._send_torque_cut_once(others)
 
     def _warm_up(self, state: S) -> None:
         """Execute a tick before the run, and discard the result.
@@ -334,7 +336,7 @@ class ControlLoop(Generic[S]):
             skipped = late // self.period_ns
             k += skipped
             self._k = k
-            entry = self._collect(k, late - skipped * self.period_ns)
+            entry = self._collect_tick_input(k, late - skipped * self.period_ns)
             tick = self.begin_tick(last_state[0], entry)
             requests = self.take_requests()
             tick.decide(requests)
@@ -358,7 +360,7 @@ class ControlLoop(Generic[S]):
             k += 1
         return last_state[0]
 
-    def _collect(self, k: int, late_ns: int) -> TickIn:
+    def _collect_tick_input(self, k: int, late_ns: int) -> TickIn:
         """Return the inputs of a tick: the frames and the events since the last tick."""
         parts: list[Frames] = []
         events = self.take_host_events()
@@ -374,19 +376,19 @@ class ControlLoop(Generic[S]):
             accepted = self.buses[0].send(frames)
         else:
             records = frames_as_records(frames).records
-            wires = records["bus"]
-            parts = [Frames(records[wires == index]) for index in range(len(self.buses))]
+            bus_indices = records["bus"]
+            parts = [Frames(records[bus_indices == index]) for index in range(len(self.buses))]
             accepted = sum(bus.send(part) for bus, part in zip(self.buses, parts, strict=True))
         self.stats.frames_tx += accepted
         self.stats.refused_frames += len(frames) - accepted
 
-    def _count_tick(self, entry: TickIn, skipped_ticks: int, late_by_ns: int) -> None:
+    def _count_tick(self, entry: TickIn, skipped_ticks: int, lateness_ns: int) -> None:
         """Count a tick in the statistics, and store the lateness of the tick."""
         stats = self.stats
         if stats.ticks < LATENESS_RING_TICKS:
-            stats.tick_lateness_ns.append(late_by_ns)
+            stats.tick_lateness_ns.append(lateness_ns)
         else:
-            stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = late_by_ns
+            stats.tick_lateness_ns[stats.ticks % LATENESS_RING_TICKS] = lateness_ns
         stats.ticks += 1
         stats.missed_ticks += skipped_ticks
         stats.frames_rx += len(entry.frames)

@@ -31,7 +31,7 @@ STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (
     f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear")
 )
 """Requests as texts, for the modules that send them."""
-WATCH_REQUEST = b'{"do": "watch"}'
+SUBSCRIBE_REQUEST = b'{"do": "watch"}'
 MAX_WATCHERS = 16
 """Largest number of programs that may subscribe to status lines.
 
@@ -46,7 +46,7 @@ MAX_REQUESTS_PER_TICK = 16
 
 The limit keeps a flood of requests from delaying a tick.
 """
-SHORT_RUN_FOLDER_TEXT = "HANDCTL_RUN_DIR with a short path to a writable folder"
+RUN_FOLDER_ADVICE_TEXT = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:
@@ -95,7 +95,7 @@ class Mailbox:
                 break
             if not ours:
                 continue
-            if data == WATCH_REQUEST and sender:
+            if data == SUBSCRIBE_REQUEST and sender:
                 if sender in self.watchers:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
@@ -153,7 +153,7 @@ def _lock_error(name: str, error: OSError) -> BusError:
             "another controller runs here", f"bus {name}", "one controller per bus: handctl stop"
         )
     return BusError(
-        f"cannot receive requests: {error}", str(mailbox_path(name).parent), SHORT_RUN_FOLDER_TEXT
+        f"cannot receive requests: {error}", str(mailbox_path(name).parent), RUN_FOLDER_ADVICE_TEXT
     )
 
 
@@ -236,21 +236,21 @@ class StatusWatcher:
         except OSError as error:
             self.socket.close()
             raise BusError(
-                f"cannot receive replies: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+                f"cannot receive replies: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
             ) from None
 
-    def request_line(self, timeout_s: float) -> dict[str, Any] | None:
+    def request_status_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request a new status line from the controller, and return it.
 
         If the status line does not arrive within the timeout [s], return None.
         """
-        self.discard_lines()
+        self.discard_status_lines()
         try:
-            self.send(WATCH_REQUEST, timeout_s)
+            self.send(SUBSCRIBE_REQUEST, timeout_s)
         except OSError:
             time.sleep(min(timeout_s, SEND_RETRY_PERIOD_S))
             return None
-        return self.next_line(timeout_s)
+        return self.next_status_line(timeout_s)
 
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller.
@@ -267,7 +267,7 @@ class StatusWatcher:
         self.socket.settimeout(timeout_s)
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
-    def next_line(self, timeout_s: float) -> dict[str, Any] | None:
+    def next_status_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Return the next unread status line, or None if none arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
@@ -284,11 +284,11 @@ class StatusWatcher:
         """Yield the status lines that arrive until the timeout [s] has passed."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
-            line = self.next_line(left)
+            line = self.next_status_line(left)
             if line is not None:
                 yield line
 
-    def discard_lines(self) -> None:
+    def discard_status_lines(self) -> None:
         """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:

@@ -31,7 +31,7 @@ from handctl.core.tick_types import (
 )
 from handctl.errors import BusError
 from handctl.programs.stream_plans import StreamStatus
-from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
+from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
 from handctl.runtime.socket_paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
@@ -49,7 +49,7 @@ PAGE_BYTES = 4096
 """Alignment of the ring in the file [bytes]."""
 COPY_ATTEMPTS = 100
 """Number of attempts to copy a record that the controller is overwriting."""
-PUBLISHED_NAMES = {
+PUBLISHED_NAME_BY_FIELD = {
     "q": "q_rad", "dq": "dq_rad_s", "q_goal": "q_goal_rad", "dq_goal": "dq_goal_rad_s",
     "joint_torque": "joint_torque_N_m", "joint_encoder": "joint_encoder_rad", "excursion": "excursion_m",
     "excursion_rate": "excursion_rate_m_s", "tension": "tension_N", "tension_sigma": "tension_sigma_N",
@@ -69,7 +69,7 @@ LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("stream_late", "<i8"), ("stream_refused", "<i8"), ("stream_limited", "<i8"),
 )  # fmt: skip
 """Fields of a record before the telemetry fields."""
-_LEADING_STRUCT = struct.Struct("<qqqqii24sqdqqqqq")
+_SCALAR_FIELDS_STRUCT = struct.Struct("<qqqqii24sqdqqqqq")
 
 
 def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
@@ -80,7 +80,8 @@ def observation_dtype(axes: Mapping[str, int]) -> np.dtype[np.void]:
             "tendon", "motor" and "digit".
     """
     numbers = [
-        (PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS
+        (PUBLISHED_NAME_BY_FIELD[name], "<f8", (axes[TELEMETRY_AXES[name]],))
+        for name in TELEMETRY_FIELDS
     ]
     return np.dtype([*LEADING_FIELDS, *numbers])
 
@@ -131,16 +132,16 @@ class ObservationWriter:
             self._map = _create_map(self.path, self._ring_at + RING_RECORDS * self._size)
         except OSError as error:
             raise BusError(
-                f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+                f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
             ) from None
         # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
         # one vector at the end of the record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
-        assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
+        assert kind.itemsize == _SCALAR_FIELDS_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
         self._counters = [np.frombuffer(self._map, COUNTER_DTYPE, 1, start) for start in starts]
         self._numbers = [
-            np.frombuffer(self._map, "<f8", count, start + 8 + _LEADING_STRUCT.size)
+            np.frombuffer(self._map, "<f8", count, start + 8 + _SCALAR_FIELDS_STRUCT.size)
             for start in starts
         ]
         self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + len(text)] = text
@@ -165,7 +166,7 @@ class ObservationWriter:
         slot = written % RING_RECORDS
         counter = self._counters[slot]
         counter[0] = 2 * written + 1
-        _LEADING_STRUCT.pack_into(
+        _SCALAR_FIELDS_STRUCT.pack_into(
             self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, sent_ns,
             out.mode, out.action, out.phase.encode()[:24], *stream,
         )  # fmt: skip
@@ -225,7 +226,7 @@ class ObservationReader:
         return int.from_bytes(self._map[WRITTEN_COUNT_OFFSET : WRITTEN_COUNT_OFFSET + 8], "little")
 
     @property
-    def run_ended(self) -> bool:
+    def has_run_ended(self) -> bool:
         """Return True if the run has ended."""
         return self._map[END_MARK_OFFSET] != 0
 

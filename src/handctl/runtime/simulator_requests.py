@@ -28,13 +28,13 @@ def find_simulator(bus: str | None) -> Path:
     if bus is not None:
         check_bus_spec(bus)
         return faults_path(bus)
-    sockets = sorted(run_dir().glob("*.faults"))
-    if len(sockets) != 1:
-        running = ", ".join(path.stem.replace("_", ":", 1) for path in sockets) or "none"
+    socket_paths = sorted(run_dir().glob("*.faults"))
+    if len(socket_paths) != 1:
+        running = ", ".join(path.stem.replace("_", ":", 1) for path in socket_paths) or "none"
         raise BusError(
             f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo"
         )
-    return sockets[0]
+    return socket_paths[0]
 
 
 def simulated_time_scale(bus: str) -> float | None:

@@ -21,7 +21,7 @@ from handctl.errors import BusError
 
 WRITABLE_BY_OTHERS_MODE = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits that allow the group or other users to write."""
-GROUP_AND_OTHERS_MODE = stat.S_IRWXG | stat.S_IRWXO
+GROUP_AND_OTHERS_PERMISSIONS = stat.S_IRWXG | stat.S_IRWXO
 """All permission bits of the group and of other users."""
 PRIVATE_MODE = 0o700
 """Permission bits of folders created by handctl."""
@@ -56,12 +56,12 @@ def run_dir() -> Path:
     return _private_folder(Path(tempfile.gettempdir()) / f"handctl-{os.geteuid()}" / "handctl", 2)
 
 
-def _private_folder(path: Path, private_parts: int, link_count: int = 0) -> Path:
+def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) -> Path:
     """Walk from the root folder to a folder. Check each folder on the way, and create missing folders.
 
     Args:
         path: path of the folder.
-        private_parts: number of parts at the end of the path that must belong to this user.
+        private_path_parts: number of parts at the end of the path that must belong to this user.
         link_count: number of symbolic links followed so far.
 
     Raises:
@@ -73,7 +73,7 @@ def _private_folder(path: Path, private_parts: int, link_count: int = 0) -> Path
     try:
         for number, part in enumerate(parts[1:], 1):
             here /= part
-            private = number >= len(parts) - private_parts
+            private = number >= len(parts) - private_path_parts
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
                 # Only symbolic links that root has created are followed, such as /tmp on macOS.
@@ -81,14 +81,14 @@ def _private_folder(path: Path, private_parts: int, link_count: int = 0) -> Path
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(
-                    target.joinpath(*parts[number + 1 :]), private_parts, link_count + 1
+                    target.joinpath(*parts[number + 1 :]), private_path_parts, link_count + 1
                 )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
             # This path is relative to the parent folder that has been checked. Therefore it has no
             # effect if somebody renames the parent folder.
-            below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
+            child_fd = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
-            at = below
+            at = child_fd
             (_refuse_shared_folder if private else _refuse_unsafe_folder)(here, at)
     except OSError as error:
         raise BusError(
@@ -129,7 +129,7 @@ def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
             str(folder_path),
             PRIVATE_FOLDER_TEXT,
         )
-    if state.st_mode & GROUP_AND_OTHERS_MODE:
+    if state.st_mode & GROUP_AND_OTHERS_PERMISSIONS:
         os.fchmod(folder_fd, PRIVATE_MODE)
 
 

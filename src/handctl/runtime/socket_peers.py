@@ -56,7 +56,7 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
     )
 
 
-def is_served_by_us(link: socket.socket) -> bool:
+def is_served_by_same_user(link: socket.socket) -> bool:
     """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
     if not IS_LINUX:
         return True

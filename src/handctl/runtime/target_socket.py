@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES
-from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
+from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
 from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
 
@@ -78,7 +78,7 @@ class TargetBox:
         except OSError as error:
             self.socket.close()
             raise BusError(
-                f"cannot receive targets: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+                f"cannot receive targets: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
             ) from None
         self.socket.setblocking(False)
 

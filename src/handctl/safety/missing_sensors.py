@@ -4,7 +4,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import shortened_list
 from handctl.safety.faults.table import FAULT_TABLE
 
-NEED_LOAD_CELL = tuple(fault.id for fault in FAULT_TABLE if fault.needs_load_cell)
+FAULTS_NEEDING_LOAD_CELL = tuple(fault.id for fault in FAULT_TABLE if fault.needs_load_cell)
 """Faults that are not detected for a tendon without load cell.
 
 These faults compare a load cell with the motor, or concern the load cell itself. Without a load
@@ -12,7 +12,7 @@ cell, the faults T01, T02, T03, T08 and N06 use the estimated tension. The limit
 faults are then stricter by two standard deviations of the estimate. The fault N16 then uses the torque that the
 drive reports.
 """
-NEED_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_encoders)
+FAULTS_NEEDING_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs_joint_encoders)
 """Faults that are not detected for a tendon whose joints have no encoders."""
 
 
@@ -22,10 +22,12 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
     tendons = hand.tendon_names
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:
         text = "no load cell: its tension is that of motor, encoder and friction"
-        lines.append(f"{shortened_list(bare)}: {text}; not judged: {', '.join(NEED_LOAD_CELL)}")
+        lines.append(
+            f"{shortened_list(bare)}: {text}; not judged: {', '.join(FAULTS_NEEDING_LOAD_CELL)}"
+        )
         if unread := [name for name in bare if not hand.tendons_with_encoders[tendons.index(name)]]:
             text = "neither load cell nor joint encoders"
             lines.append(
-                f"{shortened_list(unread)}: {text}; not judged: {', '.join(NEED_ENCODERS)}"
+                f"{shortened_list(unread)}: {text}; not judged: {', '.join(FAULTS_NEEDING_ENCODERS)}"
             )
     return tuple(lines)

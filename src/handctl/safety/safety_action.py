@@ -33,9 +33,9 @@ class RelaxMethod(enum.Enum):
     No method raises a commanded torque (``controller.relaxing``).
     """
 
-    LOOP = "RELAX"
+    TENSION_LOOP = "RELAX"
     """Use the tension loop, limited by an envelope of the motor force that falls by 500 N/s."""
-    FAST_LOOP = "RELAX fast"
+    FAST_TENSION_LOOP = "RELAX fast"
     """Use the tension loop, limited by an envelope that falls by 2,000 N/s, for an overloaded tendon."""
     OPEN_LOOP = "RELAX open loop"
     """Command the envelope itself, without feedback, for faults that make the tension loop unreliable."""

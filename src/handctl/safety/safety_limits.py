@@ -6,26 +6,26 @@ from dataclasses import dataclass
 LOAD_CELLS = "load cells"
 """Name of the sensor node in lists of nodes."""
 
-SILENT_S = 0.030
-STALLED_S = 0.025
+MAX_SILENCE_S = 0.030
+MAX_STALL_S = 0.025
 """Longest silence of a node, and longest stall of the host, without a fault [s].
 
 Both times are below the drives' watchdog time of 50 ms.
 """
 MIN_SILENT_TICKS = 4
 MIN_STALLED_TICKS = 3
-"""Smallest number of ticks for the times ``SILENT_S`` and ``STALLED_S``.
+"""Smallest number of ticks for the times ``MAX_SILENCE_S`` and ``MAX_STALL_S``.
 
 At slow control rates, this number applies.
 """
-MIN_FRAMES_LIMIT = 64
+MIN_FLOOD_FRAMES = 64
 """Smallest threshold for a flooded bus [frames per tick]. A small hand sends fewer frames."""
-TEMPERATURE_SOFT_DEGC = 70.0
-TEMPERATURE_HARD_DEGC = 85.0
+SOFT_TEMPERATURE_LIMIT_DEGC = 70.0
+HARD_TEMPERATURE_LIMIT_DEGC = 85.0
 """Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
 
 
-def ticks_for(seconds: float, period: float, minimum: int) -> int:
+def tick_count_for_time(seconds: float, period: float, minimum: int) -> int:
     """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
     # The function rounds up, because a time limit in ticks must never be shorter than the time that
     # was given.
@@ -72,9 +72,9 @@ class SafetyLimits:
     silent_ticks: int = MIN_SILENT_TICKS
     one_silent_ticks: int = MIN_SILENT_TICKS
     stalled_ticks: int = MIN_STALLED_TICKS
-    temperature_soft: float = TEMPERATURE_SOFT_DEGC
-    temperature_hard: float = TEMPERATURE_HARD_DEGC
-    frames: int = MIN_FRAMES_LIMIT
+    temperature_soft: float = SOFT_TEMPERATURE_LIMIT_DEGC
+    temperature_hard: float = HARD_TEMPERATURE_LIMIT_DEGC
+    frames: int = MIN_FLOOD_FRAMES
     noise: float = math.inf
 
     @property

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
+from handctl.safety.faults.bus import MISSING_ACKNOWLEDGE_TEXTS
 from handctl.safety.faults.fault import (
-    JOINT_INSTANCE,
-    MOTOR_INSTANCE,
-    NODE_INSTANCE,
-    TENDON_INSTANCE,
+    FAULT_PLACE_JOINT,
+    FAULT_PLACE_MOTOR,
+    FAULT_PLACE_NODE,
+    FAULT_PLACE_TENDON,
     Fault,
 )
 from handctl.safety.faults.host import FOREIGN_CONTROLLER_EVENT
@@ -88,7 +88,7 @@ def judge_tick(
         latched_faults: latched faults of the last tick.
         reported_faults: faults that were reported in the last tick.
         detected_faults: faults that became active in this tick according to the detectors, from
-            ``faults_counting_since_now``.
+            ``newly_active_faults``.
         demanded_action: most severe reaction to all active faults that the detectors have found.
         event_reports: reports of buses, host and recorder in this tick, for ``locate_reports``.
     """
@@ -106,21 +106,21 @@ def judge_tick(
         if ticks == fault.debounce:
             findings.append(FaultFinding(fault, where, value))
     # A detector may find a latched fault again, but the log gets no second entry.
-    new = [finding for finding in findings if _latch_of(finding) not in latched_faults]
+    new = [finding for finding in findings if _latched_fault_of(finding) not in latched_faults]
     latched_faults += tuple(
-        dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched)
+        dict.fromkeys(_latched_fault_of(finding) for finding in new if finding.fault.latched)
     )
     action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched_faults)])
     new.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
     return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched_faults, tuple(present))
 
 
-def _latch_of(finding: FaultFinding) -> LatchedFault:
+def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
     """Return the latched fault for a finding."""
     return LatchedFault(finding.fault.id, finding.instance)
 
 
-def faults_counting_since_now(
+def newly_active_faults(
     limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
 ) -> list[FaultFinding]:
     """Return the faults that became active in this tick, in the order of the fault table.
@@ -148,10 +148,10 @@ def faults_counting_since_now(
 def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {
-        TENDON_INSTANCE: limits.tendons,
-        MOTOR_INSTANCE: limits.motors,
-        JOINT_INSTANCE: limits.joints,
-        NODE_INSTANCE: limits.nodes,
+        FAULT_PLACE_TENDON: limits.tendons,
+        FAULT_PLACE_MOTOR: limits.motors,
+        FAULT_PLACE_JOINT: limits.joints,
+        FAULT_PLACE_NODE: limits.nodes,
     }
     return names[fault_place][i] if fault_place in names else fault.name
 
@@ -178,13 +178,13 @@ _CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)
 
 
 def filter_error_frames(
-    event_reports: Iterable[EventReport], any_node_heard: bool
+    event_reports: Iterable[EventReport], has_node_answered: bool
 ) -> list[EventReport]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
         event_reports: reports of buses, host and recorder in the tick.
-        any_node_heard: True if any node has ever answered, or if a motor may make torque. The fault
+        has_node_answered: True if any node has ever answered, or if a motor may make torque. The fault
             B18 cannot occur if this is True.
     """
     kept, error = [], None
@@ -193,8 +193,8 @@ def filter_error_frames(
             kept.append(one)
         elif (
             error is None
-            and not any_node_heard
-            and any(word in one[1] for word in NO_ACKNOWLEDGE_KINDS)
+            and not has_node_answered
+            and any(word in one[1] for word in MISSING_ACKNOWLEDGE_TEXTS)
         ):
             error = one
     return [*kept, error] if error else kept

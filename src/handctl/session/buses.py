@@ -19,8 +19,8 @@ def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
     """
     specs: dict[str, str] = {}
     for number, text in enumerate(bus_arguments):
-        head, equals, spec = text.partition("=")
-        named = bool(equals) and ":" not in head
+        head, equals_sign, spec = text.partition("=")
+        named = bool(equals_sign) and ":" not in head
         name = head if named else "main" if number == 0 else f"bus{number}"
         if name in specs or not NAME_PATTERN.fullmatch(name):
             raise ConfigError(

@@ -30,7 +30,7 @@ Older calibrations are wrong, because load cells drift and tendons creep.
 CLOCK_TOLERANCE_S = 60.0
 """Largest time by which a calibration may lie in the future [s], because clocks of computers differ."""
 LOCKSTEP_CALIBRATION_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
-IdentifiedByTendon = dict[str, IdentifiedParameters]
+IdentifiedParametersByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by name of the tendon."""
 
 
@@ -45,14 +45,14 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 
 
 def find_calibration(
-    path: Path, hand: Hand, is_named: bool, buses: Sequence[str] = ()
+    path: Path, hand: Hand, is_file_named: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
     """Return the calibration from a file, if this calibration may be used to arm the hand.
 
     Args:
         path: path of the calibration file, which may not exist yet.
         hand: description of the hand that will be armed.
-        is_named: True if the operator has named the file. An invalid file is then an error.
+        is_file_named: True if the operator has named the file. An invalid file is then an error.
         buses: buses of the hand that will be armed.
 
     Returns:
@@ -74,7 +74,7 @@ def find_calibration(
                 f"a calibration of the hand on {real[0]}: handctl commission",
             )
     except ConfigError as error:
-        if is_named:
+        if is_file_named:
             raise
         return None, str(error)
     age_s = time.time() - datetime.datetime.fromisoformat(calibration.made).timestamp()
@@ -102,15 +102,15 @@ def run_commissioning(
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
-    outcome.check_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
-    virtual = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
-    now = LOCKSTEP_CALIBRATION_DATE if virtual else datetime.datetime.now(datetime.UTC)
+    outcome.raise_if_not_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
+    is_lockstep = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
+    now = LOCKSTEP_CALIBRATION_DATE if is_lockstep else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(
         controller.model, outcome.state.progress, now.isoformat(timespec="seconds")
     )
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
     drives = {drive.name: drive.identity(state) for drive, state in drive_states}
-    simulated = virtual or plan.is_simulated
+    simulated = is_lockstep or plan.is_simulated
     return calibration.model_copy(update={"drive": drives, "simulated": simulated}), outcome
 
 
@@ -128,9 +128,9 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     write_text_atomically(path, text)
 
 
-def previous_identified(
-    path: Path, hand: Hand, drives: Mapping[str, str], tell: NoticeCallback = ignore_notice
-) -> IdentifiedByTendon:
+def previous_identified_parameters(
+    path: Path, hand: Hand, drives: Mapping[str, str], show_notice: NoticeCallback = ignore_notice
+) -> IdentifiedParametersByTendon:
     """Return the identified parameters from the previous calibration, by the name of the tendon.
 
     These parameters stay valid when the load cells are tared again. The result is empty if the file
@@ -141,7 +141,7 @@ def previous_identified(
         hand: description of the hand.
         drives: identities of the present drives, by the name of the motor. The mapping is empty if
             they are unknown.
-        tell: function that shows a notice to the operator.
+        show_notice: function that shows a notice to the operator.
     """
     try:
         before = load_calibration(path, hand) if path.exists() else None
@@ -151,14 +151,14 @@ def previous_identified(
         return {}
     if drives and before.drive and before.drive != drives:
         if before.identified:
-            tell(
+            show_notice(
                 f"handctl: caution: {path}: was made with other drives, so their identified parameters are left out"
             )
         return {}
     return before.identified
 
 
-def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
+def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedParametersByTendon:
     """Return the identified parameters in a calibration file, by tendon.
 
     If no file is given, the result is empty.
@@ -181,7 +181,7 @@ def identified_in_file(path: Path | None, hand: Hand) -> IdentifiedByTendon:
     return identified
 
 
-def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration:
+def homed_calibration(hand: Hand, identified: IdentifiedParametersByTendon) -> Calibration:
     """Return the calibration of a simulated hand that starts with taut tendons and zero encoder readings."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
@@ -212,7 +212,7 @@ def ensure_calibration(
     """
     plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     calibration, _ = run_commissioning(plan, log, runner)
-    previous = previous_identified(path, plan.hand, calibration.drive, plan.show_notice)
+    previous = previous_identified_parameters(path, plan.hand, calibration.drive, plan.show_notice)
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     return calibration

@@ -46,7 +46,7 @@ def layered_gains(
     hand: Hand,
     gains_file: Path | None,
     assignment_words: Sequence[str],
-    tell: NoticeCallback = ignore_notice,
+    show_notice: NoticeCallback = ignore_notice,
 ) -> LayeredGains:
     """Return the gains that a run uses, and the source of each gain.
 
@@ -55,14 +55,14 @@ def layered_gains(
         gains_file: path of the gains file. If it is None, the file ``HAND.gains.toml`` is used where it
             exists.
         assignment_words: words KEY=VALUE from the command line. They override the values of every file.
-        tell: function that shows a notice to the operator.
+        show_notice: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a file or a value cannot be used, or the gains are for another hand.
     """
     default = Path(f"{hand.name}.gains.toml")
     gains_file = gains_file or (default if default.exists() else None)
-    loaded = read_gains_for_hand(hand, gains_file, tell) if gains_file else None
+    loaded = read_gains_for_hand(hand, gains_file, show_notice) if gains_file else None
     base = loaded.gains if loaded else packaged_gains(hand.name)
     values = gain_assignments(assignment_words, "--gain")
     gains = gains_with_values(base, values, "--gain") if values else base
@@ -74,7 +74,9 @@ def layered_gains(
     )
 
 
-def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
+def read_gains_for_hand(
+    hand: Hand, path: Path, show_notice: NoticeCallback = ignore_notice
+) -> GainsFile:
     """Read a gains file, and check that the gains are meant for this hand.
 
     If the gains belong to an earlier version of the hand file, they are accepted, but a notice
@@ -89,17 +91,17 @@ def read_gains_for_hand(hand: Hand, path: Path, tell: NoticeCallback = ignore_no
         raise ConfigError(f"is for hand {made.hand!r}", str(path), f"gains for {hand.name!r}")
     if made.identity not in ("", hand.identity):
         which = f"{hand.name} as {made.identity[:12]}, which is now {hand.identity[:12]}"
-        tell(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
+        show_notice(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
     return file
 
 
 def _origin_of(gains: Gains, key: str, gains_file: Path | None) -> str:
     """Return the source of a gain that the command line does not set: the gains file, or the packaged gains."""
     section, _, name = key.partition(".")
-    in_file = tendon_key(key) is not None or (
+    is_key_in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     )
-    return str(gains_file) if gains_file and in_file else PACKAGED_ORIGIN
+    return str(gains_file) if gains_file and is_key_in_file else PACKAGED_ORIGIN
 
 
 def gain_assignments(assignment_words: Sequence[str], where: str) -> dict[str, float]:
@@ -110,14 +112,14 @@ def gain_assignments(assignment_words: Sequence[str], where: str) -> dict[str, f
     """
     values: dict[str, float] = {}
     for word in assignment_words:
-        key, equals, text = word.partition("=")
+        key, equals_sign, text = word.partition("=")
         if key in values:
             raise ConfigError(f"{key} is given twice", where, "one value for each")
         try:
             values[key] = float(text)
         except ValueError:
-            equals = ""
-        if not equals or not key or values[key] != values[key]:
+            equals_sign = ""
+        if not equals_sign or not key or values[key] != values[key]:
             example = "stiffness=0.8" if where == "--perturb" else "motion.force_N=25"
             raise ConfigError(repr(word), where, f"KEY=NUMBER, e.g. {example}")
     return values

@@ -60,7 +60,7 @@ class RunOutcome:
         priority: real-time priority that the operating system granted to the control loop, or None
             in lockstep.
         offset_ns: reading of the simulator's clock at the start of the run [ns].
-        pauses: number of pauses of the clock that the run and the simulator share. The value is 0
+        pause_count: number of pauses of the clock that the run and the simulator share. The value is 0
             without such a clock.
         paused_ns: total duration of these pauses in wall time [ns].
     """
@@ -70,7 +70,7 @@ class RunOutcome:
     log_summary: dict[str, object]
     priority: GrantedPriority | None
     offset_ns: int
-    pauses: int = 0
+    pause_count: int = 0
     paused_ns: int = 0
 
     @property
@@ -85,7 +85,7 @@ class RunOutcome:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
-    def check_finished(self, where: str, right: str = "") -> None:
+    def raise_if_not_finished(self, where: str, right: str = "") -> None:
         """Raise an error if the run did not finish.
 
         Args:
@@ -182,24 +182,24 @@ def run_live(
             buses.append(opened)
         priority = prepare_priority()
         stack.callback(restore_priority)
-        clock.busy_wait = priority.realtime
-        with ExitStack() as not_started:
+        clock.busy_wait = priority.is_realtime
+        with ExitStack() as cleanup_stack:
             recorder, display = _start_recording(
-                plan, log, run_header(plan, controller, priority, lockstep=False), not_started
+                plan, log, run_header(plan, controller, priority, lockstep=False), cleanup_stack
             )
             if live_view:
                 stack.callback(_start_view(log))
             signals = StopSignals()
-            stack.enter_context(signals.handlers_installed())
-            published = PublishedState()
+            stack.enter_context(signals.install_handlers())
+            published_state = PublishedState()
             show = _merge_observers(
-                observer, _status_callback(display, mailbox, plan.rate_hz, published)
+                observer, _status_callback(display, mailbox, plan.rate_hz, published_state)
             )
             request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
             loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
             loop.take_targets = targets.read_targets
-            loop.publish_tick = partial(_publish_tick, observations, published)
-            not_started.pop_all()
+            loop.publish_tick = partial(_publish_tick, observations, published_state)
+            cleanup_stack.pop_all()
         outcome = _run_to_end(
             loop,
             controller,
@@ -208,7 +208,7 @@ def run_live(
             priority,
             lambda: int(clock.start_ns * clock.time_scale),
         )
-        return replace(outcome, pauses=clock.pauses, paused_ns=clock.paused_ns)
+        return replace(outcome, pause_count=clock.pause_count, paused_ns=clock.paused_ns)
 
 
 def run_lockstep(
@@ -229,9 +229,9 @@ def run_lockstep(
     clock.restart()
     header = run_header(plan, controller, None, lockstep=True)
     start_offset = {TRUTH_OFFSET_KEY: str(clock.offset_ns)}
-    with ExitStack() as not_started:
+    with ExitStack() as cleanup_stack:
         recorder, display = _start_recording(
-            plan, log, replace(header, metadata=header.metadata | start_offset), not_started
+            plan, log, replace(header, metadata=header.metadata | start_offset), cleanup_stack
         )
         limit = HoldLimit()
         request_source = _merge_requests(observer, limit.poll_requests)
@@ -241,14 +241,14 @@ def run_lockstep(
         loop = _build_loop(
             plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
         )
-        not_started.pop_all()
+        cleanup_stack.pop_all()
     outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
-    limit.refuse_stopped(f"{plan.hand.name} in lockstep, log {log}")
+    limit.raise_if_stopped(f"{plan.hand.name} in lockstep, log {log}")
     return outcome
 
 
 def _start_recording(
-    plan: RunPlan, log: Path, header: RunHeader, not_started: ExitStack
+    plan: RunPlan, log: Path, header: RunHeader, cleanup_stack: ExitStack
 ) -> tuple[Recorder, OperatorDisplay | None]:
     """Start the recorder of a run. If the plan has a display, start the display too.
 
@@ -256,7 +256,7 @@ def _start_recording(
         plan: plan of the run.
         log: log file to write.
         header: header of the run.
-        not_started: stack that closes the recorder and the display if an error occurs before the
+        cleanup_stack: stack that closes the recorder and the display if an error occurs before the
             loop starts. After the start of the loop, ``_run_to_end`` closes the recorder and the
             display.
 
@@ -264,10 +264,10 @@ def _start_recording(
         LogError: the log cannot be written.
     """
     recorder = Recorder.start(log, header)
-    not_started.callback(recorder.close, "error before the first tick")
+    cleanup_stack.callback(recorder.close, "error before the first tick")
     display = plan.start_display(plan) if plan.start_display else None
     if display:
-        not_started.callback(display.close)
+        cleanup_stack.callback(display.close)
     return recorder, display
 
 
@@ -304,9 +304,9 @@ def refuse_view_without_screen(view_requested: bool) -> None:
         ConfigError: this session has no screen.
     """
     if view_requested:
-        from handctl.view.viewer import check_screen
+        from handctl.view.viewer import check_screen_exists
 
-        check_screen()
+        check_screen_exists()
 
 
 def _start_view(log: Path) -> Callable[[], None]:
@@ -349,7 +349,9 @@ def _build_loop(
     def record_tick(entry: TickIn, out: TickOut) -> None:
         recorder.send_record(pack_tick_record(entry, out))
 
-    slept = SuspendWatch().take_events if isinstance(clock, RealClock) else list[IoEvent]
+    take_suspend_events = (
+        SuspendWatch().take_events if isinstance(clock, RealClock) else list[IoEvent]
+    )
     return ControlLoop(
         clock=clock,
         period_ns=plan.period_ns,
@@ -357,7 +359,7 @@ def _build_loop(
         begin_tick=controller.begin_tick,
         cut_frames=controller.cut_frames(),
         take_requests=receive_requests,
-        take_host_events=lambda: [*recorder.take_events(), *slept()],
+        take_host_events=lambda: [*recorder.take_events(), *take_suspend_events()],
         record_tick=record_tick,
         show_tick=show_tick,
         keep_snapshot=snapshot_recorder(recorder),
@@ -439,7 +441,7 @@ class PublishedState:
 
 def _publish_tick(
     observations: ObservationWriter,
-    published: PublishedState,
+    published_state: PublishedState,
     entry: TickIn,
     out: TickOut,
     state: ControllerState,
@@ -447,11 +449,14 @@ def _publish_tick(
 ) -> None:
     """Write the observation of a tick, and store the part of the state that status lines show."""
     observations.write_record(entry, out, stream_status(state), sent_ns)
-    published.commander = state.decisions.commander
+    published_state.commander = state.decisions.commander
 
 
 def _status_callback(
-    display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float, published: PublishedState
+    display: OperatorDisplay | None,
+    mailbox: Mailbox,
+    rate_hz: float,
+    published_state: PublishedState,
 ) -> TickCallback:
     """Return a function to call after each tick.
 
@@ -463,7 +468,7 @@ def _status_callback(
         if display:
             display.show_tick(entry, out)
         if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
-            mailbox.publish_status(status_of_tick(entry, out, published.commander))
+            mailbox.publish_status(status_of_tick(entry, out, published_state.commander))
 
     return show_tick
 

@@ -17,7 +17,7 @@ from handctl.log.header import RunHeader
 from handctl.runtime.clocks.realtime_priority import GrantedPriority
 from handctl.session.run_plan import RunPlan
 
-LOCKSTEP_START_S = 0.0
+LOCKSTEP_START_TIME_S = 0.0
 """UNIX time that a log gives as the start of a lockstep run [s].
 
 The time is constant, so that equal runs have equal logs.
@@ -45,7 +45,7 @@ def run_header(
         "python": sys.version.split()[0],
         "priority": str(priority),
         "started": time.strftime(
-            "%Y-%m-%dT%H:%M:%SZ", time.gmtime(LOCKSTEP_START_S if lockstep else None)
+            "%Y-%m-%dT%H:%M:%SZ", time.gmtime(LOCKSTEP_START_TIME_S if lockstep else None)
         ),
     }
     metadata = {
@@ -74,21 +74,23 @@ def run_header(
 @functools.cache
 def installed_packages() -> tuple[str, ...]:
     """Return the name and version (NAME==VERSION) of every installed Python package, in alphabetical order."""
-    return tuple(sorted({_name_and_version(dist) for dist in distributions()}))
+    return tuple(sorted({_name_and_version(distribution) for distribution in distributions()}))
 
 
-def _name_and_version(dist: Distribution) -> str:
+def _name_and_version(distribution: Distribution) -> str:
     """Return the name and version (NAME==VERSION) of an installed Python package.
 
     The function reads only two lines of the package's metadata file: the name and the version. The
     parser of ``importlib.metadata`` reads the whole metadata file, and takes ten times as long.
     """
-    lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
+    lines = (
+        distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
+    ).splitlines()
     values = [
         next((line[len(key) :] for line in lines if line.startswith(key)), "")
         for key in ("Name: ", "Version: ")
     ]
-    return "==".join(values) if all(values) else f"{dist.name}=={dist.version}"
+    return "==".join(values) if all(values) else f"{distribution.name}=={distribution.version}"
 
 
 def _flatten_table(nested_table: dict[str, object], key_prefix: str = "") -> dict[str, str]:

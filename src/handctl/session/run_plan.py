@@ -28,7 +28,7 @@ from handctl.session.buses import refuse_default_hand
 from handctl.session.gains import layered_gains
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
-TICKS_IN_WATCHDOG = 2
+MIN_TICKS_PER_WATCHDOG_TIME = 2
 """Smallest allowed number of ticks within the watchdog time of a drive.
 
 With two ticks, a single lost frame does not disable a drive.
@@ -95,11 +95,11 @@ class RunChoice:
 
     Attributes:
         hand: name of a packaged hand, or path of a hand file.
-        hand_named: True if the operator named the hand.
-        bus_words: words after ``--bus``: ``SPEC`` for a hand with one bus, or ``NAME=SPEC`` for
+        is_hand_named: True if the operator named the hand.
+        bus_arguments: words after ``--bus``: ``SPEC`` for a hand with one bus, or ``NAME=SPEC`` for
             each bus. None in lockstep.
         gains_file: path of the gains file, or None for the packaged gains of the hand.
-        gain_words: words KEY=VALUE that set single gains. These words override the values of every
+        gain_arguments: words KEY=VALUE that set single gains. These words override the values of every
             file.
         rate_hz: control rate [Hz]. If it is None, the run uses the highest of the usual rates that
             the buses allow.
@@ -110,10 +110,10 @@ class RunChoice:
     """
 
     hand: str | Path
-    hand_named: bool = False
-    bus_words: Sequence[str] | None = None
+    is_hand_named: bool = False
+    bus_arguments: Sequence[str] | None = None
     gains_file: Path | None = None
-    gain_words: Sequence[str] = ()
+    gain_arguments: Sequence[str] = ()
     rate_hz: float | None = None
     time_scale: float | None = None
     log_path: Path | None = None
@@ -123,23 +123,23 @@ class RunChoice:
 def make_plan(
     choice: RunChoice,
     display: "Callable[[RunPlan], OperatorDisplay] | None" = None,
-    tell: NoticeCallback = ignore_notice,
+    show_notice: NoticeCallback = ignore_notice,
 ) -> RunPlan:
     """Check the hand, gains, buses and control rate, and return the plan of the run.
 
     Args:
         choice: choices of the operator.
         display: function that starts the display of a run, or None for a run without a display.
-        tell: function that shows a notice to the operator.
+        show_notice: function that shows a notice to the operator.
 
     Raises:
         ConfigError: a setting of the operator is wrong. The error message has a single line.
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
-    layers = layered_gains(hand, choice.gains_file, choice.gain_words, tell)
-    buses = () if choice.bus_words is None else bus_specs(hand, choice.bus_words)
-    if not choice.hand_named:
+    layers = layered_gains(hand, choice.gains_file, choice.gain_arguments, show_notice)
+    buses = () if choice.bus_arguments is None else bus_specs(hand, choice.bus_arguments)
+    if not choice.is_hand_named:
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(choice.rate_hz, hand, loads)
@@ -149,7 +149,7 @@ def make_plan(
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     meshes, left_out = mesh_attachments(hand, hand_path(choice.hand).parent)
     for line in left_out:
-        tell(f"handctl: caution: {line}")
+        show_notice(f"handctl: caution: {line}")
     attachments |= meshes
     return RunPlan(
         hand,
@@ -161,15 +161,15 @@ def make_plan(
         time_scale,
         choice.clear_faults,
         display,
-        tell,
+        show_notice,
     )
 
 
-def chosen_time_scale(chosen_scale: float | None, buses: Sequence[str]) -> float:
+def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> float:
     """Return the time scale of a run: the chosen scale, otherwise that of the simulator on the bus, otherwise 1.
 
     Args:
-        chosen_scale: ratio of simulated time to wall time that the operator has chosen, or None if there
+        requested_scale: ratio of simulated time to wall time that the operator has chosen, or None if there
             is no choice.
         buses: specification of each bus, empty in lockstep.
 
@@ -177,25 +177,25 @@ def chosen_time_scale(chosen_scale: float | None, buses: Sequence[str]) -> float
         ConfigError: the chosen time scale is out of range, is not 1 although a bus is real, or
             differs from the time scale of the simulator.
     """
-    if chosen_scale is not None and not 0.001 <= chosen_scale <= 100:
-        raise ConfigError(f"{chosen_scale:g}", "--time-scale", "0.001 to 100")
+    if requested_scale is not None and not 0.001 <= requested_scale <= 100:
+        raise ConfigError(f"{requested_scale:g}", "--time-scale", "0.001 to 100")
     if real := real_buses(buses):
-        if chosen_scale not in (None, 1.0):
+        if requested_scale not in (None, 1.0):
             right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
             raise ConfigError(
-                f"{chosen_scale:g}, and {real[0]} may have real motors", "--time-scale", right
+                f"{requested_scale:g}, and {real[0]} may have real motors", "--time-scale", right
             )
         return 1.0
     simulated = (
         simulated_time_scale(buses[0]) if buses else None
     )  # only the first bus has the simulator's socket for requests
-    if chosen_scale is not None and simulated not in (None, chosen_scale):
+    if requested_scale is not None and simulated not in (None, requested_scale):
         raise ConfigError(
-            f"{chosen_scale:g}",
+            f"{requested_scale:g}",
             "--time-scale",
             f"{simulated:g}, as the simulator on {buses[0]} has",
         )
-    return next((one for one in (chosen_scale, simulated) if one is not None), 1.0)
+    return next((one for one in (requested_scale, simulated) if one is not None), 1.0)
 
 
 def check_hand_ready(hand: Hand, where: str) -> None:
@@ -223,7 +223,7 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
     """
     best = highest_rate_of_buses(load_of_bus)
     rate = best if requested_hz is None else requested_hz
-    lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
+    lowest = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not lowest <= rate < math.inf:
         what = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
@@ -253,7 +253,7 @@ def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
     )
 
 
-def default_rate(hand: Hand) -> float:
+def default_control_rate(hand: Hand) -> float:
     """Return the default control rate of a hand [Hz].
 
     The default is the highest of the usual rates that the buses of the hand allow.
@@ -261,7 +261,7 @@ def default_rate(hand: Hand) -> float:
     return highest_rate_of_buses(bus_loads(hand))
 
 
-def hint_lines(hand: Hand) -> tuple[str, ...]:
+def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
     """Return one line for each drive protocol with a hint for the operator, with the names of its motors."""
     hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
     return lines_by_text((name, hint) for name, hint in hints if hint)
@@ -283,7 +283,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     """
     from handctl.core.hand_model import HandModel
 
-    HandModel.from_hand(hand, gains, rate_hz or default_rate(hand))
+    HandModel.from_hand(hand, gains, rate_hz or default_control_rate(hand))
 
 
 def bus_specs(hand: Hand, bus_arguments: Sequence[str]) -> tuple[str, ...]:
@@ -319,7 +319,7 @@ def _specs_by_name(names: tuple[str, ...], bus_arguments: Sequence[str]) -> tupl
     return tuple(specs[name] for name in names)
 
 
-def commission_log(log: Path) -> Path:
+def commissioning_log_path(log: Path) -> Path:
     """Return an unused path next to the log of a run, for the log of the commissioning that comes before the run.
 
     If a fault ends the commissioning, the commissioning has a log, and the run has none. When the
@@ -333,7 +333,7 @@ def commission_log(log: Path) -> Path:
     return path
 
 
-def default_log(hand: Hand, name_suffix: str = "") -> Path:
+def default_log_path(hand: Hand, name_suffix: str = "") -> Path:
     """Return an unused path of the form logs/DATE-HAND.mcap, and create the folder of this path."""
     folder = Path("logs")
     folder.mkdir(exist_ok=True)

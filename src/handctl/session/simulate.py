@@ -119,7 +119,7 @@ class SimulatorSettings:
         finally:
             peer.close()
 
-    def check_constructible(self) -> None:
+    def check_hand_constructible(self) -> None:
         """Check that the simulated hand can be constructed. See ``simulated_hand``."""
         with self.simulated_hand(CHECKED_CONTROL_PERIOD_NS):
             pass
@@ -168,8 +168,8 @@ class SimulatedRun:
         state: state of the controller after the last tick.
         k: number of the next tick.
         last_output: output of the last tick, or None before the first tick.
-        recorded_ticks: input and output of every tick, if ``record_ticks`` is True.
-        record_ticks: True to store the input and output of every tick.
+        recorded_ticks: input and output of every tick, if ``are_ticks_recorded`` is True.
+        are_ticks_recorded: True to store the input and output of every tick.
     """
 
     controller: Controller
@@ -179,7 +179,7 @@ class SimulatedRun:
     k: int = 0
     last_output: TickOut | None = None
     recorded_ticks: list[tuple[TickIn, TickOut]] = field(default_factory=list)
-    record_ticks: bool = True
+    are_ticks_recorded: bool = True
 
     @staticmethod
     def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
@@ -212,55 +212,55 @@ class SimulatedRun:
                 deadlines.
         """
         for _ in range(skipped_ticks):
-            self._step()
-        _, out = self._decide(io_events, requests, late_ns)
-        self._step()
+            self._advance_simulated_hand()
+        _, out = self._run_controller_tick(io_events, requests, late_ns)
+        self._advance_simulated_hand()
         return out
 
-    def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
+    def run_ticks(self, max_duration_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
 
         Yield the input and output of each tick. When the caller gets a tick, the simulated hand is
         still at the time of this tick.
 
         Args:
-            limit_s: longest duration of the run [s].
+            max_duration_s: longest duration of the run [s].
         """
-        while self.k * self.period_ns < limit_s * 1e9:
-            entry, out = self._decide((), (), 0)
+        while self.k * self.period_ns < max_duration_s * 1e9:
+            entry, out = self._run_controller_tick((), (), 0)
             yield entry, out
             if out.mode == HandMode.DONE:
                 return
-            self._step()
+            self._advance_simulated_hand()
 
-    def run_until(self, is_reached: Callable[[TickOut], bool], timeout_s: float) -> bool:
+    def run_until(self, is_condition_met: Callable[[TickOut], bool], timeout_s: float) -> bool:
         """Run ticks until the output of a tick fulfils a condition, for at most ``timeout_s`` [s].
 
         Return True if an output fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             out = self.run_tick()
-            if is_reached(out):
+            if is_condition_met(out):
                 return True
             if out.mode == HandMode.DONE:
                 return False
         return False
 
-    def _decide(
+    def _run_controller_tick(
         self, io_events: tuple[IoEvent, ...], requests: tuple[TickRequest, ...], late_ns: int
     ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
-        wires = tuple(IoEvent(*event) for event in self._bus.take_events())
+        bus_events = tuple(IoEvent(*event) for event in self._bus.take_events())
         entry = TickIn(
-            self.k, self.k * self.period_ns, late_ns, frames, wires + io_events, requests
+            self.k, self.k * self.period_ns, late_ns, frames, bus_events + io_events, requests
         )
         self.state, self.last_output = self.controller.tick(self.state, entry)
-        if self.record_ticks:
+        if self.are_ticks_recorded:
             self.recorded_ticks.append((entry, self.last_output))
         self._bus.send(self.last_output.frames)
         return entry, self.last_output
 
-    def _step(self) -> None:
+    def _advance_simulated_hand(self) -> None:
         self.k += 1
         self._clock.wait(self.k)
 
@@ -285,7 +285,7 @@ def simulate_controller(
     controller: Controller,
     simulator: SimulatorSettings,
     on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
-    limit_s: float = math.inf,
+    max_duration_s: float = math.inf,
 ) -> ControllerState:
     """Run a controller with a simulated hand until the controller is done.
 
@@ -293,13 +293,13 @@ def simulate_controller(
         controller: controller with its program.
         simulator: settings of the simulated hand.
         on_tick: function called with the input and the output of each tick.
-        limit_s: longest duration of the run [s].
+        max_duration_s: longest duration of the run [s].
 
     Returns:
         The last state of the controller.
     """
     with simulator.begin_run(controller) as run:
-        run.record_ticks = False
-        for entry, out in run.run_ticks(limit_s):
+        run.are_ticks_recorded = False
+        for entry, out in run.run_ticks(max_duration_s):
             on_tick(entry, out)
         return run.state

@@ -71,8 +71,8 @@ def task_path(name: Path) -> Path:
     if name.exists():
         return name
     packaged = {path.stem: path for path in sorted(PACKAGED_TASKS_FOLDER.glob("*.toml"))}
-    is_name = name.name == str(name) and name.suffix in ("", ".toml")
-    if not is_name or name.stem not in packaged:
+    is_packaged_name = name.name == str(name) and name.suffix in ("", ".toml")
+    if not is_packaged_name or name.stem not in packaged:
         names = ", ".join(path.name for path in packaged.values())
         raise ConfigError("no such task", str(name), f"a task file, or one of {names}")
     return packaged[name.stem]

@@ -11,7 +11,7 @@ from handctl.session.run_plan import RunPlan
 
 MAX_CORE_LOAD = 0.7
 """Largest load of a processor core at which the machine counts as fast enough, as a fraction of full load."""
-FAILED_SCALE_FRACTION = 0.7
+FRACTION_OF_FAILED_TIME_SCALE = 0.7
 """Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
 
@@ -44,10 +44,12 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     capacity = measured.get("plant_s_per_cpu_s") or math.inf
     core_loads = (controller_load, 1.0 / capacity)
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
-    below_failed = FAILED_SCALE_FRACTION * plan.time_scale
-    advised = measured.get("advice") or math.inf
-    carried = MAX_CORE_LOAD / load if load > 0.0 else math.inf
-    return round_down_to_one_digit(max(0.001, min(below_failed, advised, carried)))
+    scale_below_failed = FRACTION_OF_FAILED_TIME_SCALE * plan.time_scale
+    simulator_advice = measured.get("advice") or math.inf
+    max_scale_for_load = MAX_CORE_LOAD / load if load > 0.0 else math.inf
+    return round_down_to_one_digit(
+        max(0.001, min(scale_below_failed, simulator_advice, max_scale_for_load))
+    )
 
 
 def round_down_to_one_digit(value: float) -> float:

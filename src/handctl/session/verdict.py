@@ -29,7 +29,7 @@ def judge_run(
     outcome: RunOutcome,
     log: Path,
     truth_file: Path | None,
-    with_picture: bool = True,
+    draws_picture: bool = True,
     task: Task | None = None,
 ) -> dict[str, Any]:
     """Compute numbers that describe the performance of a run, and draw a picture next to the log.
@@ -43,7 +43,7 @@ def judge_run(
         log: log file of the run.
         truth_file: truth file of the simulator, which is copied to the folder of the log. The value
             is None for a real hand.
-        with_picture: True to draw the picture.
+        draws_picture: True to draw the picture.
         task: task that the run has executed. If it is given, the grasp of the task is judged. The
             run then counts as failed if the hand did not hold the object.
     """
@@ -57,11 +57,11 @@ def judge_run(
         result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
         silent = frame_counts(record, plan.hand).silent_ticks
-        drawn = _draw_picture(plan, outcome, record, truth, log) if with_picture else None
+        drawn = _draw_picture(plan, outcome, record, truth, log) if draws_picture else None
     stats = outcome.loop_stats
     result |= {
         "missed": stats.missed_ticks,
-        "clock_pauses": outcome.pauses,
+        "clock_pauses": outcome.pause_count,
         "clock_paused_s": outcome.paused_ns / 1e9,
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
@@ -87,7 +87,7 @@ def _hold_phases(task: Task | None) -> set[str]:
 
 
 def _copy_truth(
-    log: Path, truth: Path, times_ns: Sequence[int], tell: NoticeCallback
+    log: Path, truth: Path, times_ns: Sequence[int], show_notice: NoticeCallback
 ) -> Path | None:
     """Copy the true values during a run to the folder of the log, and return the path of the copy.
 
@@ -97,7 +97,7 @@ def _copy_truth(
         log: log of the run.
         truth: truth file of the simulator.
         times_ns: first and last time of the run on the simulator's clock [ns].
-        tell: function that shows a notice to the operator.
+        show_notice: function that shows a notice to the operator.
     """
     beside = truth_path_of(log)
     if truth == beside:
@@ -107,7 +107,7 @@ def _copy_truth(
         if not copy_truth(truth, beside, start_ns, end_ns):
             return None
     except OSError as error:
-        _report_omitted(beside, error, tell)
+        _delete_incomplete_file(beside, error, show_notice)
         return truth
     return beside
 
@@ -123,16 +123,16 @@ def _draw_picture(
     try:
         draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
     except OSError as error:
-        _report_omitted(path, error, plan.show_notice)
+        _delete_incomplete_file(path, error, plan.show_notice)
         return None
     return path
 
 
-def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
+def _delete_incomplete_file(path: Path, error: OSError, show_notice: NoticeCallback) -> None:
     """Delete an incomplete output file next to the log, and tell the operator that the file is missing."""
     with suppress(OSError):
         path.unlink()
-    tell(f"handctl: {path} is left out: {error.strerror or error}")
+    show_notice(f"handctl: {path} is left out: {error.strerror or error}")
 
 
 def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:

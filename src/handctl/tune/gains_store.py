@@ -22,7 +22,7 @@ from handctl.core.gains.gains import (
 from handctl.errors import ConfigError
 from handctl.output_files import write_text_atomically
 
-EDITED_BY_HAND_NOTE = "edited by hand"
+MANUAL_EDIT_NOTE = "edited by hand"
 """Note in the provenance of gains that a user edited."""
 
 
@@ -84,7 +84,7 @@ class GainsStore:
         paths = sorted(self.history_folder.glob("[0-9][0-9][0-9][0-9].toml"))
         return [StoredGains(path, load_gains_file(path)) for path in paths]
 
-    def set_aside(self) -> Path | None:
+    def rename_damaged_file(self) -> Path | None:
         """Rename the file of the present gains if it cannot be used. Return the new path.
 
         If the file can be used, return None. A damaged file must be renamed before a rollback is
@@ -119,9 +119,9 @@ class GainsStore:
 
         Raises:
             ConfigError: the files cannot be written, or the file of the present gains cannot be
-                read, see `set_aside`.
+                read, see `rename_damaged_file`.
         """
-        self._keep_edited()
+        self._store_edited_gains()
         return self._write_gains(gains, provenance)
 
     def roll_back(self, to: int | None = None) -> GainsFile:
@@ -132,7 +132,7 @@ class GainsStore:
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.
         """
-        self._keep_edited()
+        self._store_edited_gains()
         entries = {entry.number: entry for entry in self.history_entries()}
         present = self.present_gains()
         if to is None and (present is None or present.provenance.number not in entries):
@@ -140,7 +140,9 @@ class GainsStore:
                 "nothing was applied before", str(self.history_folder), "handctl gains apply first"
             )
         number = (
-            _previous_number(entries, present) if to is None and present is not None else to or 0
+            _number_of_previous_gains(entries, present)
+            if to is None and present is not None
+            else to or 0
         )
         if number and number not in entries:
             numbers = ", ".join(map(str, [0, *entries]))
@@ -154,7 +156,7 @@ class GainsStore:
             old, provenance.model_copy(update={"note": note}), restored_number=number
         )
 
-    def _keep_edited(self) -> None:
+    def _store_edited_gains(self) -> None:
         """Add the present gains to the history, unless the history already contains them."""
         present = self.present_gains()
         if present is None:
@@ -162,7 +164,7 @@ class GainsStore:
         gains_by_number = {entry.number: entry.file.gains for entry in self.history_entries()}
         if gains_by_number.get(present.provenance.number) != present.gains:
             self._write_gains(
-                present.gains, present.provenance.model_copy(update={"note": EDITED_BY_HAND_NOTE})
+                present.gains, present.provenance.model_copy(update={"note": MANUAL_EDIT_NOTE})
             )
 
     def _write_gains(
@@ -206,7 +208,7 @@ class GainsStore:
         return load_gains_file(self.path)
 
 
-def _previous_number(gains_by_number: dict[int, StoredGains], present: GainsFile) -> int:
+def _number_of_previous_gains(gains_by_number: dict[int, StoredGains], present: GainsFile) -> int:
     """Return the number of the gains in the history that the present gains have replaced.
 
     After a rollback, the restored gains count as the present gains.

@@ -29,7 +29,7 @@ from handctl.report.truth_record import TruthRecord
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.scoring import GainScore, GroundTruth, digit_angles, score_ticks
 
-OLD_GAINS_ROUNDS = 2
+ROUNDS_WITH_OLD_GAINS = 2
 """Number of rounds of the exercise with the old gains.
 
 The last of these rounds is compared with the new gains.
@@ -55,9 +55,9 @@ BLOCKED_DURATION_NS = 50_000_000
 
 In this time, the controller also detects the contact of a digit that blocks the first one.
 """
-UNBLOCKED_FRACTION = 0.9
+PROPOSED_AMPLITUDE_FRACTION = 0.9
 """Amplitude that is proposed for a hand with blocked digits, as a fraction of the amplitude of the contact."""
-AMPLITUDE_STEP = 0.05
+AMPLITUDE_ROUNDING_STEP = 0.05
 """Step to which a proposed amplitude is rounded down."""
 
 
@@ -100,9 +100,9 @@ class VerifyLimits:
     """Limits within which a run with the new gains must stay.
 
     Attributes:
-        tracking_rad: largest difference between the goal and the estimated angle of any joint
+        max_tracking_error_rad: largest difference between the goal and the estimated angle of any joint
             during a move [rad]. For a prismatic joint, 10 mm count as 1 rad.
-        trip_fraction: largest allowed tension of a tendon, as a fraction of the tendon's
+        max_tension_fraction: largest allowed tension of a tendon, as a fraction of the tendon's
             ``tension_trip_N``.
         ringing_factor: largest allowed rate of change of the motor torques (RMS over a window),
             divided by the largest rate with the old gains.
@@ -110,8 +110,8 @@ class VerifyLimits:
             m/s].
     """
 
-    tracking_rad: float = 0.35
-    trip_fraction: float = 0.9
+    max_tracking_error_rad: float = 0.35
+    max_tension_fraction: float = 0.9
     ringing_factor: float = 1.5
     ringing_floor_Nm_per_s: float = 60.0
 
@@ -146,7 +146,7 @@ class VerifyObserver:
             running controller can change.
         limits: limits for the rounds with the new gains.
         amplitudes: amplitudes of the rounds of the exercise.
-        old_rounds: number of rounds with the old gains.
+        rounds_with_old_gains: number of rounds with the old gains.
         rollback: record of the return to the old gains, or None if no return was necessary.
         blocked: first digit that was blocked in a move, or None if no digit was blocked. The
             tracking limit does not apply to a blocked digit, because its error says nothing about
@@ -158,16 +158,16 @@ class VerifyObserver:
     new_gains: Gains
     limits: VerifyLimits = VerifyLimits()
     amplitudes: tuple[float, ...] = ROUND_AMPLITUDES
-    old_rounds: int = OLD_GAINS_ROUNDS
+    rounds_with_old_gains: int = ROUNDS_WITH_OLD_GAINS
     rollback: GainsRollback | None = None
     blocked: BlockedDigit | None = None
-    _round: int = 0
-    _lagging_ns: int = 0
-    _phase: str = ""
+    _round_number: int = 0
+    _lag_start_ns: int = 0
+    _last_phase: str = ""
     _requests: list[str] = field(default_factory=list)
-    _torque: "np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None" = None
-    _rates: deque[float] = field(default_factory=deque)
-    _max_ringing: float = 0.0
+    _last_torque: "np.ndarray[tuple[int, ...], np.dtype[np.float64]] | None" = None
+    _squared_torque_rates: deque[float] = field(default_factory=deque)
+    _max_torque_rate: float = 0.0
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return the requests of the observer for this tick, see `RunObserver`."""
@@ -177,24 +177,24 @@ class VerifyObserver:
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Observe a tick, see `RunObserver`."""
-        if out.phase == "settle" and self._phase != "settle":
-            self._round += 1
+        if out.phase == "settle" and self._last_phase != "settle":
+            self._round_number += 1
             # The gains are changed in the phase `settle`, while the hand is at rest.
-            if self._round == self.old_rounds + 1:
+            if self._round_number == self.rounds_with_old_gains + 1:
                 self._request_gains(self.new_gains, self.old_gains)
-        self._phase = out.phase
+        self._last_phase = out.phase
         if out.phase != "move":
-            self._lagging_ns = entry.t_ns
+            self._lag_start_ns = entry.t_ns
         elif self.blocked is None and out.mode == HandMode.ACTIVE:
             names = self._blocked_names(out)
-            self._lagging_ns = self._lagging_ns if names else entry.t_ns
-            if entry.t_ns - self._lagging_ns >= BLOCKED_DURATION_NS:
+            self._lag_start_ns = self._lag_start_ns if names else entry.t_ns
+            if entry.t_ns - self._lag_start_ns >= BLOCKED_DURATION_NS:
                 self.blocked = self._blocked_digit(out, names)
-        ringing = self._torque_rate(entry, out)
-        if self._round <= self.old_rounds:
-            self._max_ringing = max(self._max_ringing, ringing)
-        elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
-            amplitude = self.amplitudes[self._round - 1]
+        torque_rate = self._torque_rate(entry, out)
+        if self._round_number <= self.rounds_with_old_gains:
+            self._max_torque_rate = max(self._max_torque_rate, torque_rate)
+        elif self.rollback is None and (reason := self._violated_limit(out, torque_rate)):
+            amplitude = self.amplitudes[self._round_number - 1]
             self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old_gains, self.new_gains)
 
@@ -205,16 +205,16 @@ class VerifyObserver:
         """
         numbers = out.telemetry
         lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
-        lags = {
+        lag_by_digit = {
             name: float(np.nanmax(lag[joints], initial=0.0))
             for (name, joints), touches in zip(
                 self.hand.digit_joints.items(), numbers.contact, strict=True
             )
             if touches > 0.0
         }
-        if max(lags.values(), default=0.0) <= BLOCKED_LAG_RAD:
+        if max(lag_by_digit.values(), default=0.0) <= BLOCKED_LAG_RAD:
             return ()
-        return tuple(sorted(lags, key=lags.__getitem__, reverse=True))
+        return tuple(sorted(lag_by_digit, key=lag_by_digit.__getitem__, reverse=True))
 
     def _blocked_digit(self, out: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
@@ -222,25 +222,28 @@ class VerifyObserver:
         units = self.hand.displayed_mean(digit)
         column = self.hand.digit_names.index(digit)
         mean = float(mean_angles(self.hand, out.telemetry.q[None])[0, column])
-        amplitude = UNBLOCKED_FRACTION * move_amplitude(mean / float(units.scale[0]))
+        amplitude = PROPOSED_AMPLITUDE_FRACTION * move_amplitude(mean / float(units.scale[0]))
         return BlockedDigit(
             digit,
             tuple(others),
             f"{units.factor[0] * mean:.0f} {units.names[0]}",
-            self.amplitudes[self._round - 1],
-            max(0.0, round(math.floor(amplitude / AMPLITUDE_STEP) * AMPLITUDE_STEP, 2)),
+            self.amplitudes[self._round_number - 1],
+            max(
+                0.0,
+                round(math.floor(amplitude / AMPLITUDE_ROUNDING_STEP) * AMPLITUDE_ROUNDING_STEP, 2),
+            ),
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
         """Add a request that sets those of the given gains which a running controller can change."""
         # If a request does not set the force of some tendon, the running controller keeps the
         # present force of this tendon. Therefore the request must set the forces of all tendons.
-        all_values = values_by_key(gains) | {
+        value_by_key = values_by_key(gains) | {
             key: new for key, (_, new) in different_values(present_gains, gains).items()
         }
         values = {
             key: value
-            for key, value in all_values.items()
+            for key, value in value_by_key.items()
             if key.partition(".")[0] in LIVE_SECTIONS
         }
         self._requests.append(json.dumps({"do": "gains", "set": values}))
@@ -253,17 +256,17 @@ class VerifyObserver:
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
         """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
         torque = out.telemetry.motor_torque_goal
-        before = self._torque
-        self._torque = torque
+        before = self._last_torque
+        self._last_torque = torque
         if before is None or out.mode != HandMode.ACTIVE:
             return 0.0
         # The control rate is not known to the observer. Therefore the mean period of the ticks so
         # far is used.
         period = entry.t_ns / max(entry.k, 1) / 1e9
-        self._rates.append(float(np.square(torque - before).mean()) / period**2)
-        while len(self._rates) > RINGING_WINDOW_S / period:
-            self._rates.popleft()
-        return float(np.sqrt(sum(self._rates) / len(self._rates)))
+        self._squared_torque_rates.append(float(np.square(torque - before).mean()) / period**2)
+        while len(self._squared_torque_rates) > RINGING_WINDOW_S / period:
+            self._squared_torque_rates.popleft()
+        return float(np.sqrt(sum(self._squared_torque_rates) / len(self._squared_torque_rates)))
 
     def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
         """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
@@ -272,13 +275,13 @@ class VerifyObserver:
         lag = np.abs(telemetry.q_goal - telemetry.q) / units.scale
         error = np.where(touches | np.isnan(lag), 0.0, lag)
         joint = int(error.argmax())
-        if error[joint] <= self.limits.tracking_rad:
+        if error[joint] <= self.limits.max_tracking_error_rad:
             return ""
         shown = units.scale[joint] * units.factor[joint]
-        worst, limit = shown * error[joint], shown * self.limits.tracking_rad
+        worst, limit = shown * error[joint], shown * self.limits.max_tracking_error_rad
         return f"tracking error {worst:.1f} {units.names[joint]}, limit {limit:.1f}"
 
-    def _violated_limit(self, out: TickOut, ringing_N: float) -> str:
+    def _violated_limit(self, out: TickOut, torque_rate_N: float) -> str:
         """Return a text about the limit that a tick violates, or an empty text if it violates none."""
         if out.action >= SafetyAction.HOLD:
             return f"safety: {out.action.name}"
@@ -289,13 +292,13 @@ class VerifyObserver:
         if out.phase == "move" and (text := self._tracking_violation(numbers)):
             return text
         for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
-            if tension > limits.trip_fraction * tendon.tension_trip_N:
-                bound = limits.trip_fraction * tendon.tension_trip_N
+            if tension > limits.max_tension_fraction * tendon.tension_trip_N:
+                bound = limits.max_tension_fraction * tendon.tension_trip_N
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
-        limit = max(limits.ringing_factor * self._max_ringing, limits.ringing_floor_Nm_per_s)
+        limit = max(limits.ringing_factor * self._max_torque_rate, limits.ringing_floor_Nm_per_s)
         return (
-            f"motor torques oscillate by {ringing_N:.1f} N m/s, limit {limit:.1f}"
-            if ringing_N > limit
+            f"motor torques oscillate by {torque_rate_N:.1f} N m/s, limit {limit:.1f}"
+            if torque_rate_N > limit
             else ""
         )
 
@@ -309,7 +312,7 @@ COMPARED_MEASURES = {
 """Name and unit of each compared measure, by its field in `GainScore`."""
 ASSUMED_SPREAD_FRACTION = 0.1
 """If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
-SAME_VALUE_FRACTION = 0.02
+MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 """Largest difference between old and new value that is judged as "same", as a fraction of the old value."""
 
 
@@ -343,7 +346,7 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
     """
     columns = []
     for key, (name, unit) in COMPARED_MEASURES.items():
-        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in round_scores])
+        old = np.array([getattr(rounds[ROUNDS_WITH_OLD_GAINS - 1], key) for rounds in round_scores])
         new = np.array([getattr(rounds[-1], key) for rounds in round_scores])
         n = len(round_scores)
         mean = float(old.mean())
@@ -353,7 +356,7 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
             if n == 1
             else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
         )
-        counts = abs(change) > max(spread, SAME_VALUE_FRACTION * mean)
+        counts = abs(change) > max(spread, MAX_EQUAL_DIFFERENCE_FRACTION * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
         columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
     return columns
@@ -385,10 +388,10 @@ def scores_by_round(
     results = []
     for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
-        part_truth = GroundTruth(real.angle[part], real.tension[part])
+        truth_of_round = GroundTruth(real.angle[part], real.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]
         results.append(
-            score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth)
+            score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, truth_of_round)
         )
     return results

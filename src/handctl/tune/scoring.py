@@ -34,7 +34,7 @@ TOUCH_FORCE_N = 0.05
 
 The tracking error of a blocked digit says nothing about the gains.
 """
-FAILED_OBJECTIVE = 1e3
+OBJECTIVE_OF_FAILED_RUN = 1e3
 """Value of each objective for gains with which the exercise did not finish."""
 
 
@@ -195,18 +195,18 @@ def score_run(
     )
     real = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
-    touches = _true_touches(hand, truth, t_ns)
+    touches = _true_touch_mask(hand, truth, t_ns)
     angle = np.where(touches, np.nan, digit_angles(hand, goal))
     score = score_ticks(t_ns, phase, angle, tension_goal, torque, real)
-    in_move = touches[phase == "move"].any(axis=0).tolist()
-    blocked = ", ".join(compress(hand.digit_names, in_move))
+    is_touching_in_move = touches[phase == "move"].any(axis=0).tolist()
+    blocked = ", ".join(compress(hand.digit_names, is_touching_in_move))
     if np.isnan(score.tracking_deg):
         reason = f"no move to score: {blocked} blocked in all moves"
         return replace(_failed_score(peak, reason), blocked=blocked)
     return replace(score, blocked=blocked)
 
 
-def _true_touches(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return a mask (ticks, D), True where a digit truly touches another digit or an object."""
     force = [
         truth.columns_at([f"contact_force/{name}/{axis}" for axis in "xyz"], t_ns)
@@ -218,9 +218,9 @@ def _true_touches(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> ND
 def _failed_score(peak_tension_N: float, failure_text: str, shortfall: float = 0.0) -> GainScore:
     """Return the score of gains for which the exercise gave no result."""
     return GainScore(
-        FAILED_OBJECTIVE,
-        FAILED_OBJECTIVE,
-        FAILED_OBJECTIVE,
+        OBJECTIVE_OF_FAILED_RUN,
+        OBJECTIVE_OF_FAILED_RUN,
+        OBJECTIVE_OF_FAILED_RUN,
         peak_tension_N,
         shortfall,
         failure_text,

@@ -11,7 +11,7 @@ from handctl.log.read.reader import RunLog
 from handctl.output_files import save_figure
 from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
-from handctl.tune.gains_verification import OLD_GAINS_ROUNDS, GainsRollback
+from handctl.tune.gains_verification import ROUNDS_WITH_OLD_GAINS, GainsRollback
 from handctl.tune.loops.linear_models import LoopKind, open_loop
 from handctl.tune.loops.margins import (
     MIN_GAIN_MARGIN_DB,
@@ -21,8 +21,8 @@ from handctl.tune.loops.margins import (
 )
 from handctl.tune.search.search import SearchResult
 
-BEFORE_COLOR = "#d9822b"
-AFTER_COLOR = "#3b6fb6"
+OLD_GAINS_COLOR = "#d9822b"
+NEW_GAINS_COLOR = "#3b6fb6"
 GREY_COLOR = "#9a9a9a"
 TRUTH_COLOR = "#000000"
 STEP_RESPONSE_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
@@ -58,8 +58,8 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
         for model, colour, name in (
-            (before, BEFORE_COLOR, "before"),
-            (after, AFTER_COLOR, "after"),
+            (before, OLD_GAINS_COLOR, "before"),
+            (after, NEW_GAINS_COLOR, "after"),
         ):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
@@ -120,25 +120,25 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     figure = _new_figure(11, 4.8)
     figure.suptitle(title)
     left, right = figure.subplots(1, 2)
-    feasible = [trial for trial in result.trials if trial.is_feasible]
+    feasible_trials = [trial for trial in result.trials if trial.is_feasible]
     first = result.trials[0]
-    effort = [trial.score.effort_Nm_per_s for trial in feasible]
+    effort = [trial.score.effort_Nm_per_s for trial in feasible_trials]
     dots = left.scatter(
-        [trial.score.tracking_deg for trial in feasible],
-        [trial.score.tension_N for trial in feasible],
+        [trial.score.tracking_deg for trial in feasible_trials],
+        [trial.score.tension_N for trial in feasible_trials],
         c=effort,
         s=22,
         cmap="viridis",
     )
-    if feasible:
+    if feasible_trials:
         figure.colorbar(dots, ax=left, label="effort [N m/s]")
-    front = [trial for trial in feasible if trial.number in result.pareto_front]
+    front_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
     left.plot(
-        [trial.score.tracking_deg for trial in front],
-        [trial.score.tension_N for trial in front],
+        [trial.score.tracking_deg for trial in front_trials],
+        [trial.score.tension_N for trial in front_trials],
         "o",
         mfc="none",
-        mec=BEFORE_COLOR,
+        mec=OLD_GAINS_COLOR,
         ms=9,
         label="Pareto front",
     )
@@ -155,7 +155,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             result.best.score.tracking_deg,
             result.best.score.tension_N,
             "*",
-            color=AFTER_COLOR,
+            color=NEW_GAINS_COLOR,
             ms=14,
             label="best",
         )
@@ -168,8 +168,10 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
     ]
     right.plot(costs, ".", color=GREY_COLOR)
-    if feasible:
-        right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER_COLOR)
+    if feasible_trials:
+        right.step(
+            range(len(costs)), np.fmin.accumulate(costs), where="post", color=NEW_GAINS_COLOR
+        )
     right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set(xlabel="trial", ylabel="cost relative to the first trial", title="best trial so far")
     for axes in (left, right):
@@ -203,14 +205,14 @@ def draw_verify(
         np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q")
     )
     angle.plot(log.times, goal, "--", color=GREY_COLOR, label="command")
-    angle.plot(log.times, estimate, color=AFTER_COLOR, linewidth=0.9, label="estimate")
+    angle.plot(log.times, estimate, color=NEW_GAINS_COLOR, linewidth=0.9, label="estimate")
     tension.plot(
         log.times, log.field("tension_goal")[:, 0], "--", color=GREY_COLOR, label="command"
     )
     tension.plot(
         log.times,
         log.field("tension")[:, 0],
-        color=AFTER_COLOR,
+        color=NEW_GAINS_COLOR,
         linewidth=0.9,
         label="estimate",
     )
@@ -233,18 +235,20 @@ def draw_verify(
             linewidth=0.7,
             label="true tension of the plant",
         )
-    torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER_COLOR, linewidth=0.6)
+    torque.plot(
+        log.times, log.field("motor_torque_goal")[:, 0], color=NEW_GAINS_COLOR, linewidth=0.6
+    )
     starts = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
     for axes, name in (
         (angle, "mean angle [deg]"),
         (tension, f"tension of {hand.tendon_names[0]} [N]"),
         (torque, "commanded torque [N m]"),
     ):
-        if len(starts) > OLD_GAINS_ROUNDS:
+        if len(starts) > ROUNDS_WITH_OLD_GAINS:
             axes.axvspan(
-                starts[OLD_GAINS_ROUNDS],
+                starts[ROUNDS_WITH_OLD_GAINS],
                 rollback.t_s if rollback else float(log.times[-1]),
-                color=AFTER_COLOR,
+                color=NEW_GAINS_COLOR,
                 alpha=0.1,
             )
         if rollback:

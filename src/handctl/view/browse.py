@@ -53,14 +53,14 @@ def browse_log(
     """
     # The viewer starts on another processor core while this process imports Rerun and converts the
     # first part of the log.
-    with launched_viewer(["--expect-data-soon", *viewer_arguments], environment) as launch:
+    with launched_viewer(["--expect-data-soon", *viewer_arguments], environment) as starting_viewer:
         from handctl.view.rerun_conversion import (
-            run_chunks_in_parts,
+            chunks_of_run_by_part,
         )  # Rerun is imported while the viewer starts
 
-        parts = run_chunks_in_parts(path, run, FIRST_SLICE_NS, scan)
+        parts = chunks_of_run_by_part(path, run, FIRST_SLICE_NS, scan)
         first = list(islice(parts, 2))
-        running = launch.wait_until_ready()
+        running = starting_viewer.wait_until_ready()
         _send_chunks(running, run, chain.from_iterable(chain(first, parts)))
         yield running
 

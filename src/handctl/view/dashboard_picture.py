@@ -18,7 +18,7 @@ LOAD_TIMEOUT_S = 60.0
 """Longest wait until the viewer answers, and longest wait until the recording is loaded [s]."""
 SCREENSHOT_PAUSE_S = 1.0
 """Pause between two screenshots that are compared [s]."""
-NOTICE_S = 5.0
+NOTICE_DURATION_S = 5.0
 """Time from the start of the viewer during which notices cover the dashboard [s]."""
 UNCHANGED_TIMEOUT_S = 10.0
 """Longest wait until two screenshots are equal [s]."""
@@ -43,13 +43,13 @@ def draw_recording(recording_path: Path, at_s: float, picture_path: Path) -> lis
     with running_viewer(
         ["--headless", "--window-size", PICTURE_SIZE_PX, str(recording_path)], software_vulkan()
     ) as running:
-        clear = time.monotonic() + NOTICE_S
+        clear = time.monotonic() + NOTICE_DURATION_S
         client = connect_client(running)
         wait_until_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
         client.set_time(RUN_TIME_TIMELINE, duration=at_s, play_state="paused")
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
-        reports = view_problem_reports(client)
+        reports = problem_reports_of_view(client)
     with atomic_path(picture_path) as part:
         part.write_bytes(png)
     return reports
@@ -126,7 +126,7 @@ def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int 
     )
 
 
-def view_problem_reports(client: "ViewerClient") -> list[str]:
+def problem_reports_of_view(client: "ViewerClient") -> list[str]:
     """Return the problems that the views of the dashboard report."""
     return [
         f"{view.name}: {report.severity}: {report.summary}"

@@ -13,13 +13,13 @@ from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.signal_handlers import TerminationFlag
 from handctl.view.log_tail import LogTail
-from handctl.view.rerun_conversion import log_chunks, new_recording
+from handctl.view.rerun_conversion import chunks_of_log, new_recording
 from handctl.view.scene.blueprint import dashboard_layout
 from handctl.view.scene.entity_styles import style_chunks
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.scene.topic_converters import TopicConverters
-from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
+from handctl.view.viewer import Viewer, check_screen_exists, software_vulkan, start_viewer
 
 CHECK_PERIOD_S = 0.2
 """Interval between checks for new data in the log [s]."""
@@ -60,12 +60,12 @@ class LogFollower:
         since = self._tail.write_new_chunks(part)
         if since is None:
             return False
-        chunks = log_chunks(part, self._converters, self._run.name, since)
+        chunks = chunks_of_log(part, self._converters, self._run.name, since)
         rr.send_chunks(chunks, recording=self._stream)
-        self._flush()
+        self._wait_until_viewer_has_data()
         return True
 
-    def _flush(self) -> None:
+    def _wait_until_viewer_has_data(self) -> None:
         """Wait until the viewer has received all data.
 
         If the user has closed the viewer, do not wait.
@@ -74,13 +74,13 @@ class LogFollower:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT_S)
 
     @property
-    def log_ended(self) -> bool:
+    def has_log_ended(self) -> bool:
         """Return True if the log is complete and has been sent to the end."""
-        return self._tail.log_ended
+        return self._tail.has_log_ended
 
     def close(self) -> None:
         """Disconnect from the viewer, which remains open."""
-        self._flush()
+        self._wait_until_viewer_has_data()
         self._stream.disconnect()
         self._folder.cleanup()
 
@@ -102,7 +102,7 @@ def follow_log(
     """
     headless = "--headless" in viewer_arguments
     if not headless:
-        check_screen()
+        check_screen_exists()
     stop = stop or TerminationFlag()
     run = _wait_for_header(log, stop)
     if run is None:
@@ -123,7 +123,7 @@ def follow_log(
 def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
     news = time.monotonic()
-    while not (follower.log_ended or stop.requested) and running_viewer.process.poll() is None:
+    while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:
         start = time.monotonic()
         if follower.send_new_chunks():
             news = start

@@ -51,10 +51,10 @@ def main() -> int:
     log = Path(sys.argv[1])
     arguments = sys.argv[2:]
     try:
-        from handctl.view.viewer import check_screen
+        from handctl.view.viewer import check_screen_exists
 
         if "--headless" not in arguments:
-            check_screen()
+            check_screen_exists()
         from handctl.view.follow import follow_log
 
         follow_log(log, arguments, stop)

@@ -26,7 +26,7 @@ class LogTail:
         self._sent_chunks = 0
 
     @property
-    def log_ended(self) -> bool:
+    def has_log_ended(self) -> bool:
         """Return True if the end mark of the log has been read."""
         return self._scan.complete
 

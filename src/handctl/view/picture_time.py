@@ -2,7 +2,7 @@
 
 from handctl.log.read.reader import RunLog
 
-PICTURED_PHASE = "hold"
+PICTURE_PHASE = "hold"
 """Name of the phase that a picture shows."""
 
 
@@ -17,7 +17,7 @@ def picture_time(log: RunLog) -> float:
     holds = [
         (end - change.t_ns, change.t_ns)
         for change, end in zip(log.phases, ends, strict=True)
-        if change.name == PICTURED_PHASE and end > change.t_ns
+        if change.name == PICTURE_PHASE and end > change.t_ns
     ]
     length, start = max(holds, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0])))
     return (start + length / 2) * 1e-9

@@ -47,12 +47,12 @@ def rerun_errors(name: str) -> Iterator[None]:
         ) from error
 
 
-def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
-    """Return all chunks of a log one after another, see `run_chunks_in_parts`."""
-    return chain.from_iterable(run_chunks_in_parts(path, run, first_ns))
+def chunks_of_run(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
+    """Return all chunks of a log one after another, see `chunks_of_run_by_part`."""
+    return chain.from_iterable(chunks_of_run_by_part(path, run, first_ns))
 
 
-def run_chunks_in_parts(
+def chunks_of_run_by_part(
     path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
@@ -73,7 +73,7 @@ def run_chunks_in_parts(
         converters = TopicConverters(run)
         complete, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
         for part, since_ns in time_slices(complete, scan, Path(folder), first_ns):
-            yield list(log_chunks(part, converters, run.name, since_ns))
+            yield list(chunks_of_log(part, converters, run.name, since_ns))
 
 
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
@@ -94,7 +94,7 @@ def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Pat
     return copy, scan_path(copy)
 
 
-def log_chunks(
+def chunks_of_log(
     path: Path, converters: TopicConverters, name: str, since_ns: int = 0
 ) -> Iterator[Chunk]:
     """Convert topics of a log to the chunks that the dashboard needs, and yield these chunks.
@@ -120,10 +120,10 @@ def log_chunks(
             .stream()
             .to_chunks()
         )
-    yield from (new for chunk in sorted(raw, key=_start_time) for new in converters(chunk))
+    yield from (new for chunk in sorted(raw, key=_start_time_ns) for new in converters(chunk))
 
 
-def _start_time(chunk: Chunk) -> int:
+def _start_time_ns(chunk: Chunk) -> int:
     """Return the log time of the first row of a chunk [ns].
 
     A chunk without times gets -1, and so comes first.
@@ -167,7 +167,7 @@ def write_rrd(path: Path, run: RunInfo, recording_path: Path) -> int:
         raise LogError(
             f"cannot write: {error}", str(recording_path), "a file in a writable folder"
         ) from error
-    rr.send_chunks(run_chunks(path, run), recording=stream)
+    rr.send_chunks(chunks_of_run(path, run), recording=stream)
     stream.flush()
     stream.disconnect()
     return recording_path.stat().st_size

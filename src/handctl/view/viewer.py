@@ -36,7 +36,7 @@ VIEWER_START_TIMEOUT_S = 30.0
 """Longest wait for the start of a viewer [s]."""
 VIEWER_END_TIMEOUT_S = 5.0
 """Longest wait for the end of a viewer [s]."""
-_ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
+_ADDRESS_LINE_PATTERN = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 """Pattern for the viewer's address in the output of the viewer."""
 
 
@@ -68,13 +68,13 @@ def software_vulkan() -> dict[str, str]:
     """
     if not sys.platform.startswith("linux"):
         return {}
-    drivers = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
+    driver_files = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
     configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
-    if not _has_loader() or not (drivers or configured):
+    if not _has_vulkan_loader() or not (driver_files or configured):
         raise ConfigError(
             "no Vulkan driver to draw with", "", f"the Debian packages {VULKAN_PACKAGES}"
         )
-    return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
+    return {} if configured else {"VK_ICD_FILENAMES": str(driver_files[0])}
 
 
 def _driver_files(file_pattern: str) -> list[Path]:
@@ -84,7 +84,7 @@ def _driver_files(file_pattern: str) -> list[Path]:
     ]
 
 
-def _has_loader() -> bool:
+def _has_vulkan_loader() -> bool:
     """Return True if the Vulkan loader is installed."""
     try:
         ctypes.CDLL("libvulkan.so.1")
@@ -93,7 +93,7 @@ def _has_loader() -> bool:
     return True
 
 
-def check_screen() -> None:
+def check_screen_exists() -> None:
     """Raise an error if the desktop session has no screen on which a window could open.
 
     Raises:
@@ -174,24 +174,29 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
         viewer_arguments: further arguments of the viewer's command.
         environment: environment variables in addition to those of this process.
     """
-    exe = str(viewer_path())
+    viewer_program = str(viewer_path())
     settings = run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
     # Only a file in the configuration folder of the viewer can disable the collection of usage
     # data.
-    environ = (
+    viewer_environment = (
         os.environ
         | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"}
         | environment
     )
-    subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
+    subprocess.run(
+        [viewer_program, "analytics", "disable"],
+        env=viewer_environment,
+        check=False,
+        capture_output=True,
+    )
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
-    command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *viewer_arguments]
+    command = [viewer_program, "--bind", LOOPBACK_ADDRESS, "--port", "0", *viewer_arguments]
     # The viewer runs in a process session of its own, so that Ctrl-C in the terminal does not
     # interrupt the viewer.
     process = subprocess.Popen(
         command,
-        env=environ,
+        env=viewer_environment,
         stdin=subprocess.DEVNULL,
         stdout=notes,
         stderr=notes,
@@ -221,11 +226,11 @@ def launched_viewer(
     with tempfile.TemporaryDirectory(
         prefix="handctl-viewer-", ignore_cleanup_errors=True
     ) as scratch:
-        launch = launch_viewer(viewer_arguments, {"TMPDIR": scratch} | environment)
+        starting_viewer = launch_viewer(viewer_arguments, {"TMPDIR": scratch} | environment)
         try:
-            yield launch
+            yield starting_viewer
         finally:
-            Viewer(launch.process, "").close_viewer()
+            Viewer(starting_viewer.process, "").close_viewer()
 
 
 @contextmanager
@@ -233,8 +238,8 @@ def running_viewer(
     viewer_arguments: Sequence[str], environment: dict[str, str]
 ) -> Iterator[Viewer]:
     """Start a viewer with `start_viewer`, for the duration of a context."""
-    with launched_viewer(viewer_arguments, environment) as launch:
-        yield launch.wait_until_ready()
+    with launched_viewer(viewer_arguments, environment) as starting_viewer:
+        yield starting_viewer.wait_until_ready()
 
 
 def _wait_for_url(process: "subprocess.Popen[bytes]", stderr_pipe: IO[bytes]) -> str:
@@ -253,7 +258,7 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", stderr_pipe: IO[bytes]) ->
             remaining -= 0.05
         stderr_pipe.seek(0)
         text = stderr_pipe.read()
-        listens = _ADDRESS_LINE.search(text)
+        listens = _ADDRESS_LINE_PATTERN.search(text)
         if listens:
             return listens.group().decode()
         if process.returncode is not None:

@@ -40,24 +40,31 @@ WATCHDOG_UNITS = 8000
 def check_registers(checks: CheckList) -> None:
     """Let i2rt compare the registers of the motors with the declared motor types."""
 
-    def verify(motors: list[tuple[int, str]], mode: str, repair: bool = False) -> str:
+    def verify_motors(
+        motors: list[tuple[int, str]], mode: str, repairs_settings: bool = False
+    ) -> str:
         run_startup_checks(
             CHANNEL,
             motors,
             check_motor_types=True,
             check_motor_config=True,
             control_mode=mode,
-            repair=repair,
+            repair=repairs_settings,
         )
         return "verified"
 
-    checks.check("types, control mode and ranges are verified", bool(verify(MOTORS, "MIT")))
+    checks.check("types, control mode and ranges are verified", bool(verify_motors(MOTORS, "MIT")))
     wrong = [(1, "DM4340"), *MOTORS[1:]]
-    checks.check_raises("a wrong type is refused", lambda: verify(wrong, "MIT"), "motor 1 reported")
     checks.check_raises(
-        "a wrong control mode is reported", lambda: verify(MOTORS, "VEL"), "CTRL_MODE"
+        "a wrong type is refused", lambda: verify_motors(wrong, "MIT"), "motor 1 reported"
     )
-    checks.check("a wrong control mode is repaired", bool(verify(MOTORS, "VEL", repair=True)))
+    checks.check_raises(
+        "a wrong control mode is reported", lambda: verify_motors(MOTORS, "VEL"), "CTRL_MODE"
+    )
+    checks.check(
+        "a wrong control mode is repaired",
+        bool(verify_motors(MOTORS, "VEL", repairs_settings=True)),
+    )
     bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
     try:
         modes = [read_register(bus, number, DMRegAddr.CTRL_MODE) for number in MOTOR_IDS]

@@ -23,7 +23,7 @@ The client's default of 500 us is too short for a simulated motor in another pro
 """
 
 
-def refresh(arm: Any) -> list[Any]:
+def request_feedback(arm: Any) -> list[Any]:
     """Request the feedback of all motors, and return the motors."""
     arm.refresh_all()
     arm.recv_all(REPLY_TIMEOUT_US)
@@ -47,7 +47,7 @@ def close_arm(arm: Any, checks: CheckList, mode_name: str) -> None:
     arm.recv_all(REPLY_TIMEOUT_US)
     checks.check_until(
         f"three motors are disabled ({mode_name})",
-        lambda: [motor.is_enabled() for motor in refresh(arm)],
+        lambda: [motor.is_enabled() for motor in request_feedback(arm)],
         [False] * MOTOR_COUNT,
     )
 
@@ -77,10 +77,10 @@ def check_mit_mode(checks: CheckList) -> None:
     arm = open_arm(openarm_can.ControlMode.MIT)
     checks.check_until(
         "three motors are enabled",
-        lambda: [motor.is_enabled() for motor in refresh(arm)],
+        lambda: [motor.is_enabled() for motor in request_feedback(arm)],
         [True] * MOTOR_COUNT,
     )
-    start = [motor.get_position() for motor in refresh(arm)]
+    start = [motor.get_position() for motor in request_feedback(arm)]
 
     def command(kp: float, kd: float, goals: list[float], torque: float) -> list[float]:
         rows = [openarm_can.MITParam(kp, kd, goal, 0.0, torque) for goal in goals]
@@ -102,7 +102,7 @@ def check_mit_mode(checks: CheckList) -> None:
         lambda: command(0.0, 0.0, start, TORQUE_N_M),
         lambda seen: all(a - b > TRAVEL_RAD for a, b in zip(seen, start, strict=True)),
     )
-    goals = [motor.get_position() - TRAVEL_RAD for motor in refresh(arm)]
+    goals = [motor.get_position() - TRAVEL_RAD for motor in request_feedback(arm)]
     checks.check_until(
         "they hold positions",
         lambda: command(20.0, 1.0, goals, 0.0),

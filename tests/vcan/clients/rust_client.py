@@ -15,8 +15,8 @@ from can_motor_control import damiao  # type: ignore[import-not-found,unused-ign
 from tests.vcan.clients.check_list import CheckList
 
 CHANNEL = "vcan0"
-NAMES = ("m1", "m2", "m3")
-MOTOR_COUNT = len(NAMES)
+MOTOR_NAMES = ("m1", "m2", "m3")
+MOTOR_COUNT = len(MOTOR_NAMES)
 TORQUE_N_M = 0.5
 TRAVEL_RAD = 1.0
 REPLY_TIMEOUT_US = 20_000
@@ -26,7 +26,7 @@ REPLY_TIMEOUT_US = 20_000
 def make_robot() -> Any:
     motors = [
         client.MotorSpec(name, damiao.MotorType.DM4340, number + 1, number + 0x11)
-        for number, name in enumerate(NAMES)
+        for number, name in enumerate(MOTOR_NAMES)
     ]
     builder = client.Robot.builder()
     builder = builder.add_bus("bus", client.SocketCanBus(CHANNEL, fd=True), damiao.DamiaoCodec())
@@ -56,7 +56,7 @@ def check_mode(
     def states(enabled: bool) -> list[bool]:
         robot.refresh()
         robot.tick(REPLY_TIMEOUT_US)
-        return [arm[name].is_enabled is enabled for name in NAMES]
+        return [arm[name].is_enabled is enabled for name in MOTOR_NAMES]
 
     robot.set_mode(control_mode)
     robot.enable()
@@ -70,19 +70,19 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
     """Pull with a torque, and then hold positions."""
     start = np.array(read_feedback("positions"))
 
-    def pull(quantity: str) -> Any:
+    def command_torque_and_read(quantity: str) -> Any:
         arm.mit_control(command_rows(0.0, 0.0, 0.0, 0.0, TORQUE_N_M))
         return read_feedback(quantity)
 
     # At the speed without load, the motor can no longer make this torque.
     checks.check_until(
         "three motors report the commanded torque",
-        lambda: pull("torques"),
+        lambda: command_torque_and_read("torques"),
         lambda seen: bool(np.allclose(seen, TORQUE_N_M, atol=0.01)),
     )
     checks.check_until(
         "they turn by it",
-        lambda: pull("positions") - start,
+        lambda: command_torque_and_read("positions") - start,
         lambda seen: bool(np.all(seen > TRAVEL_RAD)),
     )
     goals = np.array(arm.positions()) - TRAVEL_RAD

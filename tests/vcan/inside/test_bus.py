@@ -21,14 +21,14 @@ BUS_INDEX = 1
 
 @pytest.fixture
 def bus() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, stamp=int)
+    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int)
     yield opened
     opened.close()
 
 
 @pytest.fixture
 def other_bus() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, stamp=int)
+    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int)
     yield opened
     opened.close()
 
@@ -71,13 +71,13 @@ def test_a_sender_does_not_receive_its_frames(bus: Bus, other_bus: Bus) -> None:
 def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
     before = time.monotonic_ns()
     bus.send([Frame(1, b"", bus=BUS_INDEX)])
-    first_sent = time.monotonic_ns()
+    send_time_ns = time.monotonic_ns()
     time.sleep(0.2)
     bus.send([Frame(2, b"", bus=BUS_INDEX)])
     time.sleep(0.2)
     first, second = drain_bus(other_bus, 2)
     slack = 100_000_000
-    assert before - slack <= first.t_ns <= first_sent + slack
+    assert before - slack <= first.t_ns <= send_time_ns + slack
     assert second.t_ns - first.t_ns >= 150_000_000
 
 
@@ -100,15 +100,15 @@ def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, other_bus
 
 def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> None:
     sent = 30_000
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as flood:
-        flood.bind(("vcan0",))
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as flood_socket:
+        flood_socket.bind(("vcan0",))
         for n in range(sent - 1):
-            flood.send(CLASSICAL_FRAME.pack(n & 0x7FF, 0, b""))
+            flood_socket.send(CLASSICAL_FRAME.pack(n & 0x7FF, 0, b""))
         received = 0
         while frames := other_bus.drain():
             received += len(frames)
         # this frame carries the number of frames that Linux has dropped
-        flood.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))
+        flood_socket.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))
         received += len(drain_bus(other_bus, 1))
     dropped = sum(number for kind, _, number in other_bus.take_events() if kind == "dropped")
     assert 0 < received < sent
@@ -147,7 +147,8 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
     The Linux module netem simulates this wire, because vcan alone never refuses a frame.
     """
     sender, receiver = (
-        open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, stamp=int) for name in slow_tunnel
+        open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, convert_time=int)
+        for name in slow_tunnel
     )
     batch = [Frame(n, bytes(8), bus=BUS_INDEX) for n in range(60)]
     accepted = sender.send(batch)

@@ -36,12 +36,12 @@ def scene_file() -> None:
 def _write_homed_calibration(calibration_file: Path) -> None:
     """Write the calibration of a simulated hand that starts with known motor zeros."""
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
-    no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    tendons = dict.fromkeys(hand.tendon_names, no_offset)
-    made_with = Calibration(
+    tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    tendons = dict.fromkeys(hand.tendon_names, tendon_calibration)
+    calibration = Calibration(
         hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons
     )
-    write_calibration(calibration_file, made_with)
+    write_calibration(calibration_file, calibration)
 
 
 @pytest.mark.nightly

@@ -150,7 +150,7 @@ def can_interface() -> Iterator[str]:
 
 
 @pytest.fixture
-def restored_clock() -> Iterator[None]:
+def restore_wall_clock() -> Iterator[None]:
     """Restore the wall clock of the guest after a test."""
     wall, mono = time.time(), time.monotonic()
     yield
@@ -159,7 +159,7 @@ def restored_clock() -> Iterator[None]:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-@pytest.mark.usefixtures("restored_clock")
+@pytest.mark.usefixtures("restore_wall_clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
     """In this test, the wall clock is set one hour forward, and then two hours back.
 
@@ -195,8 +195,10 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
     after = observer.modes[observer.modes.index(HandMode.ACTIVE) :]
-    acted = round(FAULT_AFTER_S * RATE_HZ)
-    assert after[: acted + 3].count(HandMode.ACTIVE) <= acted + 1, "the next tick removes torque"
+    fault_tick = round(FAULT_AFTER_S * RATE_HZ)
+    assert after[: fault_tick + 3].count(HandMode.ACTIVE) <= fault_tick + 1, (
+        "the next tick removes torque"
+    )
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGIT_NAMES])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
     late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6

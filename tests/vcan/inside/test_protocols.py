@@ -41,7 +41,7 @@ RATE_HZ = 200.0
 PERIOD_NS = 5_000_000
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
-TAUT_N, PULLED_N = 5.0, 3.0
+TAUT_TENSION_N, PULLED_N = 5.0, 3.0
 """Smallest tension of a tendon under motor torque [N], and largest tension after the motor was disabled [N]."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGIT_NAMES = ("index", "middle", "ring", "thumb")
@@ -162,7 +162,7 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
     assert truth.header["lost_frames"] == 0
     for digit in DIGIT_NAMES:
         tension = truth.column(f"tension/{digit}_tendon")
-        assert tension.max() > TAUT_N, digit
+        assert tension.max() > TAUT_TENSION_N, digit
         assert np.median(tension[-10:]) < PULLED_N, digit
 
 

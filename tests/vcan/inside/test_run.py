@@ -66,8 +66,10 @@ def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProces
         if ran.returncode == 0:
             break
         simulator = (place / "simulator").read_text()
-        undisturbed = "slips=0" in simulator and not any(row in ran.stderr for row in STALL_FAULTS)
-        assert not undisturbed, ran.stderr + ran.stdout + simulator
+        is_undisturbed = "slips=0" in simulator and not any(
+            row in ran.stderr for row in STALL_FAULTS
+        )
+        assert not is_undisturbed, ran.stderr + ran.stdout + simulator
     assert ran.returncode == 0, ran.stderr + ran.stdout
     return ran, place
 

@@ -21,9 +21,9 @@ TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
 has the same effect at any time scale.
 """
-TRACKED_S = 2.5
+TRACKED_DURATION_S = 2.5
 """Duration of the motion [s]. The tracking error of the first second is not counted."""
-LARGEST_RATIO = 1.5
+MAX_ERROR_RATIO = 1.5
 """Largest permitted tracking error of a stream, divided by the error of the same motion in a task."""
 
 
@@ -33,7 +33,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(streaming, "SIMULATOR_ARGUMENTS", ["-c", SIMULATOR_CODE])
-    monkeypatch.setattr(streaming, "TRACKED_DURATION_S", TRACKED_S)
+    monkeypatch.setattr(streaming, "TRACKED_DURATION_S", TRACKED_DURATION_S)
     monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed_calibration(calibration, load_hand("jamia"))
@@ -44,7 +44,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     else:
         pytest.fail("the guest stood still in every attempt")
     print(f"time scale {time_scale:g}: {result}")
-    assert result["minimum_jerk_ratio"] < LARGEST_RATIO
+    assert result["minimum_jerk_ratio"] < MAX_ERROR_RATIO
 
 
 class GuestStoppedError(Exception):

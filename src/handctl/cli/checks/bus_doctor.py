@@ -83,7 +83,7 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     kind, _, channel = spec.partition(":")
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
     trips: list[tuple[DiscoveredNode, RoundTrip]] = []
-    if not any(finding.fatal for finding in rows):
+    if not any(finding.is_bus_unusable for finding in rows):
         more, trips = _check_nodes(spec, expected, hand)
         rows += more
     return {
@@ -165,7 +165,7 @@ def _duplicate_nodes(
     result: BusScan, node_round_trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
     """Return the nodes whose node number more than one drive uses."""
-    twice = [node for node, trip in node_round_trips if trip.is_number_shared]
+    twice = [node for node, trip in node_round_trips if trip.is_node_number_shared]
     return [node for node in result.found_nodes if node.twins or node in twice]
 
 
@@ -231,7 +231,7 @@ def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
         "shortest": trip.shortest_s,
         "median": trip.median_s,
         "longest": trip.longest_s,
-        "twice": trip.double_answers,
+        "twice": trip.double_answer_count,
     }
 
 

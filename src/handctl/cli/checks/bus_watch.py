@@ -23,7 +23,7 @@ from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.run_plan import bus_specs, chosen_time_scale, default_rate
+from handctl.session.run_plan import bus_specs, chosen_time_scale, default_control_rate
 from handctl.signal_handlers import TerminationFlag, installed_handler
 
 MAX_POLL_RATE_HZ = 100.0
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
-    clock = RealClock(round(1e9 / min(MAX_POLL_RATE_HZ, default_rate(hand))), time_scale)
+    clock = RealClock(round(1e9 / min(MAX_POLL_RATE_HZ, default_control_rate(hand))), time_scale)
     for spec in specs:
         if is_running(spec):
             right = (

@@ -61,7 +61,7 @@ from handctl.session.run_plan import (
     check_gain_margins,
     control_rate,
     highest_rate_of_buses,
-    hint_lines,
+    protocol_hint_lines,
 )
 from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
 
@@ -147,7 +147,7 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
             # Only this check needs the module of the simulated hand, so the import is here.
             from handctl.session.simulate import SimulatorSettings
 
-            SimulatorSettings(hand, args.scene).check_constructible()
+            SimulatorSettings(hand, args.scene).check_hand_constructible()
 
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
     return [
@@ -235,7 +235,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caution_lines(make_drives(hand)):
         print(f"# caution: {text}")
-    for text in hint_lines(hand) if is_verbose() else ():
+    for text in protocol_hint_lines(hand) if is_verbose() else ():
         print(f"# hint: {text}")
     for text in warnings:
         print(f"# warning: {text}")

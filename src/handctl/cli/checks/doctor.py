@@ -101,7 +101,7 @@ def _granted_priority() -> GrantedPriority:
 
 
 def _check_priority() -> DoctorFinding:
-    granted = _granted_priority().realtime
+    granted = _granted_priority().is_realtime
     return (
         "real-time priority (SCHED_FIFO)",
         granted,

@@ -241,7 +241,7 @@ def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig,
     """
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
-    clock.busy_wait = request_priority().realtime
+    clock.busy_wait = request_priority().is_realtime
     try:
         yield DriveRig(drive, bus, clock), bus
     finally:

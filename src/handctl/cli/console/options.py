@@ -22,7 +22,7 @@ class _StoreNamedHand(argparse.Action):
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
         namespace.hand = values
-        namespace.hand_named = True
+        namespace.is_hand_named = True
 
 
 def add_hand_option(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +32,7 @@ def add_hand_option(parser: argparse.ArgumentParser) -> None:
         "--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text
     )
     named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
-    parser.set_defaults(hand_named=False)
+    parser.set_defaults(is_hand_named=False)
 
 
 def check_seed(seed: int) -> None:

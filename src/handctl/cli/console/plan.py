@@ -30,10 +30,10 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
     """
     choice = run_plan.RunChoice(
         hand=args.hand,
-        hand_named=args.hand_named,
-        bus_words=None if lockstep else args.bus,
+        is_hand_named=args.is_hand_named,
+        bus_arguments=None if lockstep else args.bus,
         gains_file=args.gains,
-        gain_words=getattr(args, "gain", None) or (),
+        gain_arguments=getattr(args, "gain", None) or (),
         rate_hz=args.rate,
         time_scale=args.time_scale,
         log_path=args.log,
@@ -59,7 +59,7 @@ def _print_plan(args: argparse.Namespace, plan: run_plan.RunPlan) -> None:
     print_detail(
         f"rate: {plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(plan.buses) or 'in lockstep'}"
     )
-    for text in run_plan.hint_lines(hand):
+    for text in run_plan.protocol_hint_lines(hand):
         print_detail(f"hint: {text}")
     for key, origin in layered_gains(args, hand).origins.items():
         if origin != gains.PACKAGED_ORIGIN:
@@ -162,7 +162,7 @@ def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, flo
             "a simulator with it: python -m firmware_sim --perturb",
         )
     if factors:
-        SimulatorSettings(args.hand, perturb=factors).check_constructible()
+        SimulatorSettings(args.hand, perturb=factors).check_hand_constructible()
     return factors
 
 

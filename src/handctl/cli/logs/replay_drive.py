@@ -20,7 +20,7 @@ from handctl.replay.run_comparison import check_same_hand, difference_lines
 from handctl.session.calibration import ensure_calibration
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run import make_controller, run_live
-from handctl.session.run_plan import commission_log, default_log
+from handctl.session.run_plan import commissioning_log_path, default_log_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,9 +47,11 @@ def run(args: argparse.Namespace) -> int:
             )
             return lossy
         announce_motion(args, plan, path, calibration)
-        log = args.log or default_log(plan.hand, "replay")
+        log = args.log or default_log_path(plan.hand, "replay")
         if calibration is None:
-            calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
+            calibration = ensure_calibration(
+                plan, path, reason, run_live, commissioning_log_path(log)
+            )
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:

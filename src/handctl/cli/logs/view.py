@@ -74,7 +74,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
     The command calls this check before it reads the log.
     """
-    from handctl.view.viewer import check_screen, software_vulkan
+    from handctl.view.viewer import check_screen_exists, software_vulkan
 
     if args.follow and (args.save or args.picture):
         raise ConfigError("together with --save or --picture", "--follow", "one of them")
@@ -93,7 +93,7 @@ def _check_options(args: argparse.Namespace) -> None:
     if args.picture:
         software_vulkan()
     elif not args.save:
-        check_screen()
+        check_screen_exists()
 
 
 def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:

@@ -6,9 +6,13 @@ from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
-from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
+from handctl.session.calibration import (
+    previous_identified_parameters,
+    run_commissioning,
+    write_calibration,
+)
 from handctl.session.run import run_live
-from handctl.session.run_plan import default_log
+from handctl.session.run_plan import default_log_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -19,9 +23,9 @@ def run(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}"
         return report_dry_run(args, plan, line, calibration=path)
     announce_motion(args, plan, path, None)
-    log = args.log or default_log(plan.hand, "commission")
+    log = args.log or default_log_path(plan.hand, "commission")
     calibration, outcome = run_commissioning(plan, log, run_live)
-    previous = previous_identified(path, plan.hand, calibration.drive, plan.show_notice)
+    previous = previous_identified_parameters(path, plan.hand, calibration.drive, plan.show_notice)
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     if args.json:

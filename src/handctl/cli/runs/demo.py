@@ -28,8 +28,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import (
-    IdentifiedByTendon,
-    identified_in_file,
+    IdentifiedParametersByTendon,
+    identified_parameters_in_file,
     run_commissioning,
     write_calibration,
 )
@@ -43,7 +43,7 @@ from handctl.session.run import (
     run_live,
     run_lockstep,
 )
-from handctl.session.run_plan import RunPlan, commission_log, default_log
+from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
 from handctl.session.simulate import SimulatorSettings
 from handctl.session.tasks import load_task_for_hand, scene_for_hand
 
@@ -77,12 +77,12 @@ def _run_demo(args: argparse.Namespace) -> int:
     task, text = load_task_for_hand(args.task, plan.hand)
     args.scene = scene_for_hand(args.scene, plan.hand)
     gain_assignments(args.perturb, "--perturb")
-    identified = identified_in_file(args.calibration, plan.hand)
+    identified = identified_parameters_in_file(args.calibration, plan.hand)
     if args.dry_run:
-        _make_simulated_hand(args, None).check_constructible()
+        _make_simulated_hand(args, None).check_hand_constructible()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return report_dry_run(args, plan, line, task=task.name, scene=args.scene)
-    log = args.log or default_log(plan.hand, "demo")
+    log = args.log or default_log_path(plan.hand, "demo")
     _check_not_overwritten(_calibration_path(log), log)
     plan.attachments["task.toml"] = text
     started = time.monotonic()
@@ -140,7 +140,7 @@ def _run_in_real_time(
     plan: RunPlan,
     program: TaskProgram,
     log: Path,
-    identified: IdentifiedByTendon,
+    identified: IdentifiedParametersByTendon,
 ) -> RunOutcome:
     """Run the demo in real time. The simulator is a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
@@ -153,7 +153,7 @@ def _commission_and_run(
     program: TaskProgram,
     log: Path,
     run_functions: tuple[RunFunction, RunFunction],
-    identified: IdentifiedByTendon,
+    identified: IdentifiedParametersByTendon,
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
@@ -161,7 +161,7 @@ def _commission_and_run(
     """
     first, then = run_functions
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
-    calibration, _ = run_commissioning(plan, commission_log(log), first)
+    calibration, _ = run_commissioning(plan, commissioning_log_path(log), first)
     calibration = calibration.model_copy(update={"identified": identified})
     path = _calibration_path(log)
     write_calibration(path, calibration)
@@ -174,7 +174,7 @@ def _run_in_lockstep(
     plan: RunPlan,
     program: TaskProgram,
     log: Path,
-    identified: IdentifiedByTendon,
+    identified: IdentifiedParametersByTendon,
 ) -> tuple[RunOutcome, Path]:
     """Run the demo in virtual time. Return the outcome and the path of the truth file."""
     truth = log.with_suffix(".truth")

@@ -13,7 +13,7 @@ from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.session.calibration import ensure_calibration
 from handctl.session.run import make_controller, run_live
-from handctl.session.run_plan import commission_log, default_log
+from handctl.session.run_plan import commissioning_log_path, default_log_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,9 +44,9 @@ def run(args: argparse.Namespace) -> int:
         )
         return report_dry_run(args, plan, line, digit=args.digit, commissioning=reason)
     announce_motion(args, plan, path, calibration)
-    log = args.log or default_log(plan.hand, "jog")
+    log = args.log or default_log_path(plan.hand, "jog")
     if calibration is None:
-        calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
+        calibration = ensure_calibration(plan, path, reason, run_live, commissioning_log_path(log))
     outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     if args.json:
         print_json({"digit": args.digit, "log": str(log), "failure": outcome.state.failure})

@@ -203,7 +203,7 @@ def _move_drive(
             off = (
                 release_drive(rig, watchdog_s, torque_drive)
                 if complete
-                else rig.confirm_off(watchdog_s)
+                else rig.confirm_disabled(watchdog_s)
             )
             # Ctrl-C or a bug has ended the motion, and this is reported here
             if not off and result is None:

@@ -19,7 +19,7 @@ from handctl.programs.task_program import TaskProgram
 from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
-from handctl.session.run_plan import RunPlan, commission_log, default_log
+from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
 from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
 from handctl.session.time_scale_advice import pace_advice
 
@@ -40,10 +40,10 @@ def run(args: argparse.Namespace) -> int:
         )
         return report_dry_run(args, plan, summary, next_step, commissioning=reason)
     announce_motion(args, plan, path, calibration)
-    log = args.log or default_log(plan.hand)
+    log = args.log or default_log_path(plan.hand)
     if calibration is None:
         runner = partial(run_live, observer=StdinWatch() if args.until_eof else None)
-        calibration = ensure_calibration(plan, path, reason, runner, commission_log(log))
+        calibration = ensure_calibration(plan, path, reason, runner, commissioning_log_path(log))
     plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     stdin_watch = StdinWatch() if args.until_eof else None

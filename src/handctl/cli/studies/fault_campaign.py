@@ -20,7 +20,7 @@ from handctl.log.write.recorder import Recorder
 from handctl.output_files import write_text_atomically
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_header import run_header
-from handctl.session.run_plan import RunPlan, default_rate
+from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         report = run_campaign(
             args.hand,
             protocols,
-            default_rate,
+            default_control_rate,
             jobs=args.jobs,
             is_quick=args.quick,
             fault_free_s=fault_free_s,

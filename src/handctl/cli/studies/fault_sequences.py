@@ -15,7 +15,7 @@ from handctl.cli.studies.fault_campaign import (
 )
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
-from handctl.session.run_plan import default_rate
+from handctl.session.run_plan import default_control_rate
 
 MAX_SEQUENCES = 1_000_000
 
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         results = fault_sequences.run_sequences(
             hand,
             args.protocol,
-            default_rate(hand),
+            default_control_rate(hand),
             seeds,
             jobs=args.jobs,
             on_progress=lambda done: update_progress(done, args.count, args.protocol),
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     figures: dict[str, Any] = {
         "hand": args.hand,
         "protocol": args.protocol,
-        "rate_hz": default_rate(hand),
+        "rate_hz": default_control_rate(hand),
         "first_seed": args.seed,
         "sequences": len(results),
         "broken": len(broken),

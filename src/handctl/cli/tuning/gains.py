@@ -184,7 +184,7 @@ def _rename_unusable(store: GainsStore) -> bool:
 
     Return True if a file was renamed.
     """
-    aside = store.set_aside()
+    aside = store.rename_damaged_file()
     if aside:
         print_escaped(
             f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True
@@ -251,8 +251,8 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     If a value is invalid, an error is raised before a request is sent.
     """
     from handctl.runtime.confirmed_requests import (
-        absent_controller_reported,
         open_watcher,
+        report_absent_controller,
         send_with_confirmation,
     )
 
@@ -261,8 +261,8 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:
-        watcher.request_line(GAIN_CHANGE_TIMEOUT_S)
-        with absent_controller_reported(bus):
+        watcher.request_status_line(GAIN_CHANGE_TIMEOUT_S)
+        with report_absent_controller(bus):
             line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)

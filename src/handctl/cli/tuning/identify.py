@@ -34,14 +34,14 @@ from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
     ensure_calibration,
     load_calibration,
-    previous_identified,
+    previous_identified_parameters,
     run_commissioning,
     write_calibration,
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
 from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
-from handctl.session.run_plan import RunPlan, commission_log, default_log
+from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identification_figure import draw_identification
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         digits = list(dict.fromkeys(step.digit for step in program.steps))
         line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
         return report_dry_run(args, plan, line, digits=digits, seconds=total, commissioning=reason)
-    log = args.log or default_log(plan.hand, "identify")
+    log = args.log or default_log_path(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
         calibration, outcome = _identify_in_lockstep(args, plan, program, log, about)
@@ -102,13 +102,13 @@ def run(args: argparse.Namespace) -> int:
         announce_motion(args, plan, path, calibration)
         print_note(about)
         calibration = calibration or ensure_calibration(
-            plan, path, reason, run_live, commission_log(log)
+            plan, path, reason, run_live, commissioning_log_path(log)
         )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
         held = HoldLimit()
         outcome = run_live(plan, controller, log, observer=held)
-        held.refuse_stopped(f"identifying {plan.hand.name}, log {log}")
-    outcome.check_finished(f"identifying {plan.hand.name}, log {log}")
+        held.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
+    outcome.raise_if_not_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
     return _report_results(args, plan.hand, {log: results}, path, calibration)
@@ -139,7 +139,7 @@ def _commission_and_excite(
 ) -> tuple[Calibration, RunOutcome]:
     """Commission and then excite a hand. Return the calibration and the outcome of the run."""
     started = time.monotonic()
-    calibration, _ = run_commissioning(plan, commission_log(log), runner)
+    calibration, _ = run_commissioning(plan, commissioning_log_path(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     print_note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
@@ -232,7 +232,7 @@ def _report_results(
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = utc_now_text()
-    identified = previous_identified(
+    identified = previous_identified_parameters(
         path, hand, calibration.drive if calibration else {}, print_notice
     )
     every = [one for tendons in results_of_log.values() for one in tendons.values()]

@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
         linear_factors,
         model_with_gains,
     )
-    from handctl.tune.loops.step_tests import DESIGN_FRACTION, RestTest
+    from handctl.tune.loops.step_tests import DESIGN_LIMIT_FRACTION, RestTest
     from handctl.tune.tuning_figures import draw_loops
 
     if args.poles is None and args.damping != 1.0:
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.from_hand(twin, gains, rate)
     proof = RestTest(twin, factors, plants, args.seed)
-    strict_proof = proof.with_fraction(DESIGN_FRACTION)
+    strict_proof = proof.with_limit_fraction(DESIGN_LIMIT_FRACTION)
     console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
@@ -68,16 +68,18 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             return _report_failure(args, f"{error}{strict_proof.reason}")
         is_proven = args.poles is None or proof(model_with_gains(model, result.gains))
-        if not result.worst_after.stable or not is_proven:
+        if not result.worst_margins_after.stable or not is_proven:
             return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
         result = (
-            result if proof(model) else result.with_unproven_before(proof.reason.removeprefix(": "))
+            result
+            if proof(model)
+            else result.with_unproven_old_gains(proof.reason.removeprefix(": "))
         )
     after = HandModel.from_hand(twin, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, result.gains, hand, note, fit=args.fit)
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
-    good = result.worst_after.are_sufficient
+    good = result.worst_margins_after.are_sufficient
     if args.json:
         print_json(_result_fields(result, out, picture, rate, len(plants)))
     else:
@@ -130,10 +132,10 @@ def _result_fields(
         "after": {
             f"{name}/{kind}": asdict(one) for (name, kind), one in gain_design.margins_after.items()
         },
-        "not_at_rest_before": gain_design.not_at_rest_before,
-        "worst_before": asdict(gain_design.worst_before),
-        "worst_after": asdict(gain_design.worst_after),
-        "enough": gain_design.worst_after.are_sufficient,
+        "not_at_rest_before": gain_design.old_gains_unrest_reason,
+        "worst_before": asdict(gain_design.worst_margins_before),
+        "worst_after": asdict(gain_design.worst_margins_after),
+        "enough": gain_design.worst_margins_after.are_sufficient,
     }
 
 
@@ -145,7 +147,7 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
-    unproven = "not at rest" if gain_design.not_at_rest_before else "unstable"
+    unproven = "not at rest" if gain_design.old_gains_unrest_reason else "unstable"
     alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), after in gain_design.margins_after.items():
         alike.setdefault(
@@ -156,11 +158,13 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
     table.add_row(
-        "worst", "", *_margin_cells(gain_design.worst_before, gain_design.worst_after, unproven)
+        "worst",
+        "",
+        *_margin_cells(gain_design.worst_margins_before, gain_design.worst_margins_after, unproven),
     )
     rich_console(min_width=TABLE_WIDTH).print(table)
-    if gain_design.not_at_rest_before:
-        reason = gain_design.not_at_rest_before
+    if gain_design.old_gains_unrest_reason:
+        reason = gain_design.old_gains_unrest_reason
         print_escaped(f"before: in simulation the hand does not come to rest: {reason}")
 
 

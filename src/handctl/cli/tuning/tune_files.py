@@ -13,8 +13,8 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.output_files import check_output, path_with_suffix, write_text_atomically
-from handctl.session.calibration import identified_in_file
-from handctl.tune.search.ensemble import draw_ensemble, ensemble_widths
+from handctl.session.calibration import identified_parameters_in_file
+from handctl.tune.search.ensemble import factor_half_widths, sample_ensemble
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -51,7 +51,7 @@ def ensemble_of_tuned_hand(
         ConfigError: the number of plants is too small or too large, or ``--perturb`` is wrong.
     """
     perturb = check_perturb(args, is_simulated=True)
-    plants = draw_ensemble(
+    plants = sample_ensemble(
         checked_count(args.plants, "--plants", maximum), args.seed, spread_of_factor
     )
     if args.fit:
@@ -99,7 +99,7 @@ class TunedHand(NamedTuple):
             This hand is the model of the controller, as in a run with the same calibration. This
             hand is also the center of the ensemble of simulated plants.
         factor_spread: half width of the ensemble for each parameter, from the identification, see
-            ``draw_ensemble``.
+            ``sample_ensemble``.
     """
 
     hand: Hand
@@ -121,5 +121,5 @@ def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:
     hand = load_hand(name)
     if fit is None:
         return TunedHand(hand, hand, {})
-    identified = identified_in_file(fit, hand)
-    return TunedHand(hand, identified_hand(hand, identified), ensemble_widths(identified))
+    identified = identified_parameters_in_file(fit, hand)
+    return TunedHand(hand, identified_hand(hand, identified), factor_half_widths(identified))

@@ -17,11 +17,20 @@ from handctl.cli.console.plan import check_perturb, find_calibration, make_plan,
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
-from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in_file
+from handctl.session.calibration import (
+    ensure_calibration,
+    homed_calibration,
+    identified_parameters_in_file,
+)
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
-from handctl.session.run_plan import RunPlan, check_gain_margins, commission_log, default_log
+from handctl.session.run_plan import (
+    RunPlan,
+    check_gain_margins,
+    commissioning_log_path,
+    default_log_path,
+)
 from handctl.session.simulate import SimulatorSettings
 
 
@@ -57,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
-    log = args.log or default_log(plan.hand, "verify")
+    log = args.log or default_log_path(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
     first = args.seed
     runs = []
@@ -92,10 +101,14 @@ def _run_test_round(
         path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
         announce_motion(args, plan, path, calibration)
         if calibration is None:
-            calibration = ensure_calibration(plan, path, reason, run_live, commission_log(log))
+            calibration = ensure_calibration(
+                plan, path, reason, run_live, commissioning_log_path(log)
+            )
         controller = make_controller(plan, program, calibration, True)
         return run_live(plan, controller, log, observer=verify_observer), None
-    calibration = homed_calibration(plan.hand, identified_in_file(args.calibration, plan.hand))
+    calibration = homed_calibration(
+        plan.hand, identified_parameters_in_file(args.calibration, plan.hand)
+    )
     truth = log.with_suffix(".truth")
     perturb = gain_assignments(args.perturb, "--perturb")
     with SimulatorSettings(
@@ -251,11 +264,13 @@ def _gains_label(
     round_number: int, gains_return: dict[str, Any] | None, amplitudes: tuple[float, ...]
 ) -> str:
     """Return the label of the gains in a test round: old, new, first new and then old, or old again."""
-    from handctl.tune.gains_verification import OLD_GAINS_ROUNDS
+    from handctl.tune.gains_verification import ROUNDS_WITH_OLD_GAINS
 
-    if round_number < OLD_GAINS_ROUNDS:
+    if round_number < ROUNDS_WITH_OLD_GAINS:
         return "old"
     if gains_return is None:
         return "new"
-    end = OLD_GAINS_ROUNDS + amplitudes[OLD_GAINS_ROUNDS:].index(gains_return["amplitude"])
+    end = ROUNDS_WITH_OLD_GAINS + amplitudes[ROUNDS_WITH_OLD_GAINS:].index(
+        gains_return["amplitude"]
+    )
     return "new" if round_number < end else "new, then old" if round_number == end else "old again"

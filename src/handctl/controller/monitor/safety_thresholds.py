@@ -12,13 +12,13 @@ from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import SignalCoding, SignalQuantity
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.safety_limits import (
-    MIN_FRAMES_LIMIT,
+    MAX_SILENCE_S,
+    MAX_STALL_S,
+    MIN_FLOOD_FRAMES,
     MIN_SILENT_TICKS,
     MIN_STALLED_TICKS,
-    SILENT_S,
-    STALLED_S,
     SafetyLimits,
-    ticks_for,
+    tick_count_for_time,
 )
 
 POSITION_STEP_FACTOR = 1.5
@@ -54,8 +54,8 @@ def safety_limits(
         drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
         tension_low=sensors.tension_low,
-        silent_ticks=ticks_for(SILENT_S, model.period, MIN_SILENT_TICKS),
-        stalled_ticks=ticks_for(STALLED_S, model.period, MIN_STALLED_TICKS),
+        silent_ticks=tick_count_for_time(MAX_SILENCE_S, model.period, MIN_SILENT_TICKS),
+        stalled_ticks=tick_count_for_time(MAX_STALL_S, model.period, MIN_STALLED_TICKS),
         noise=_noise_limit(model),
         frames=max_frames_per_tick(drives, sensors),
     )
@@ -83,7 +83,7 @@ def compiled_constants(
     period = model.period
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
-    mute = ticks_for(SILENT_S, joint_period, MIN_SILENT_TICKS) * joint_period
+    mute = tick_count_for_time(MAX_SILENCE_S, joint_period, MIN_SILENT_TICKS) * joint_period
     rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
     return HandConstants(model, {
         "tare": tare_tensions,
@@ -184,7 +184,7 @@ def torque_resolution(drive: Drive) -> float:
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
     """Return the number of frames per tick above which the bus counts as flooded: twice the replies of all nodes."""
     return max(
-        MIN_FRAMES_LIMIT,
+        MIN_FLOOD_FRAMES,
         sum(len(drive.frames_per_tick) for drive in drives) + 2 * len(sensors.node_ids),
     )
 

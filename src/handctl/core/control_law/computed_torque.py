@@ -60,7 +60,7 @@ from handctl.core.estimation.varying_moment_arms import (
 )
 from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
-from handctl.safety.faults.tendon import SNAP_N
+from handctl.safety.faults.tendon import SNAP_MIN_COMMAND_N
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -90,7 +90,7 @@ The margin is about the error of the estimated tension.
 """
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
-TAKE_UP_TENSION_N = SNAP_N
+TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 """Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
 
 With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the

@@ -28,10 +28,10 @@ from handctl.safety.faults.bus import (
     B11A,
     B11B,
     B17,
-    HOLD_LOST_FRAMES,
+    LOST_FRAMES_FOR_HOLD,
+    LOST_FRAMES_FOR_RELAX,
     MALFORMED_FRAMES_LIMIT,
     MAX_UNKNOWN_FRAMES_PER_S,
-    RELAX_LOST_FRAMES,
 )
 
 Evidence = NDArray[np.float64]
@@ -84,9 +84,9 @@ def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
     """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
-        if number > HOLD_LOST_FRAMES:
+        if number > LOST_FRAMES_FOR_HOLD:
             evidence[B03A, node] = number
-        if number > RELAX_LOST_FRAMES:
+        if number > LOST_FRAMES_FOR_RELAX:
             evidence[B03B, node] = number
 
 

@@ -11,7 +11,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from handctl.safety.faults.node import HALF_RATE_MISSES
+from handctl.safety.faults.node import HALF_RATE_MISSING_REPLIES
 
 AGE_WITHOUT_READING = 1_000_000
 """Age that is used for a node from which no reading was received so far [ticks]."""
@@ -132,4 +132,7 @@ def misses_every_second(x: StateTables, node: int) -> bool:
     recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
-    return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1
+    return (
+        count_set_bits(recent) >= HALF_RATE_MISSING_REPLIES
+        and count_set_bits(recent & recent >> 1) <= 1
+    )

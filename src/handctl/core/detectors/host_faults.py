@@ -15,7 +15,7 @@ from handctl.safety.faults.host import (
     I07B,
     I11A,
     I11B,
-    LATE_FRACTION,
+    LATE_TICK_FRACTION,
     REFUSED_REQUESTS_LIMIT,
 )
 
@@ -26,7 +26,7 @@ def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
     # Delay of the start of the tick, as a fraction of the control period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
     missed = x.run_int[s.MISSED_TICKS]
-    if late > LATE_FRACTION:
+    if late > LATE_TICK_FRACTION:
         evidence[H01, 0] = late
     if missed >= 1:
         evidence[H02, 0] = missed

@@ -35,20 +35,20 @@ from handctl.safety.faults.node import (
     N15,
     N16,
     N17,
-    NOT_OBEYED_FRACTION,
-    NOT_OBEYED_N,
-    PAID_OUT_M,
+    OSCILLATION_DURATION_S,
+    PULL_AFTER_CUT_FRACTION,
+    PULL_AFTER_CUT_N,
+    PULL_AFTER_CUT_TIME_S,
+    RELEASED_SPOOL_TRAVEL_M,
+    REPORTED_PULL_AFTER_CUT_N,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
-    STILL_PULLING_FRACTION,
-    STILL_PULLING_N,
-    STILL_PULLING_S,
-    STILL_REPORTED_N,
-    STUCK_GOAL_M,
-    STUCK_JOINT_DEG,
-    STUCK_S,
-    STUCK_TENSION_N,
-    SWING_S,
+    STUCK_SENSOR_GOAL_CHANGE_M,
+    STUCK_SENSOR_JOINT_CHANGE_DEG,
+    STUCK_SENSOR_TENSION_CHANGE_N,
+    STUCK_SENSOR_TIME_S,
+    TORQUE_DIFFERENCE_LIMIT_FRACTION,
+    TORQUE_DIFFERENCE_LIMIT_N,
 )
 
 _ROW_BY_CAUSE = {
@@ -151,10 +151,12 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
         disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
-        tolerated = min(NOT_OBEYED_N, NOT_OBEYED_FRACTION * c.tendon[h.DRIVE_LIMIT, n])
+        tolerated = min(
+            TORQUE_DIFFERENCE_LIMIT_N, TORQUE_DIFFERENCE_LIMIT_FRACTION * c.tendon[h.DRIVE_LIMIT, n]
+        )
         if disobeyed > tolerated or torque_correlation.is_command_contradicted(x, c, n):
             evidence[N14, n] = disobeyed
-        if x.tendon[s.SWING_S, n] > SWING_S:
+        if x.tendon[s.SWING_S, n] > OSCILLATION_DURATION_S:
             evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
         if torque_correlation.is_command_ignored(x, c, n):
             evidence[N17, n] = torque_correlation.fraction_of_command_reported(x, n)
@@ -168,17 +170,17 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
+        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_SENSOR_TIME_S:
             goal = stuck_sensors.motion_since_reading(
                 x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n]
             )
             tension = stuck_sensors.motion_since_reading(
                 stuck_sensors.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n]
             )
-            if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
+            if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
-        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
+        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned = (
                 stuck_sensors.motion_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
@@ -186,7 +188,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 / c.joint[h.JOINT_SCALE, j]
                 * DEG_PER_RAD
             )
-            if turned > STUCK_JOINT_DEG:
+            if turned > STUCK_SENSOR_JOINT_CHANGE_DEG:
                 evidence[N04 + 1, j] = turned
 
 
@@ -197,14 +199,14 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     The tension is visible in the load-cell reading or in the torque that the drive reports. A spool
     that has paid out its tendon is released, although the tendon may still be taut.
     """
-    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
+    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
         if (
-            tension > STILL_PULLING_N
+            tension > PULL_AFTER_CUT_N
             and not _has_paid_out(x, c, n)
-            and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
+            and tension > PULL_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16, n] = tension
         elif _still_reports_torque(x, c, n):
@@ -216,7 +218,7 @@ def _has_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
     turned = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
     # The comparison with NaN is False, so an unknown position does not count as released.
-    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned < -PAID_OUT_M)
+    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned < -RELEASED_SPOOL_TRAVEL_M)
 
 
 @kernel_helper
@@ -232,5 +234,5 @@ def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
     reported = abs(x.tendon[s.MEASURED_FORCE, n])
     # A drive that reports its torque in large steps may report one step although it makes no
     # torque.
-    threshold = STILL_REPORTED_N + c.tendon[h.TORQUE_STEP, n]
-    return reported > threshold and reported > STILL_PULLING_FRACTION * before
+    threshold = REPORTED_PULL_AFTER_CUT_N + c.tendon[h.TORQUE_STEP, n]
+    return reported > threshold and reported > PULL_AFTER_CUT_FRACTION * before

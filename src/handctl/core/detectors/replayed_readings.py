@@ -13,7 +13,7 @@ import math
 from handctl.compiled import kernel_helper
 from handctl.core import state_block as s
 from handctl.core.state_block import StateTables
-from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
+from handctl.safety.faults.tendon import MIN_REPEATED_READINGS, REPEAT_WINDOW
 
 MAX_AGE_TICKS = 64
 """Number of earlier readings of a channel with which each reading is compared."""
@@ -60,7 +60,7 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
     # The probability of so many equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
-        longest < MIN_REPEATS
+        longest < MIN_REPEATED_READINGS
         or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY
     ):
         return 0

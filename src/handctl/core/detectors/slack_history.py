@@ -8,7 +8,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.state_block import StateTables
-from handctl.safety.faults.tendon import SLACK_N, TAUT_N
+from handctl.safety.faults.tendon import SLACK_TENSION_N, TAUT_TENSION_N
 
 LATE_READING_S = 0.08
 """Time after a cut of the torque from which each new reading is stored as the tension after the cut [s]."""
@@ -33,7 +33,7 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
         if math.isnan(commanded):
             x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
             x.tendon_int[s.SLACK_TICKS, n] = 0
-        elif tension > TAUT_N:
+        elif tension > TAUT_TENSION_N:
             x.tendon_int[s.TICKS_SINCE_TAUT, n] = 0
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif x.tendon_int[s.TICKS_SINCE_TAUT, n] >= 0:
@@ -41,9 +41,13 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             # Both tendons of a spool pair are taut if the net tension is below twice the
             # pretension. So no tendon of a spool pair counts as slack while the commanded net
             # tension is below twice the pretension.
-            loose = tension < SLACK_N and commanded > max(TAUT_N, 2.0 * c.tendon[h.PRETENSION, n])
+            loose = tension < SLACK_TENSION_N and commanded > max(
+                TAUT_TENSION_N, 2.0 * c.tendon[h.PRETENSION, n]
+            )
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
-        is_taut = tension > TAUT_N or (x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_N)
+        is_taut = tension > TAUT_TENSION_N or (
+            x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_TENSION_N
+        )
         # At least one tendon of a spool pair is always taut.
         x.tendon_int[s.IS_TAUT, n] = is_taut or pair
 

@@ -21,23 +21,23 @@ from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import RELAX_MODE
 from handctl.safety.faults.tendon import (
-    CELL_FORCE_N,
-    CELL_TICKS,
     DERAILED_READINGS,
+    EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
-    FREE_SPOOL_FRACTION,
-    FRICTION_WARN_N,
-    MIN_SNAP_SPEED,
-    RELAXED_S,
+    FREE_SPOOL_SPEED_FRACTION,
+    MIN_SNAP_SPOOL_SPEED,
+    RELAXING_TIME_S,
     RESIDUAL_TRIP_N,
     RESIDUAL_WARN_N,
     SLACK_TRIP_S,
     SLACK_WARN_S,
-    SNAP_FRACTION,
-    SNAP_MEMORY_S,
-    SNAP_N,
-    SNAP_SPEED,
-    SNAP_SPEED_WITHOUT_CELL,
+    SNAP_MIN_COMMAND_N,
+    SNAP_SPOOL_SPEED,
+    SNAP_SPOOL_SPEED_WITHOUT_CELL,
+    SNAP_TAUT_MEMORY_S,
+    SNAP_TENSION_FRACTION,
+    STUCK_CELL_FORCE_RANGE_N,
+    STUCK_CELL_READINGS,
     T01,
     T02A,
     T02B,
@@ -51,7 +51,7 @@ from handctl.safety.faults.tendon import (
     T06,
     T08,
     T09,
-    TAUT_N,
+    TAUT_TENSION_N,
 )
 
 
@@ -62,7 +62,7 @@ def detect_tendon_faults(
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
-    relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
+    relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
@@ -94,13 +94,17 @@ def detect_tendon_faults_under_torque(
         excess = residuals.excess_tension(x, c, n)
         if unexplained > RESIDUAL_TRIP_N or excess > EXCESS_TENSION_TRIP_N:
             evidence[T04B, n] = max(unexplained, excess)
-        if rubs > FRICTION_WARN_N:
+        if rubs > EXCESS_FRICTION_WARN_N:
             evidence[T09, n] = rubs
         pushed = stuck_sensors.motion_since_reading(
             x.tendon[s.CELL_ANCHOR + 1, n], x.tendon[s.CELL_ANCHOR, n]
         )
-        same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
-        if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
+        same = x.tendon_int[s.CELL_STUCK, n] >= STUCK_CELL_READINGS
+        if (
+            same
+            and pushed > STUCK_CELL_FORCE_RANGE_N
+            and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_TENSION_N
+        ):
             evidence[T05, n] = pushed
         age = age_of_repeated_readings(x, n)
         if age > 0:
@@ -139,7 +143,7 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
         v = ((1 + K) f - c) / K_v.
 
     For a tendon with a small commanded tension, such as an extensor in a grasp, this speed is below
-    ``SNAP_SPEED``. The threshold is then a fraction of it. A motion has no such final speed,
+    ``SNAP_SPOOL_SPEED``. The threshold is then a fraction of it. A motion has no such final speed,
     because its position feedback also moves the spool. Neither has a stream of tensions, whose
     targets may change in every tick.
 
@@ -154,17 +158,17 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
         commanded: commanded tension, positive [N].
     """
     if c.tendon_int[h.CELL_GROUP, n] < 0:
-        return SNAP_SPEED_WITHOUT_CELL
+        return SNAP_SPOOL_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
     if not holds or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY or is_stream_running(x):
-        return SNAP_SPEED
+        return SNAP_SPOOL_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
     # The comparison needs no division, because the damping may be zero.
-    if FREE_SPOOL_FRACTION * force >= SNAP_SPEED * damping:
-        return SNAP_SPEED
-    return max(FREE_SPOOL_FRACTION * force / damping, MIN_SNAP_SPEED)
+    if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
+        return SNAP_SPOOL_SPEED
+    return max(FREE_SPOOL_SPEED_FRACTION * force / damping, MIN_SNAP_SPOOL_SPEED)
 
 
 @kernel_helper
@@ -185,12 +189,12 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence)
         speed = -speed
         planned = -planned
         tension = -tension
-    was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
+    was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
     beyond = speed - max(planned, 0.0)
     if (
         beyond > _snap_speed(x, c, n, commanded)
-        and commanded > SNAP_N
-        and tension < SNAP_FRACTION * commanded
+        and commanded > SNAP_MIN_COMMAND_N
+        and tension < SNAP_TENSION_FRACTION * commanded
         and was_taut
     ):
         evidence[T01, n] = beyond

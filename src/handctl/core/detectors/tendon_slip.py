@@ -9,10 +9,10 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measurements import monitored_tension
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import (
-    DERAILED_DEG,
-    DERAILED_WITHOUT_CELL_DEG,
-    SLACK_N,
-    TAUT_N,
+    DERAILED_TENDON_DEG,
+    DERAILED_TENDON_WITHOUT_CELL_DEG,
+    SLACK_TENSION_N,
+    TAUT_TENSION_N,
 )
 
 SETTLE_S = 0.1
@@ -35,9 +35,9 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # At least one tendon of a spool pair is always taut.
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
-        elif tension < SLACK_N or _is_tautness_unknown(x, c, n):
+        elif tension < SLACK_TENSION_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_S, n] = 0.0
-        elif tension > TAUT_N:
+        elif tension > TAUT_TENSION_N:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
         stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
         apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
@@ -69,4 +69,8 @@ def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
 @kernel_helper
 def derailed_limit(c: ConstantTables, n: int) -> float:
     """Return the slip above which a tendon counts as derailed [deg]."""
-    return DERAILED_WITHOUT_CELL_DEG if c.tendon_int[h.CELL_GROUP, n] < 0 else DERAILED_DEG
+    return (
+        DERAILED_TENDON_WITHOUT_CELL_DEG
+        if c.tendon_int[h.CELL_GROUP, n] < 0
+        else DERAILED_TENDON_DEG
+    )

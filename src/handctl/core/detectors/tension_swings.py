@@ -13,12 +13,12 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
-from handctl.safety.faults.node import SWING_N
+from handctl.safety.faults.node import OSCILLATION_RMS_N
 
 SLOW_PART_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
-The time constant belongs to the frequency ``SWING_HZ``.
+The time constant belongs to the frequency ``MIN_OSCILLATION_HZ``.
 """
 MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 """Time constant of the mean square of the remaining, fast part [s]."""
@@ -38,5 +38,5 @@ def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
             quick = deviation - x.tendon[s.SWING_SLOW, n]
         # A missing reading counts as a difference of 0.
         x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])
-        large = x.tendon[s.SWING_SQUARE, n] > square(SWING_N)
+        large = x.tendon[s.SWING_SQUARE, n] > square(OSCILLATION_RMS_N)
         x.tendon[s.SWING_S, n] = x.tendon[s.SWING_S, n] + period if large else 0.0

@@ -35,11 +35,11 @@ from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import COMMAND_DIFFERENCE
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import (
-    CONTRADICTED_FRACTION,
-    CONTRADICTED_MEAN_N,
-    CONTRADICTED_N,
-    REPORTED_FRACTION,
-    REPORTED_S,
+    CONTRADICTORY_REPORT_FRACTION,
+    CONTRADICTORY_REPORT_MEAN_N,
+    CONTRADICTORY_REPORT_N,
+    MIN_REPORTED_TORQUE_FRACTION,
+    REPORT_COMPARISON_TIME_S,
 )
 
 MIN_FILLING = 0.9
@@ -106,7 +106,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
         c: constants of the hand.
         missed: ticks missed before the present tick.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORT_COMPARISON_TIME_S)
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
@@ -189,8 +189,10 @@ def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
     if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
         return False
     return (
-        ab + COVARIANCE_MARGIN_SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S))
-        < REPORTED_FRACTION * aa
+        ab
+        + COVARIANCE_MARGIN_SIGMAS
+        * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORT_COMPARISON_TIME_S))
+        < MIN_REPORTED_TORQUE_FRACTION * aa
     )
 
 
@@ -245,5 +247,7 @@ def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
     report = x.tendon[s.MEASURED_FORCE, n]
     mean = x.tendon[s.RESIDUAL + COMMAND_DIFFERENCE, n]
     beyond = lowest - report if mean > 0.0 else report - highest
-    explained = CONTRADICTED_N + CONTRADICTED_FRACTION * max(abs(lowest), abs(highest))
-    return abs(mean) > CONTRADICTED_MEAN_N and beyond > explained
+    explained = CONTRADICTORY_REPORT_N + CONTRADICTORY_REPORT_FRACTION * max(
+        abs(lowest), abs(highest)
+    )
+    return abs(mean) > CONTRADICTORY_REPORT_MEAN_N and beyond > explained

@@ -56,7 +56,7 @@ def open_bus(
     index: int,
     bitrate: int,
     data_bitrate: int | None = None,
-    stamp: TimeConversion = _keep_monotonic_time,
+    convert_time: TimeConversion = _keep_monotonic_time,
 ) -> Bus:
     """Open a bus.
 
@@ -66,7 +66,7 @@ def open_bus(
         index: index of the bus in the hand's list, copied into every frame.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
-        stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
+        convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
     Raises:
         ConfigError: ``spec`` is not a valid bus specification.
@@ -78,11 +78,11 @@ def open_bus(
     if kind == "local":
         from handctl.runtime.buses.local_bus import LocalBus
 
-        return LocalBus(channel, index, stamp)
+        return LocalBus(channel, index, convert_time)
     if kind == "socketcan" and sys.platform == "linux":
         from handctl.runtime.buses.socketcan import open_socketcan
 
-        return open_socketcan(channel, index, bitrate, data_bitrate, stamp)
+        return open_socketcan(channel, index, bitrate, data_bitrate, convert_time)
     from handctl.runtime.buses.pythoncan import PythonCanBus
 
-    return PythonCanBus(kind, channel, index, bitrate, data_bitrate, stamp)
+    return PythonCanBus(kind, channel, index, bitrate, data_bitrate, convert_time)

@@ -22,7 +22,7 @@ from handctl.runtime.buses.bus_events import BusEvent, BusEvents
 from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.socket_paths import local_bus_path
-from handctl.runtime.socket_peers import is_served_by_us
+from handctl.runtime.socket_peers import is_served_by_same_user
 
 FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, number of dropped frames modulo 65536, payload."""
@@ -30,7 +30,7 @@ SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS_PER_READ = 4096
 """Largest number of records that one read returns."""
-INITIAL_SEND_RECORDS = 64
+INITIAL_SEND_CAPACITY_RECORDS = 64
 """Initial size of the send buffer [records]. The buffer grows for larger batches."""
 QUEUE_REPORT_ID = 0xE0000000
 """Identifier of a queue report.
@@ -66,7 +66,7 @@ def connect_to_hub(name: str) -> socket.socket:
     except OSError as error:
         link.close()
         raise NoSimulatorError(f"local:{name}", error.strerror or str(error)) from None
-    if not is_served_by_us(link):
+    if not is_served_by_same_user(link):
         link.close()
         raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")
     link.setblocking(False)
@@ -85,7 +85,7 @@ class LocalBus:
         self,
         channel: str,
         index: int,
-        stamp: TimeConversion,
+        convert_time: TimeConversion,
         max_records: int = MAX_RECORDS_PER_READ,
     ) -> None:
         """Connect to the hub of the bus.
@@ -93,7 +93,7 @@ class LocalBus:
         Args:
             channel: name of the bus.
             index: index of the bus in the list of the hand's buses.
-            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
+            convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
             max_records: largest number of records per read. If it is 1, the socket stays readable
                 as long as a frame waits to be read.
 
@@ -103,12 +103,12 @@ class LocalBus:
         self._socket = connect_to_hub(channel)
         self.name = f"local:{channel}"
         self._index = index
-        self._stamp = stamp
+        self._convert_time = convert_time
         self._events = BusEvents(self.name)
         memory = bytearray(max_records * CANFD_FRAME_BYTES)
         self._buffer = memoryview(memory)
         self._structs = FrameStructs(memory)
-        self._allocate(INITIAL_SEND_RECORDS)
+        self._allocate_send_buffer(INITIAL_SEND_CAPACITY_RECORDS)
         self._reads = min(MAX_READS_PER_DRAIN, max_records)
         self._partial_record_bytes = 0
         self._unsent_bytes = b""
@@ -117,7 +117,7 @@ class LocalBus:
         self._sent_count = self._transmitted_count = self._queue_frames = 0
         self._closed = False
 
-    def _allocate(self, count: int) -> None:
+    def _allocate_send_buffer(self, count: int) -> None:
         """Allocate a send buffer for ``count`` records."""
         memory = bytearray(count * CANFD_FRAME_BYTES)
         self._out = memoryview(memory)
@@ -131,7 +131,7 @@ class LocalBus:
             partial = self._partial_record_bytes
             size = self._read(self._buffer[partial:] if partial else self._buffer)
             if size:
-                parts.append(self._complete_records(partial + size))
+                parts.append(self._frames_of_complete_records(partial + size))
             if size < len(self._buffer) - partial:
                 break
         return join_frames(parts)
@@ -158,7 +158,7 @@ class LocalBus:
         self._closed = True
         self._events.set_lasting_state("enodev", True)
 
-    def _complete_records(self, filled_bytes: int) -> Frames:
+    def _frames_of_complete_records(self, filled_bytes: int) -> Frames:
         """Return the frames in the complete records of the first ``filled_bytes`` bytes of the buffer.
 
         If the last record is incomplete, its beginning stays in the buffer for the next read.
@@ -168,13 +168,13 @@ class LocalBus:
             return NO_FRAMES
         structs = self._structs
         frames, has_error_frames = structs.read(
-            count, self._stamp(time.monotonic_ns()), self._index
+            count, self._convert_time(time.monotonic_ns()), self._index
         )
         if has_error_frames:
             frames, errors = without_errors(frames.records)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)
-        self._count_dropped(structs.reserved_bits(count - 1))
+        self._count_dropped_frames(structs.reserved_bits(count - 1))
         if self._partial_record_bytes:
             self._buffer[: self._partial_record_bytes] = self._buffer[
                 filled_bytes - self._partial_record_bytes : filled_bytes
@@ -197,13 +197,15 @@ class LocalBus:
         if filled < CANFD_FRAME_BYTES:
             return None
         can_id, length, flags, lost, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
-        self._count_dropped(lost)
+        self._count_dropped_frames(lost)
         if can_id & ERROR_FLAG:
             self._take_control(can_id, data[:length])
             return None
-        return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
+        return Frame(
+            can_id, data[:length], flags, self._index, self._convert_time(time.monotonic_ns())
+        )
 
-    def _count_dropped(self, hub_counter: int) -> None:
+    def _count_dropped_frames(self, hub_counter: int) -> None:
         """Count the frames dropped by the hub since the last record.
 
         Here, ``hub_counter`` is the counter of the hub, modulo 65536.
@@ -219,7 +221,7 @@ class LocalBus:
         else:
             self._events.add_error_frame(can_id, data)
 
-    def _frames_that_fit(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+    def _frames_for_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return as many frames, counted from the first, as the queue has room for.
 
         All other frames count as refused.
@@ -242,7 +244,7 @@ class LocalBus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
-            frames = self._frames_that_fit(frames)
+            frames = self._frames_for_queue(frames)
         records = self._pack_records(frames)
         waiting = self._unsent_bytes + records if self._unsent_bytes else records
         if self._closed or not waiting:
@@ -274,7 +276,7 @@ class LocalBus:
                 ]
             )
         if len(frames) > self._out_structs.count:
-            self._allocate(2 * len(frames))
+            self._allocate_send_buffer(2 * len(frames))
         self._out_structs.write(frames)
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 

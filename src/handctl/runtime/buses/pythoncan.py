@@ -111,7 +111,7 @@ class PythonCanBus:
         index: int,
         bitrate: int,
         data_bitrate: int | None,
-        stamp: TimeConversion,
+        convert_time: TimeConversion,
     ) -> None:
         """Open the CAN interface with python-can.
 
@@ -121,14 +121,14 @@ class PythonCanBus:
             index: index of the bus in the list of the hand's buses.
             bitrate: nominal bit rate [bit/s].
             data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None for a classical bus.
-            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
+            convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
         Raises:
             BusError: python-can has no such interface, or cannot open it.
         """
         self.name = f"{interface}:{channel}"
         self._index = index
-        self._stamp = stamp
+        self._convert_time = convert_time
         self._events = BusEvents(self.name)
         self._bus = open_python_can(interface, channel, bitrate, data_bitrate)
 
@@ -162,7 +162,9 @@ class PythonCanBus:
         elif (
             message.is_rx
         ):  # the interfaces gs_usb and cantact also return the frames that this host has sent
-            frames.append(frame_of_message(message, self._index, self._stamp(time.monotonic_ns())))
+            frames.append(
+                frame_of_message(message, self._index, self._convert_time(time.monotonic_ns()))
+            )
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""

@@ -69,20 +69,22 @@ class SocketCanBus:
     The interface ``contract.Bus`` describes its methods.
     """
 
-    def __init__(self, link: socket.socket, name: str, index: int, stamp: TimeConversion) -> None:
+    def __init__(
+        self, link: socket.socket, name: str, index: int, convert_time: TimeConversion
+    ) -> None:
         """Set up an open socket for use as a bus.
 
         Args:
             link: raw CAN socket, or a datagram socket that carries the same structs.
             name: specification of the bus.
             index: index of the bus in the list of the hand's buses.
-            stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
+            convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
         """
         _set_socket_options(link)
         self.name = name
         self._socket = link
         self._index = index
-        self._stamp = stamp
+        self._convert_time = convert_time
         self._events = BusEvents(name)
         self._in = datagram_batches.DatagramSlots(
             MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, has_control_data=True
@@ -120,13 +122,17 @@ class SocketCanBus:
         batch. Otherwise each datagram is converted separately.
         """
         size = self._in.common_size(count, self._dropped)
-        frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
+        frames = (
+            self._convert_uniform_batch(count, FDF if size == CANFD_FRAME_BYTES else 0)
+            if size
+            else None
+        )
         if frames is None:
             self._offset.request_measurement()
-            frames = self._take_each(self._in.datagrams(count), time.monotonic_ns())
+            frames = self._convert_one_by_one(self._in.datagrams(count), time.monotonic_ns())
         return frames
 
-    def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
+    def _convert_uniform_batch(self, count: int, fd_flag: int) -> Frames | None:
         """Return the frames of a batch whose datagrams are all of the same kind.
 
         If the batch contains an error frame or a doubtful time stamp, return None. The caller then
@@ -140,52 +146,56 @@ class SocketCanBus:
         times = self._in.reception_stamps(count)
         times += self._offset.offset_ns()
         each = times.tolist()
-        earliest = self._latest
+        min_stamp_ns = self._latest
         first = min(each)
         last = max(each)
-        if not earliest <= first <= last <= earliest + MAX_STAMP_STEP_NS:
+        if not min_stamp_ns <= first <= last <= min_stamp_ns + MAX_STAMP_STEP_NS:
             return None
-        stamp = self._stamp
-        start = stamp(first)
+        convert_time = self._convert_time
+        start = convert_time(first)
         if (
-            stamp(last) - start == last - first
+            convert_time(last) - start == last - first
         ):  # between these time stamps, the time of the run is neither scaled nor paused
             times += start - first
         else:
-            times = np.array([stamp(t_ns) for t_ns in each])
+            times = np.array([convert_time(t_ns) for t_ns in each])
         self._latest = each[-1]
         frames.records["t_ns"] = times
         return frames
 
-    def _take_each(self, datagrams: list[datagram_batches.Datagram], now_ns: int) -> Frames:
+    def _convert_one_by_one(
+        self, datagrams: list[datagram_batches.Datagram], now_ns: int
+    ) -> Frames:
         """Convert datagrams of any kind, one after the other, and return their frames.
 
         Error frames and lost frames are counted as events instead.
         """
-        stamp = self._stamp
-        earliest = self._latest
+        convert_time = self._convert_time
+        min_stamp_ns = self._latest
         offset = self._offset.offset_ns()
         count = len(datagrams)
         stamps = []
         frames, _ = self._structs.read(count, 0, self._index)
-        is_data = np.ones(count, bool)
-        for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
+        is_data_frame = np.ones(count, bool)
+        for i, ((size, wall_time_ns, dropped), frame) in enumerate(
+            zip(datagrams, frames, strict=True)
+        ):
             # The value 0 means that the kernel has reported no count.
             if dropped != self._dropped and dropped:
                 self._events.add_event("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR_FLAG:
                 self._events.add_error_frame(frame.can_id, frame.data)
-                is_data[i] = False
+                is_data_frame[i] = False
                 continue
             frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
-            t_ns = realtime + offset
-            if not earliest <= t_ns <= now_ns:
+            t_ns = wall_time_ns + offset
+            if not min_stamp_ns <= t_ns <= now_ns:
                 # The time stamp is missing, or the wall clock has been set in the meantime.
                 t_ns = now_ns
-            stamps.append(stamp(t_ns))
+            stamps.append(convert_time(t_ns))
             self._latest = max(self._latest, t_ns)
-        records = frames.records[is_data]
+        records = frames.records[is_data_frame]
         records["t_ns"] = stamps
         return Frames(records)
 
@@ -237,7 +247,7 @@ def _set_socket_options(can_socket: socket.socket) -> None:
 
 
 def open_socketcan(
-    channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: TimeConversion
+    channel: str, index: int, bitrate: int, data_bitrate: int | None, convert_time: TimeConversion
 ) -> SocketCanBus:
     """Open a CAN interface of the Linux kernel.
 
@@ -247,7 +257,7 @@ def open_socketcan(
         bitrate: required nominal bit rate [bit/s].
         data_bitrate: required bit rate of the data phase of CAN FD [bit/s]. None for a classical
             bus.
-        stamp: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
+        convert_time: function that converts a CLOCK_MONOTONIC time to the time of the run [ns].
 
     Raises:
         BusError: the kernel has no SocketCAN, or the interface is missing or down, is not in CAN FD
@@ -277,7 +287,7 @@ def open_socketcan(
     if problem:
         link.close()
         raise BusError(problem, name, hint)
-    return SocketCanBus(link, name, index, stamp)
+    return SocketCanBus(link, name, index, convert_time)
 
 
 def _interface_problem(can_socket: socket.socket, channel: str, fd_mode: bool) -> str:

@@ -55,7 +55,7 @@ class RealClock:
         busy_wait: True to read the clock repeatedly before each deadline, without sleeping. This is
             useful only with real-time priority.
         start_ns: reading of the clock at tick 0 [ns of wall time].
-        pauses: number of pauses of the clock so far. Only the shared clock can pause.
+        pause_count: number of pauses of the clock so far. Only the shared clock can pause.
         paused_ns: total duration of these pauses [ns of wall time].
     """
 
@@ -63,7 +63,7 @@ class RealClock:
     time_scale: float = 1.0
     busy_wait: bool = False
     start_ns: int = 0
-    pauses: int = 0
+    pause_count: int = 0
     paused_ns: int = 0
 
     def start(self) -> None:

@@ -20,19 +20,19 @@ class GrantedPriority:
     """Permissions that the operating system has granted: real-time priority, locked memory, and awake processors.
 
     Attributes:
-        realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
+        is_realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
             priority.
         memory_locked: True if the memory of the process is locked against paging.
         processors_awake: True if idle processors stay awake while the ticks run.
     """
 
-    realtime: bool
+    is_realtime: bool
     memory_locked: bool
     processors_awake: bool = False
 
     def __str__(self) -> str:
         """List the granted and the refused permissions in one line."""
-        granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
+        granted = "SCHED_FIFO" if self.is_realtime else "no real-time priority (not permitted)"
         memory = ", memory locked" if self.memory_locked else ", memory not locked"
         return granted + memory + (", processors kept awake" if self.processors_awake else "")
 
@@ -45,8 +45,8 @@ def request_priority(level: int = 60) -> GrantedPriority:
     """
     # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
     # Under SCHED_FIFO, no other process on the same core could run during this time.
-    locked = _lock_memory()
-    return GrantedPriority(_enter_fifo(level), locked)
+    is_memory_locked = _lock_memory()
+    return GrantedPriority(_enter_fifo(level), is_memory_locked)
 
 
 def prepare_priority() -> GrantedPriority:
@@ -55,9 +55,9 @@ def prepare_priority() -> GrantedPriority:
     The start of a control loop takes a quarter of a second. During this time, the process has no
     real-time priority, so that other processes can use the core.
     """
-    locked = _lock_memory()
-    with realtime_priority() as granted, awake_processors() as awake:
-        return GrantedPriority(granted, locked, awake)
+    is_memory_locked = _lock_memory()
+    with realtime_priority() as granted, keep_processors_awake() as are_processors_awake:
+        return GrantedPriority(granted, is_memory_locked, are_processors_awake)
 
 
 @contextmanager
@@ -67,14 +67,14 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
     Yield True if the system has granted SCHED_FIFO.
     """
     try:
-        with awake_processors():
+        with keep_processors_awake():
             yield _enter_fifo(level)
     finally:
         _leave_fifo()
 
 
 @contextmanager
-def awake_processors() -> Iterator[bool]:
+def keep_processors_awake() -> Iterator[bool]:
     """Keep idle processors awake during a ``with`` block.
 
     Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may

@@ -109,8 +109,8 @@ class SharedClock(RealClock):
     """
 
     file: ClockFile = field(kw_only=True)
-    _last_pause: tuple[int, int] = (0, 0)
-    _abandoned_answer: int = -1
+    _end_and_duration_of_pause_ns: tuple[int, int] = (0, 0)
+    _answer_count_at_timeout: int = -1
 
     def start(self) -> None:
         """Start the run's time, see ``RealClock``."""
@@ -127,7 +127,7 @@ class SharedClock(RealClock):
         late = self._wait_until(deadline)
         if late <= MAX_CONTROLLER_PAUSE_NS:
             paused_ns = self._numbers[PAUSED_INDEX]
-            self._stop_at_gate()
+            self._pause_at_gate()
             self._wait_for_simulator(deadline)
             self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
             late = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
@@ -136,16 +136,21 @@ class SharedClock(RealClock):
 
     def clock_facts(self) -> dict[str, str]:
         """Return the number of pauses and their total duration, see ``TickClock``."""
-        return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
+        return {
+            "clock_pauses": str(self.pause_count),
+            "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}",
+        }
 
     def run_time_of(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
         The result is right only for time stamps after the last pause but one.
         """
-        end_ns, pause_ns = self._last_pause
-        since_pause = self._numbers[PAUSED_INDEX] - min(max(end_ns - monotonic_ns, 0), pause_ns)
-        return int((monotonic_ns - since_pause - self.start_ns) * self.time_scale)
+        end_ns, pause_ns = self._end_and_duration_of_pause_ns
+        paused_before_ns = self._numbers[PAUSED_INDEX] - min(
+            max(end_ns - monotonic_ns, 0), pause_ns
+        )
+        return int((monotonic_ns - paused_before_ns - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:
         return time.monotonic_ns() - self._numbers[PAUSED_INDEX]
@@ -160,7 +165,7 @@ class SharedClock(RealClock):
             TOLERATED_LATENESS_FRACTION * self.period_ns / self.time_scale
         )
 
-    def _stop_at_gate(self) -> None:
+    def _pause_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
         The simulator has never seen a time after the gate. Therefore the simulator sees no jump
@@ -175,14 +180,14 @@ class SharedClock(RealClock):
         clock does not wait for the simulator until it has answered again.
         """
         numbers = self._numbers
-        if numbers[ANSWERED_INDEX] == self._abandoned_answer:
+        if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:
             return
         end = time.monotonic_ns() + MAX_SIMULATOR_WAIT_NS
         while not self._is_answered(deadline_ns):
             time.sleep(SIMULATOR_POLL_PERIOD_S)
-            self._stop_at_gate()
+            self._pause_at_gate()
             if time.monotonic_ns() > end:
-                self._abandoned_answer = numbers[ANSWERED_INDEX]
+                self._answer_count_at_timeout = numbers[ANSWERED_INDEX]
                 return
 
     def _is_answered(self, deadline_ns: int) -> bool:
@@ -197,6 +202,6 @@ class SharedClock(RealClock):
     def _count_pause(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""
         if pause_ns:
-            self._last_pause = (time.monotonic_ns(), pause_ns)
-            self.pauses += 1
+            self._end_and_duration_of_pause_ns = (time.monotonic_ns(), pause_ns)
+            self.pause_count += 1
             self.paused_ns += pause_ns

@@ -31,24 +31,24 @@ class SuspendWatch:
 
     def __init__(
         self,
-        boot_clock: Callable[[], int] = read_boot_clock_ns,
-        monotonic_clock: Callable[[], int] = time.monotonic_ns,
+        read_boot_clock: Callable[[], int] = read_boot_clock_ns,
+        read_monotonic_clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Read both clocks for the first time.
 
         Args:
-            boot_clock: clock that continues during a suspend [ns].
-            monotonic_clock: clock that stops during a suspend [ns].
+            read_boot_clock: clock that continues during a suspend [ns].
+            read_monotonic_clock: clock that stops during a suspend [ns].
         """
-        self._boot = boot_clock
-        self._monotonic = monotonic_clock
+        self._boot = read_boot_clock
+        self._monotonic = read_monotonic_clock
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
         """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
         before = self._monotonic()
-        boot = self._boot()
-        return boot - before if self._monotonic() - before < MAX_READING_NS else None
+        boot_time_ns = self._boot()
+        return boot_time_ns - before if self._monotonic() - before < MAX_READING_NS else None
 
     def take_events(self) -> list[IoEvent]:
         """Return an event with the duration [ms] if the machine was suspended since the last call."""

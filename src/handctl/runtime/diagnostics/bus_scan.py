@@ -62,9 +62,9 @@ class BusScan(NamedTuple):
     frame_count: int
 
 
-def collect_frames(bus: Bus, for_s: float, seen_frames: list[Frame]) -> None:
+def collect_frames(bus: Bus, duration_s: float, seen_frames: list[Frame]) -> None:
     """Append the frames received on a bus during a time [s] to ``seen_frames``."""
-    end = time.monotonic() + for_s
+    end = time.monotonic() + duration_s
     while True:
         seen_frames += bus.drain()
         left = end - time.monotonic()
@@ -77,7 +77,7 @@ def scan_bus(
     bus: Bus,
     force: bool = False,
     report_text: Callable[[str], None] = lambda text: None,
-    listen: ListenFunction = collect_frames,
+    listen_function: ListenFunction = collect_frames,
 ) -> BusScan:
     """Scan a bus for drives, in about two seconds.
 
@@ -85,17 +85,17 @@ def scan_bus(
         bus: open bus.
         force: True to send requests even if another host seems to be active on the bus.
         report_text: function that is called with a text about each step of the scan.
-        listen: function to collect frames during a time, see ``ListenFunction``.
+        listen_function: function to collect frames during a time, see ``ListenFunction``.
     """
     seen: list[Frame] = []
     omitted: list[Frame] = []
     foreign: tuple[Frame, ...] = ()
     for turn in PROBE_ROUNDS:
         report_text("listening" if turn == 0 else f"asking, round {turn} of {PROBE_ROUNDS[-1]}")
-        for frame in _round_requests(turn, seen, omitted):
-            if not _send_with_retries(bus, frame, seen, listen):
+        for frame in _requests_of_round(turn, seen, omitted):
+            if not _send_with_retries(bus, frame, seen, listen_function):
                 break
-        listen(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen)
+        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign_frames(seen)):
             break
     drives = tuple(
@@ -108,10 +108,10 @@ def scan_bus(
 
 def requests_without_answers() -> tuple[Frame, ...]:
     """Return the requests that a scan sends on a bus where no node answers."""
-    return tuple(frame for turn in PROBE_ROUNDS for frame in _round_requests(turn, [], []))
+    return tuple(frame for turn in PROBE_ROUNDS for frame in _requests_of_round(turn, [], []))
 
 
-def _round_requests(
+def _requests_of_round(
     round_index: int, seen_frames: list[Frame], omitted_frames: list[Frame]
 ) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
@@ -156,7 +156,7 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
 
 
 def _send_with_retries(
-    bus: Bus, frame: Frame, seen_frames: list[Frame], listen: ListenFunction
+    bus: Bus, frame: Frame, seen_frames: list[Frame], listen_function: ListenFunction
 ) -> bool:
     """Send a frame, and receive frames in the pause after it.
 
@@ -164,7 +164,7 @@ def _send_with_retries(
     """
     for _ in range(MAX_SEND_TRIES):
         if bus.send((frame,)):
-            listen(bus, BURST_PAUSE_S / MAX_BURST_FRAMES, seen_frames)
+            listen_function(bus, BURST_PAUSE_S / MAX_BURST_FRAMES, seen_frames)
             return True
-        listen(bus, BURST_PAUSE_S, seen_frames)
+        listen_function(bus, BURST_PAUSE_S, seen_frames)
     return False

@@ -90,8 +90,8 @@ class BusWatch:
 
     def find_other_host(
         self,
-        for_s: float = LISTEN_DURATION_S,
-        listen: Callable[[Bus, float, list[Frame]], None] = collect_frames,
+        duration_s: float = LISTEN_DURATION_S,
+        listen_function: Callable[[Bus, float, list[Frame]], None] = collect_frames,
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame from another host.
 
@@ -101,7 +101,7 @@ class BusWatch:
         own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
         seen: list[Frame] = []
         for bus in self.buses:
-            listen(bus, for_s / len(self.buses), seen)
+            listen_function(bus, duration_s / len(self.buses), seen)
         return next(
             (f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), ""
         )
@@ -168,18 +168,18 @@ class BusWatch:
             return
         table = self._tables[group]
         kinds = [signal.quantity for signal in table.message.signals]
-        decoded = zip(kinds, table.unpack(frame.data), strict=True)
+        kinds_and_values = zip(kinds, table.unpack(frame.data), strict=True)
         # If the load is too large, an amplifier may send NaN. The reading is then set to the low
         # end of the range, so that it counts as saturated.
         low = self.sensors.cell_range[0]
         values = [
             low if math.isnan(value) else value
-            for kind, value in decoded
+            for kind, value in kinds_and_values
             if kind != SignalQuantity.COUNTER
         ]
-        into = self.tensions if group < self.sensors.tension_frames else self.angles
+        reading_by_channel = self.tensions if group < self.sensors.tension_frames else self.angles
         for index, value in zip(self.sensors.channels[group], values, strict=True):
-            into[index] = SensorReading(value, frame.t_ns)
+            reading_by_channel[index] = SensorReading(value, frame.t_ns)
 
     def _send(self, frames: Sequence[Frame]) -> None:
         """Send each frame on its bus."""

@@ -17,7 +17,7 @@ from canopen.sdo.exceptions import SdoError
 
 from handctl.runtime.buses.pythoncan import open_python_can
 
-NUMBER_OBJECTS = {
+NUMERIC_IDENTITY_OBJECTS = {
     "vendor": (0x1018, 1),
     "product": (0x1018, 2),
     "revision": (0x1018, 3),
@@ -29,14 +29,14 @@ NUMBER_OBJECTS = {
     "counts": (0x608F, 1),
 }
 """Index and subindex of the objects with numbers, by name. Source: CiA 301, CiA 402-2."""
-TEXT_OBJECTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
+TEXT_IDENTITY_OBJECTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
 """Index and subindex of the objects with texts, by name. Source: CiA 301."""
 ANSWER_TIMEOUT_S = 0.3
 """Longest wait for the answer of a drive [s]."""
 
 
 class CanopenIdentity(NamedTuple):
-    """Numbers and texts that a node has reported, by the names in ``NUMBER_OBJECTS`` and ``TEXT_OBJECTS``.
+    """Numbers and texts reported by a node, named as in ``NUMERIC_IDENTITY_OBJECTS`` and ``TEXT_IDENTITY_OBJECTS``.
 
     An object that the node does not have is left out.
     """
@@ -77,10 +77,10 @@ def _read_identity(network: canopen.Network, node_id: int) -> CanopenIdentity:
     node.sdo.RESPONSE_TIMEOUT = ANSWER_TIMEOUT_S
     numbers: dict[str, int] = {}
     texts: dict[str, str] = {}
-    for name, (index, sub) in NUMBER_OBJECTS.items():
+    for name, (index, sub) in NUMERIC_IDENTITY_OBJECTS.items():
         if raw := _upload_object(node, index, sub):
             numbers[name] = int.from_bytes(raw, "little")
-    for name, (index, sub) in TEXT_OBJECTS.items():
+    for name, (index, sub) in TEXT_IDENTITY_OBJECTS.items():
         if raw := _upload_object(node, index, sub):
             texts[name] = raw.rstrip(b"\0").decode("ascii", "replace")
     return CanopenIdentity(numbers, texts)

@@ -21,18 +21,18 @@ from handctl.runtime.diagnostics.torque_step import (
 
 MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age at which feedback still counts as fresh [ns]."""
-MAX_LATE_TICKS_OF_100 = 5
+MAX_LATE_TICKS_PER_100 = 5
 """Number of ticks in 100 in which the feedback may be older, because other processes delay this process."""
 HOST_SILENCE_S = 0.3
 """Shortest time for which the check of the watchdog sends no commands [s]."""
-COUNTED_TICKS = 60
+CHECK_DURATION_TICKS = 60
 """Number of ticks in which a check counts answers, or sends torque commands to a disabled drive."""
-MIN_ANSWERS_OF_TWO_DRIVES = 1.5
+MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES = 1.5
 """Number of answers per request above which a second drive must have the same node number.
 
 A single drive sends one answer to each request. Two drives with the same number send two answers.
 """
-REPORTED_FRACTION = 0.3
+OBEYED_TORQUE_FRACTION = 0.3
 """Reported torque that shows that a disabled drive has obeyed a command, as a fraction of the torque limit."""
 
 
@@ -94,21 +94,21 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     turn the shaft. If the first of these two checks fails, the second is left out.
     """
     usable = True
-    reversed_turn = False
+    reversed_direction_failed = False
     for name, requirement, turns in CHECKED_REQUIREMENTS:
-        if not usable or (turns and reversed_turn):
-            yield _omitted_check(device, name, requirement)
+        if not usable or (turns and reversed_direction_failed):
+            yield _result_of_omitted_check(device, name, requirement)
             continue
         check = _run_check(device, name, requirement)
         yield check
         failed = check.verdict is CheckVerdict.FAILED
-        reversed_turn |= turns and failed
-        usable = device.rig.bring_to_ready() and not (
-            failed and requirement is _check_single_answers
+        reversed_direction_failed |= turns and failed
+        usable = device.rig.set_up_drive() and not (
+            failed and requirement is _check_one_answer_per_request
         )
 
 
-def _omitted_check(
+def _result_of_omitted_check(
     device: DeviceUnderTest, name: str, requirement: RequirementCheck
 ) -> ConformanceCheck:
     """Return the result of a check that is left out because an earlier check has failed.
@@ -116,7 +116,7 @@ def _omitted_check(
     If the drive is still enabled, the check of the disable command counts as failed, because an
     earlier check has already sent this command.
     """
-    if requirement is _check_disables and device.rig.state.phase == DrivePhase.ENABLED:
+    if requirement is _check_disable_command and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(
             name, CheckVerdict.FAILED, "stays enabled after the disable command of another check"
         )
@@ -137,7 +137,7 @@ def _run_check(
         return ConformanceCheck(name, CheckVerdict.NOT_CHECKED, str(not_possible))
 
 
-def _check_configures(device: DeviceUnderTest) -> str:
+def _check_configuration(device: DeviceUnderTest) -> str:
     """Check that the drive accepts its settings, and reaches the phase READY."""
     rig = device.rig
     if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
@@ -147,7 +147,9 @@ def _check_configures(device: DeviceUnderTest) -> str:
     return "settings read back"
 
 
-def _failure_of(device: DeviceUnderTest, checked: DriveProperty, observed_text: str) -> Exception:
+def _failed_check_error(
+    device: DeviceUnderTest, checked: DriveProperty, observed_text: str
+) -> Exception:
     """Return the exception for a drive that does not show a property.
 
     If handctl cannot check this property on the drive, the drive has not failed.
@@ -164,7 +166,7 @@ def _enable_drive(rig: DriveRig) -> None:
         )
 
 
-def _check_single_answers(device: DeviceUnderTest) -> str:
+def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
     """Check that each request to the drive gets exactly one answer.
 
     A second drive with the same node number would send another answer.
@@ -180,9 +182,9 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
         text = f"{answers} messages in the time of {requests:.0f}"
     else:
         answers -= round(unasked * polled_s / listened_s)
-        requests = COUNTED_TICKS
+        requests = CHECK_DURATION_TICKS
         text = f"{answers} answers to {requests} requests"
-    if answers > MIN_ANSWERS_OF_TWO_DRIVES * requests:
+    if answers > MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES * requests:
         raise CheckFailed(
             f"{text}: another drive has the same number; give each a number of its own"
         )
@@ -190,13 +192,13 @@ def _check_single_answers(device: DeviceUnderTest) -> str:
 
 
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
-    """Run COUNTED_TICKS ticks, and return the number of feedback frames received, and the duration of the ticks [s].
+    """Run CHECK_DURATION_TICKS ticks, and return the number of received feedback frames, and the duration [s].
 
     The duration includes ticks that were missed.
     """
     before = rig.state.feedback_count
     start_ns = rig.t_ns
-    for _ in range(COUNTED_TICKS):
+    for _ in range(CHECK_DURATION_TICKS):
         rig.run_tick(target)
     return rig.state.feedback_count - before, (rig.t_ns - start_ns) * 1e-9
 
@@ -210,7 +212,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
         raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity_rad_s) and abs(rig.velocity_rad_s) > MAX_REST_VELOCITY_RAD_S:
         raise CheckNotPossible(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
-    seen = _check_ignores_torque(device)
+    seen = _check_torque_ignored_when_disabled(device)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(
             rig.state.error_text or f"went to {rig.state.phase.name} at a torque command"
@@ -218,7 +220,7 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
 
 
-def _check_ignores_torque(device: DeviceUnderTest) -> str:
+def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
     """Send torque commands up to the limit to a disabled drive.
 
     If the drive follows these commands, raise CheckFailed.
@@ -227,14 +229,14 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
     if not rig.drive.torque_frames(0.0):
         return "without torque commands, because each of them enables"
     start = rig.state.position
-    reported_before = rig.state.torque
+    initial_reported_torque = rig.state.torque
     coasting = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
     reported: list[float] = []
     start_ns = rig.t_ns
-    for i in range(COUNTED_TICKS):
-        torque = device.torque_limit_N_m * (i + 1) / COUNTED_TICKS
+    for i in range(CHECK_DURATION_TICKS):
+        torque = device.torque_limit_N_m * (i + 1) / CHECK_DURATION_TICKS
         rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(torque))
-        reported.append(rig.state.torque - reported_before)
+        reported.append(rig.state.torque - initial_reported_torque)
         moved = rig.state.position - start
         if abs(moved) > MIN_MOTION_RAD + coasting * (rig.t_ns - start_ns) * 1e-9:
             rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
@@ -245,12 +247,12 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
     # command is a torque of zero.
     rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
-    if abs(mean) > REPORTED_FRACTION * device.torque_limit_N_m:
+    if abs(mean) > OBEYED_TORQUE_FRACTION * device.torque_limit_N_m:
         raise CheckFailed(f"reports {mean:+.3f} N m at torque commands while disabled")
     return f"ignores torque commands up to {device.torque_limit_N_m:+.3f} N m"
 
 
-def _check_enables(device: DeviceUnderTest) -> str:
+def _check_enable_command(device: DeviceUnderTest) -> str:
     """Check that the drive can be enabled, and measure how long this takes."""
     start = device.rig.t_ns
     _enable_drive(device.rig)
@@ -270,7 +272,7 @@ def _check_feedback(device: DeviceUnderTest) -> str:
         ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages.sort()
     count = rig.state.feedback_count - start
-    late = ages[-MAX_LATE_TICKS_OF_100]
+    late = ages[-MAX_LATE_TICKS_PER_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     if count < 0.8 * ticks or late > MAX_FEEDBACK_AGE_NS:
         raise CheckFailed(seen)
@@ -301,12 +303,12 @@ def _rotation_check(motion_sign: int) -> RequirementCheck:
                 else f"{step.reported_torque_N_m:+.3f} N m"
             )
             return f"at {step.commanded_torque_N_m:+.3f} N m; the drive reports {reported}"
-        raise _explain_no_motion(device, motion_sign, step.reported_torque_N_m)
+        raise _no_motion_error(device, motion_sign, step.reported_torque_N_m)
 
     return check_rotation
 
 
-def _explain_no_motion(device: DeviceUnderTest, motion_sign: int, torque: float) -> Exception:
+def _no_motion_error(device: DeviceUnderTest, motion_sign: int, torque: float) -> Exception:
     """Explain why a shaft did not turn at the torque limit.
 
     The explanation depends on the torque that the drive has reported [N m].
@@ -338,7 +340,7 @@ def _check_torque_limit(device: DeviceUnderTest) -> str:
     return f"more than {device.torque_limit_N_m:g} N m, NaN and infinity are refused before they are sent"
 
 
-def _check_disables(device: DeviceUnderTest) -> str:
+def _check_disable_command(device: DeviceUnderTest) -> str:
     """Check that the drive reports that it is disabled, within a second of the disable command."""
     rig = device.rig
     _enable_drive(rig)
@@ -351,7 +353,7 @@ def _check_disables(device: DeviceUnderTest) -> str:
     # Some drives do not report whether they are enabled. Such a drive gets torque commands after
     # the disable command. They show whether the drive has ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
-    return f"{took}; {_check_ignores_torque(device)}"
+    return f"{took}; {_check_torque_ignored_when_disabled(device)}"
 
 
 def _check_watchdog(device: DeviceUnderTest) -> str:
@@ -362,7 +364,7 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     rig.run_for(DriveTarget.LISTEN, silence)
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
         seen = f"still enabled after {silence * 1e3:.0f} ms without a command"
-        raise _failure_of(device, DriveProperty.WATCHDOG, seen)
+        raise _failed_check_error(device, DriveProperty.WATCHDOG, seen)
     text = rig.state.error_text
     rig.run_for(DriveTarget.ENABLE, 0.3)
     if rig.state.phase != DrivePhase.FAULT:
@@ -370,14 +372,14 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     return text
 
 
-def _check_clears(device: DeviceUnderTest) -> str:
+def _check_fault_clearing(device: DeviceUnderTest) -> str:
     """Check that the torque cut disables the drive, and that it is ready again after its faults are cleared."""
     rig = device.rig
     _enable_drive(rig)
     rig.cut_torque()
     rig.run_for(DriveTarget.LISTEN, 0.3)
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
-        raise _failure_of(device, DriveProperty.CUT, "no sign that the cut has disabled it")
+        raise _failed_check_error(device, DriveProperty.CUT, "no sign that the cut has disabled it")
     text = rig.state.error_text
     rig.clear_faults()
     if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0):
@@ -385,7 +387,7 @@ def _check_clears(device: DeviceUnderTest) -> str:
     return f"{text or 'off'}, and ready again after a clear"
 
 
-def _check_readable(device: DeviceUnderTest) -> str:
+def _check_frames_decodable(device: DeviceUnderTest) -> str:
     """Check that every frame received from the drive could be decoded."""
     state = device.rig.state
     if state.misread:
@@ -409,7 +411,7 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring_drive: Drive | Non
         restoring_drive: description of the drive with the settings to restore. If it is None, the drive
             keeps its present settings.
     """
-    if not rig.confirm_off(watchdog_s):
+    if not rig.confirm_disabled(watchdog_s):
         return False
     if restoring_drive is not None:
         rig.replace_drive(restoring_drive)
@@ -420,17 +422,17 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring_drive: Drive | Non
 
 
 CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
-    ("identifies itself, takes its settings and reads them back", _check_configures, False),
-    ("is the only drive with its number", _check_single_answers, False),
+    ("identifies itself, takes its settings and reads them back", _check_configuration, False),
+    ("is the only drive with its number", _check_one_answer_per_request, False),
     ("makes no torque until it is enabled", _check_no_torque_when_ready, False),
-    ("enables on command, and reports it", _check_enables, False),
+    ("enables on command, and reports it", _check_enable_command, False),
     ("gives feedback in every tick", _check_feedback, False),
     ("turns the positive way by positive torque", _rotation_check(1), True),
     ("turns the negative way by negative torque", _rotation_check(-1), True),
     ("refuses commands above its limit", _check_torque_limit, False),
-    ("disables on command, and reports it", _check_disables, False),
+    ("disables on command, and reports it", _check_disable_command, False),
     ("disables itself when the host falls silent, and stays off", _check_watchdog, False),
-    ("is cut at once, and cleared on command only", _check_clears, False),
-    ("sends only frames that can be decoded", _check_readable, False),
+    ("is cut at once, and cleared on command only", _check_fault_clearing, False),
+    ("sends only frames that can be decoded", _check_frames_decodable, False),
 )
 """For each requirement: its words, its check, and True if the check turns the shaft."""

@@ -36,7 +36,7 @@ After such a gap, the command takes the steps of the missed ticks at once.
 """
 SILENCE_TIMEOUT_NS = 100_000_000
 """Age of the latest feedback above which the jog stops [ns]."""
-HOLD_TIME_S = 0.2
+HOLD_DURATION_S = 0.2
 """Time at the end of a jog in which the drive holds its position, or stands still [s]."""
 
 
@@ -125,7 +125,7 @@ class _JogExecution:
         return self._rig.state.position - self._start
 
     @property
-    def _position_mode(self) -> bool:
+    def _is_position_mode(self) -> bool:
         return COMMAND_UNITS[self._goal.mode] == "rad"
 
     def hold_command(self, state: DriveState) -> float:
@@ -133,7 +133,7 @@ class _JogExecution:
 
         It is the last position, zero velocity or zero torque, whichever belongs to the mode.
         """
-        if not self._position_mode:
+        if not self._is_position_mode:
             return 0.0
         return self._command if state.phase == DrivePhase.ENABLED else state.position
 
@@ -147,14 +147,14 @@ class _JogExecution:
             return rig.reason_not_ready()
         # The start position is read only after the drive is ready. Before the drive has got its
         # settings, the positions that it sends may have another scale.
-        rig.run_for(DriveTarget.POLL, HOLD_TIME_S)
+        rig.run_for(DriveTarget.POLL, HOLD_DURATION_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
             return "reports no position"
-        furthest = abs(self._start) + abs(self._goal.target)
-        if self._position_mode and furthest > rig.drive.command_limit:
+        max_distance = abs(self._start) + abs(self._goal.target)
+        if self._is_position_mode and max_distance > rig.drive.command_limit:
             return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.command_limit:g} rad"
-        self._command = self._start if self._position_mode else 0.0
+        self._command = self._start if self._is_position_mode else 0.0
         if not rig.run_until(
             DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0
         ):
@@ -180,7 +180,7 @@ class _JogExecution:
         return ""
 
     def bring_to_rest(self) -> str:
-        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_TIME_S.
+        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_DURATION_S.
 
         Returns the reason for an early stop, empty if there was none.
         """
@@ -189,9 +189,9 @@ class _JogExecution:
             ramp_s = abs(self._command) / (HOST_LIMIT_FRACTION * self._goal.limits.acceleration)
         elif self._goal.mode == DriveMode.TORQUE:
             ramp_s = TORQUE_RAMP_S
-        for _ in range(math.ceil((ramp_s + HOLD_TIME_S) / PERIOD_S)):
+        for _ in range(math.ceil((ramp_s + HOLD_DURATION_S) / PERIOD_S)):
             if problem := self._run_tick(
-                self._command if self._position_mode else self._ramped_command(0.0)
+                self._command if self._is_position_mode else self._ramped_command(0.0)
             ):
                 return problem
         return ""
@@ -199,7 +199,7 @@ class _JogExecution:
     def _command_at(self, t_s: float) -> float:
         """Return the command at a time since the start of the motion [s]."""
         goal = self._goal
-        if not self._position_mode:
+        if not self._is_position_mode:
             return self._ramped_command(goal.target)
         speed = HOST_LIMIT_FRACTION * goal.limits.speed
         return self._start + distance_at(
@@ -253,12 +253,14 @@ class _JogExecution:
             )
         if abs(self.moved_rad) > goal.max_travel_rad:
             return f"moved {self.moved_rad:+.2f} rad, expected at most {goal.max_travel_rad:g}"
-        too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
-        too_strong = torque > OVERTORQUE_FACTOR * goal.max_torque_N_m
-        self._ticks_beyond_limit = self._ticks_beyond_limit + 1 if too_fast or too_strong else 0
+        is_too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
+        is_torque_too_large = torque > OVERTORQUE_FACTOR * goal.max_torque_N_m
+        self._ticks_beyond_limit = (
+            self._ticks_beyond_limit + 1 if is_too_fast or is_torque_too_large else 0
+        )
         if self._ticks_beyond_limit < MAX_TICKS_BEYOND_LIMIT:
             return ""
-        if too_fast:
+        if is_too_fast:
             return f"turns at {speed:.2f} rad/s, expected at most {goal.limits.speed:g}"
         return f"reports {torque:.3g} N m, expected at most {goal.max_torque_N_m:g}"
 

@@ -17,17 +17,17 @@ from handctl.runtime.clocks.real_clock import TickClock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
-MAX_SHOWN_IDS = 8
+MAX_LISTED_IDS = 8
 """Largest number of identifiers in a message. The replies of a RobStride motor have a thousand."""
 MAX_SETUP_S = 3.0
 """Longest time of the set-up of a drive [s]."""
-UNREPORTED_PHASES = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
+PHASES_BEFORE_READY_REPORT = (DrivePhase.SILENT, DrivePhase.CONFIGURING)
 """Phases in which the drive has not reported whether it makes torque."""
-VELOCITY_TICKS = 4
+VELOCITY_WINDOW_TICKS = 4
 """Number of ticks between the two positions from which the velocity is computed."""
 
 
-def _no_torque(state: DriveState) -> float:
+def _zero_torque_command(state: DriveState) -> float:
     """Return the command that does not move the shaft in torque mode: a torque of zero."""
     return 0.0
 
@@ -66,8 +66,8 @@ class DriveRig:
         self.missed_ticks = 0
         self.inertia = math.nan
         self.drive_events: list[tuple[str, str, int]] = []
-        self.idle_command: Callable[[DriveState], float] = _no_torque
-        self._positions = [(0, math.nan)] * (VELOCITY_TICKS + 1)
+        self.idle_command: Callable[[DriveState], float] = _zero_torque_command
+        self._positions = [(0, math.nan)] * (VELOCITY_WINDOW_TICKS + 1)
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
@@ -91,7 +91,7 @@ class DriveRig:
         """
         (first_ns, first), *_, (last_ns, last) = self._positions
         # After missed ticks, the time between two positions is longer than a tick.
-        return (last - first) / (max(last_ns - first_ns, VELOCITY_TICKS * PERIOD_NS) * 1e-9)
+        return (last - first) / (max(last_ns - first_ns, VELOCITY_WINDOW_TICKS * PERIOD_NS) * 1e-9)
 
     def run_tick(
         self, target: DriveTarget, command: float | None = None, extra_frames: Sequence[Frame] = ()
@@ -123,20 +123,21 @@ class DriveRig:
         return self.state
 
     def run_until(
-        self, target: DriveTarget, is_reached: Callable[[DriveState], bool], for_s: float
+        self, target: DriveTarget, is_condition_met: Callable[[DriveState], bool], timeout_s: float
     ) -> bool:
-        """Run ticks with the idle command until ``is_reached`` returns True for the state of the drive.
+        """Run ticks with the idle command until ``is_condition_met`` returns True for the state of the drive.
 
-        Returns False if this does not happen within the time ``for_s`` [s]. Only executed ticks count
+        Returns False if this does not happen within the time ``timeout_s`` [s]. Only executed ticks count
         as time. Otherwise a late host would leave the drive too few ticks for its answers.
         """
         return any(
-            is_reached(self.run_tick(target)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS))
+            is_condition_met(self.run_tick(target))
+            for _ in range(math.ceil(timeout_s * 1e9 / PERIOD_NS))
         )
 
-    def run_for(self, target: DriveTarget, for_s: float) -> None:
+    def run_for(self, target: DriveTarget, duration_s: float) -> None:
         """Run ticks with the idle command for a given time [s]."""
-        self.run_until(target, lambda state: False, for_s)
+        self.run_until(target, lambda state: False, duration_s)
 
     def reason_not_ready(self) -> str:
         """Return in words why the drive has not reached the phase READY: an error, missing answers, or its phase."""
@@ -146,8 +147,8 @@ class DriveRig:
             return f"stays in {self.state.phase.name}"
         # In an identifier of SocketCAN, the bits 29 to 31 are flags.
         ids = sorted(self.drive.node_ids)
-        shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_SHOWN_IDS])
-        others = f" or {len(ids) - MAX_SHOWN_IDS} others" if len(ids) > MAX_SHOWN_IDS else ""
+        shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_LISTED_IDS])
+        others = f" or {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
         return f"no reply; expected frames with the identifier {shown}{others}"
 
     def clear_faults(self) -> None:
@@ -163,7 +164,7 @@ class DriveRig:
         """Run a tick that sends only the frames for the regular end of a run."""
         self.run_tick(DriveTarget.LISTEN, extra_frames=self.drive.release_frames(self.state))
 
-    def bring_to_ready(self) -> bool:
+    def set_up_drive(self) -> bool:
         """Bring the drive into the phase READY from any other phase.
 
         Return True if the drive has reached the phase READY.
@@ -175,7 +176,7 @@ class DriveRig:
             DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, MAX_SETUP_S
         )
 
-    def confirm_off(self, watchdog_s: float) -> bool:
+    def confirm_disabled(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is disabled.
 
         A drive that was never heard is not off: another host may have enabled it. If the drive does
@@ -186,7 +187,7 @@ class DriveRig:
             self.run_for(DriveTarget.LISTEN, silence)
             if self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0):
                 return True
-        return self.state.phase in UNREPORTED_PHASES and self._report_after_setup()
+        return self.state.phase in PHASES_BEFORE_READY_REPORT and self._report_after_setup()
 
     def _report_after_setup(self) -> bool:
         """Set a drive up from the beginning and disable it. Returns True if it reports that it is off.
@@ -196,5 +197,7 @@ class DriveRig:
         """
         self.replace_drive(self.drive)
         return self.run_until(
-            DriveTarget.POLL, lambda state: state.phase not in UNREPORTED_PHASES, MAX_SETUP_S
+            DriveTarget.POLL,
+            lambda state: state.phase not in PHASES_BEFORE_READY_REPORT,
+            MAX_SETUP_S,
         ) and self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0)

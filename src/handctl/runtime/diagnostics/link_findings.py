@@ -39,13 +39,13 @@ class LinkFinding(NamedTuple):
         observation: text that describes the observation.
         good: True if the finding is no problem.
         fix: command or advice that corrects the problem.
-        fatal: True if the bus cannot be used.
+        is_bus_unusable: True if the bus cannot be used.
     """
 
     observation: str
     good: bool
     fix: str = ""
-    fatal: bool = False
+    is_bus_unusable: bool = False
 
 
 def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
@@ -55,13 +55,13 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
             f"{name} does not exist",
             False,
             set_up_text(name, bitrate, data_bitrate, interface_exists=False),
-            fatal=True,
+            is_bus_unusable=True,
         )
     fix = (
         f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
     )
     return LinkFinding(
-        f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), fatal=True
+        f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), is_bus_unusable=True
     )
 
 
@@ -77,28 +77,33 @@ def interface_findings(
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
     """
-    set_up = set_up_text(name, bitrate, data_bitrate, interface_exists=True)
+    set_up_command = set_up_text(name, bitrate, data_bitrate, interface_exists=True)
     result = [
         LinkFinding(
-            f"{name} is {'up' if link.is_up else 'down'}", link.is_up, set_up, fatal=not link.is_up
+            f"{name} is {'up' if link.is_up else 'down'}",
+            link.is_up,
+            set_up_command,
+            is_bus_unusable=not link.is_up,
         )
     ]
     if link.bitrate is not None or link.kind == "can":
-        result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up))
+        result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up_command))
     if data_bitrate is not None:
         result.append(
             LinkFinding(
-                "carries CAN FD" if link.is_fd else "does not carry CAN FD", link.is_fd, set_up
+                "carries CAN FD" if link.is_fd else "does not carry CAN FD",
+                link.is_fd,
+                set_up_command,
             )
         )
         if link.kind == "can":
             result.append(
-                _rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up)
+                _rate_finding(
+                    "bit rate of the data phase", link.data_bitrate, data_bitrate, set_up_command
+                )
             )
-    rule = UDEV_QUEUE_RULE.format(name, TX_QUEUE_FRAMES)
-    queue = (
-        f"sudo ip link set {name} txqueuelen {TX_QUEUE_FRAMES}; for good, in {UDEV_FILE}: {rule}"
-    )
+    udev_rule = UDEV_QUEUE_RULE.format(name, TX_QUEUE_FRAMES)
+    queue = f"sudo ip link set {name} txqueuelen {TX_QUEUE_FRAMES}; for good, in {UDEV_FILE}: {udev_rule}"
     result.append(
         LinkFinding(
             f"transmit queue of {link.tx_queue_frames} frames",
@@ -138,10 +143,10 @@ def adapter_findings(
             LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s")
         )
     if adapter.serial and other_interfaces:
-        rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
+        udev_rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
         rows.append(
             LinkFinding(
-                f"its name depends on the order of plugging in. To keep it, in {UDEV_FILE}: {rule}",
+                f"its name depends on the order of plugging in. To keep it, in {UDEV_FILE}: {udev_rule}",
                 True,
             )
         )
@@ -149,13 +154,13 @@ def adapter_findings(
 
 
 def _rate_finding(
-    rate_name: str, present_rate: int | None, required_rate: int, fix_command: str
+    rate_name: str, present_bit_rate: int | None, required_bit_rate: int, repair_command: str
 ) -> LinkFinding:
     """Compare a bit rate of an interface with the required bit rate [bit/s], and return the finding."""
     return LinkFinding(
-        f"{rate_name} {present_rate or 'not set'}, the hand needs {required_rate}",
-        present_rate == required_rate,
-        fix_command,
+        f"{rate_name} {present_bit_rate or 'not set'}, the hand needs {required_bit_rate}",
+        present_bit_rate == required_bit_rate,
+        repair_command,
     )
 
 

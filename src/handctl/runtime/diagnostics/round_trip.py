@@ -28,7 +28,7 @@ class RoundTrip(NamedTuple):
         shortest_s: shortest round-trip time [s], NaN without an answer.
         median_s: median round-trip time [s], NaN without an answer.
         longest_s: longest round-trip time [s], NaN without an answer.
-        double_answers: number of requests with more than one answer. Such answers show that two
+        double_answer_count: number of requests with more than one answer. Such answers show that two
             drives have the same node number.
     """
 
@@ -37,15 +37,15 @@ class RoundTrip(NamedTuple):
     shortest_s: float
     median_s: float
     longest_s: float
-    double_answers: int = 0
+    double_answer_count: int = 0
 
     @property
-    def is_number_shared(self) -> bool:
+    def is_node_number_shared(self) -> bool:
         """Return True if more than one answer arrived for most requests.
 
         Then two drives have the same node number.
         """
-        return self.double_answers > self.requests / 2
+        return self.double_answer_count > self.requests / 2
 
 
 def measure_round_trips(

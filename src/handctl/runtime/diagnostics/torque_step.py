@@ -18,7 +18,7 @@ MIN_MOTION_RAD = 0.05
 """Smallest angle that counts as a motion of the shaft [rad]."""
 TORQUE_RAMP_S = 1.0
 """Duration of the torque ramp from zero to the limit [s]."""
-COAST_TICKS = 12
+COASTING_TICKS = 12
 """Number of ticks after which the measured velocity shows the whole effect of a torque pulse."""
 MAX_REST_VELOCITY_RAD_S = 0.1
 """Largest measured velocity at which a shaft counts as at rest [rad/s]."""
@@ -59,8 +59,8 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
         torque_limit: largest torque [N m].
     """
     start = rig.state.position
-    coasting = rig.velocity_rad_s
-    impulse = 0.0
+    initial_velocity = rig.velocity_rad_s
+    torque_impulse = 0.0
     ticks = round(TORQUE_RAMP_S / PERIOD_S)
     moved = torque = 0.0
     start_ns = rig.t_ns
@@ -69,25 +69,25 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
         torque = motion_sign * torque_limit * (i + 1) / ticks
         rig.run_tick(DriveTarget.ENABLE, torque)
         # During the ticks that the host has missed, the drive keeps its last torque.
-        impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
+        torque_impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
         travel = motion_sign * (rig.state.position - start)
-        coasted = abs(coasting) * (rig.t_ns - start_ns) * 1e-9
+        coasted_distance = abs(initial_velocity) * (rig.t_ns - start_ns) * 1e-9
         moved = (
-            math.copysign(max(0.0, abs(travel) - coasted), travel)
-            if math.isfinite(coasted)
+            math.copysign(max(0.0, abs(travel) - coasted_distance), travel)
+            if math.isfinite(coasted_distance)
             else travel
         )
         if abs(moved) > MIN_MOTION_RAD:
             break
     reported = rig.state.torque
-    rig.run_for(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
-    gained = rig.velocity_rad_s - (coasting if math.isfinite(coasting) else 0.0)
+    rig.run_for(DriveTarget.ENABLE, COASTING_TICKS * PERIOD_S)
+    gained = rig.velocity_rad_s - (initial_velocity if math.isfinite(initial_velocity) else 0.0)
     if (
-        impulse * gained > 0.0
+        torque_impulse * gained > 0.0
     ):  # the inertia is the integral of the torque over time [N m s], divided by the change of velocity
-        rig.inertia = impulse / gained
+        rig.inertia = torque_impulse / gained
     return TorqueStep(moved, torque, reported, True)
 
 
@@ -101,11 +101,11 @@ def brake_shaft(rig: DriveRig, torque_limit: float) -> bool:
         torque_limit: largest torque [N m].
     """
     gain = rig.inertia / BRAKE_TIME_CONSTANT_S if math.isfinite(rig.inertia) else 0.0
-    still = 0
+    ticks_at_rest = 0
     for _ in range(round(MAX_BRAKE_S / PERIOD_S)):
         speed = rig.velocity_rad_s
-        still = still + 1 if abs(speed) < MAX_REST_VELOCITY_RAD_S else 0
-        if still > COAST_TICKS:
+        ticks_at_rest = ticks_at_rest + 1 if abs(speed) < MAX_REST_VELOCITY_RAD_S else 0
+        if ticks_at_rest > COASTING_TICKS:
             return True
         rig.run_tick(
             DriveTarget.ENABLE,

@@ -3,24 +3,24 @@
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,
     CHECKED_BY_FAULT_TABLE,
-    ENDED_BY_ITSELF,
-    ENDED_BY_OPERATOR,
-    HAND_INSTANCE,
-    MOTOR_INSTANCE,
-    NODE_INSTANCE,
-    NOT_VISIBLE,
-    WEAKER_SIGN,
+    CLEARED_BY_ITSELF,
+    CLEARED_BY_OPERATOR,
+    FAULT_PLACE_HAND,
+    FAULT_PLACE_MOTOR,
+    FAULT_PLACE_NODE,
+    INDIRECT_FAULT_SIGN,
+    INVISIBLE_FAULT,
     declare_fault,
     declare_row,
 )
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
-from handctl.safety.safety_limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
+from handctl.safety.safety_limits import LOAD_CELLS, MAX_SILENCE_S, MIN_SILENT_TICKS
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20
 """Lengths of the windows in which lost frames, and malformed frames, are counted [ticks]."""
-HOLD_LOST_FRAMES = 20
-RELAX_LOST_FRAMES = 40
+LOST_FRAMES_FOR_HOLD = 20
+LOST_FRAMES_FOR_RELAX = 40
 """Numbers of lost frames of a node, within ``LOSS_WINDOW_TICKS`` ticks, that are faults.
 
 The reaction is HOLD above the first number, and RELAX above the second.
@@ -29,40 +29,46 @@ MALFORMED_FRAMES_LIMIT = 3
 """Smallest number of malformed frames from a node, within ``MALFORMED_WINDOW_TICKS`` ticks, that is a fault."""
 MAX_UNKNOWN_FRAMES_PER_S = 50.0
 """Number of frames with unknown identifiers per second above which there is a fault."""
-NO_ACKNOWLEDGE_KINDS = ("no acknowledge", "bus error", "protocol")
+MISSING_ACKNOWLEDGE_TEXTS = ("no acknowledge", "bus error", "protocol")
 """Texts of the error frames that an interface reports if no node on the bus acknowledges."""
 
 # Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
-_COUNTER_VISIBILITY = (
-    f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives by N14, "
-    "because their replies have no counter"
+_MISSING_COUNTER_TEXT = (
+    f"{INDIRECT_FAULT_SIGN}: load cells by their counter (CiA 404 amplifiers: only by the time of arrival), drives "
+    "by N14, because their replies have no counter"
 )
-_ORDER_VISIBILITY = f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers have none), drives have no counter"
-_CHECKSUM_VISIBILITY = (
-    f"{WEAKER_SIGN}: by wrong length, NaN and jumps (N05), because payloads have no checksum"
+_WRONG_ORDER_TEXT = (
+    f"{INDIRECT_FAULT_SIGN}: load cells by their counter (CiA 404 amplifiers have none), drives "
+    "have no counter"
 )
-_EXCESS_REPLY_VISIBILITY = (
-    f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"
+_MISSING_CHECKSUM_TEXT = (
+    f"{INDIRECT_FAULT_SIGN}: by wrong length, NaN and jumps (N05), because payloads have no "
+    "checksum"
 )
-SILENCE_REASON = (
+_EXCESS_REPLIES_TEXT = f"{INVISIBLE_FAULT}: excess replies look like cyclic messages, which come in addition to replies"
+SILENCE_TIME_REASON = (
     "30 ms of silence, because a busy host is sometimes "
     "late. While other motors reply, 4 ticks are enough (B17)"
 )
 """Reason for the reaction times of the faults B02 and N02."""
-_SILENCE_CONDITION = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
+_SILENCE_CONDITION_TEXT = (
+    f"for {MAX_SILENCE_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
+)
 
 declare_row("B01", "one frame lost", ticks=2, required=2)
 B01 = declare_fault(
     "B01", "a reply is missing", "The latest feedback of a motor is older than one tick", SafetyAction.WARN,
-    ENDED_BY_ITSELF, MOTOR_INSTANCE,
+    CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
     cause="A frame was lost, or the motor or this host was late once. The filter bridges single losses.",
     remedy="Ignore single cases. If it repeats, run handctl bus doctor and check cable, termination and bus load.",
 )  # fmt: skip
 
-declare_row("B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_REASON)
+declare_row(
+    "B02", "several frames in a row lost", ticks=1, ms=30, required=5, why=SILENCE_TIME_REASON
+)
 B02 = declare_fault(
-    "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION}", SafetyAction.RELAX,
-    ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    "B02", "a motor has gone silent", f"A motor sends no reply {_SILENCE_CONDITION_TEXT}", SafetyAction.RELAX,
+    CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     caused_by_lateness=True,
     cause="The motor has lost power or its cable, or its drive has crashed.",
     remedy="Check supply and CAN cable of the motor, find it with handctl scan, then start a new run.",
@@ -71,15 +77,15 @@ B02 = declare_fault(
 declare_row("B03", "intermittent loss", ticks=102, required=102)
 B03A = declare_fault(
     "B03a", "replies are being lost",
-    f"More than {HOLD_LOST_FRAMES} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
-    SafetyAction.HOLD, ENDED_BY_ITSELF, NODE_INSTANCE,
+    f"More than {LOST_FRAMES_FOR_HOLD} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
+    SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan), or lower the rate.",
 )  # fmt: skip
 B03B = declare_fault(
     "B03b", "many replies are being lost",
-    f"More than {RELAX_LOST_FRAMES} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
+    f"More than {LOST_FRAMES_FOR_RELAX} of the last {LOSS_WINDOW_TICKS} replies of a node are missing",
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
     caused_by_lateness=True,
     cause="The bus is disturbed or overloaded, or the host is too slow.",
     remedy="Check termination, shielding and bus load (handctl bus doctor, handctl bus plan) before the next run.",
@@ -89,34 +95,32 @@ declare_row(
     "B04",
     "delay",
     CHECKED_BY_FAULT_TABLE,
-    _COUNTER_VISIBILITY,
-    _COUNTER_VISIBILITY,
-    _COUNTER_VISIBILITY,
+    _MISSING_COUNTER_TEXT,
+    _MISSING_COUNTER_TEXT,
+    _MISSING_COUNTER_TEXT,
     ticks=4,
     required=4,
 )
 B04 = declare_fault(
     "B04", "a delayed frame", "A load-cell frame replies to an older SYNC",
-    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The sensor node or a gateway on the bus holds frames back.",
     remedy="Look for gateways, full queues and a busy sensor node between the load cells and the host.",
 )  # fmt: skip
 
-declare_row("B05", "duplicate, equal bytes", odrive=_EXCESS_REPLY_VISIBILITY, ticks=2, required=2)
+declare_row("B05", "duplicate, equal bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2)
 B05 = declare_fault(
     "B05", "a duplicate frame", "A node sends more replies than requests, and the replies have equal bytes",
-    SafetyAction.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="An adapter or gateway repeats frames, or two nodes share an identifier.",
     remedy="Check the adapter's driver and settings, and the identifiers of all nodes with handctl scan.",
 )  # fmt: skip
 
-declare_row(
-    "B06", "duplicate, different bytes", odrive=_EXCESS_REPLY_VISIBILITY, ticks=2, required=2
-)
+declare_row("B06", "duplicate, different bytes", odrive=_EXCESS_REPLIES_TEXT, ticks=2, required=2)
 B06 = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes reply with one identifier, or a second program sends on the bus (masquerade).",
     remedy="Disconnect other programs and nodes, check all identifiers with handctl scan, then start a new run.",
 )  # fmt: skip
@@ -125,15 +129,15 @@ declare_row(
     "B07",
     "reordering",
     CHECKED_BY_FAULT_TABLE,
-    _ORDER_VISIBILITY,
-    _ORDER_VISIBILITY,
-    _ORDER_VISIBILITY,
+    _WRONG_ORDER_TEXT,
+    _WRONG_ORDER_TEXT,
+    _WRONG_ORDER_TEXT,
     ticks=2,
     required=2,
 )
 B07 = declare_fault(
     "B07", "frames arrive out of order", "An old load-cell frame arrives after a newer one",
-    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name=LOAD_CELLS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name=LOAD_CELLS,
     cause="The adapter or a gateway reorders frames.",
     remedy="Use an adapter and driver that keep the order. Remove gateways between host and hand.",
 )  # fmt: skip
@@ -142,16 +146,16 @@ declare_row(
     "B08",
     "corruption above the CAN CRC",
     CHECKED_BY_FAULT_TABLE,
-    _CHECKSUM_VISIBILITY,
-    _CHECKSUM_VISIBILITY,
-    _CHECKSUM_VISIBILITY,
+    _MISSING_CHECKSUM_TEXT,
+    _MISSING_CHECKSUM_TEXT,
+    _MISSING_CHECKSUM_TEXT,
     ticks=4,
     required=4,
 )
 B08 = declare_fault(
     "B08", "corrupt payloads",
     f"In {MALFORMED_WINDOW_TICKS} ticks, {MALFORMED_FRAMES_LIMIT} frames of a node cannot be decoded",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, NODE_INSTANCE,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE,
     cause="The node's firmware, or a gateway, sends wrong bytes. The CAN checksum is correct.",
     remedy="Check protocol option and firmware of the node in the hand file. Replace the node if it continues.",
 )  # fmt: skip
@@ -159,7 +163,7 @@ B08 = declare_fault(
 declare_row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, required=2)
 B09 = declare_fault(
     "B09", "a malformed frame", "A frame has a wrong length, is a remote frame, has 29 bits, or contains no number",
-    SafetyAction.WARN, ENDED_BY_ITSELF, NODE_INSTANCE,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="A node sends another protocol or another message length than the hand file says.",
     remedy="Check the motor's protocol and options in the hand file against handctl scan.",
 )  # fmt: skip
@@ -169,7 +173,7 @@ declare_row("B10", "unknown identifiers", ticks=2, ms=51, required=2,
 B10 = declare_fault(
     "B10", "unknown identifiers on the bus",
     f"More than {MAX_UNKNOWN_FRAMES_PER_S:g} frames per second have an unassigned identifier",
-    SafetyAction.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="bus",
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_HAND, name="bus",
     cause="Other devices share the bus, or a motor has another identifier than the hand file says.",
     remedy="Compare handctl scan with the hand file. Move other devices to a bus of their own.",
 )  # fmt: skip
@@ -177,7 +181,7 @@ B10 = declare_fault(
 declare_row("B11", "babbling idiot", ticks=3, required=3)
 B11A = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=2, name="bus",
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
@@ -185,14 +189,14 @@ B11A = declare_fault(
 # debounce.
 B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
-    SafetyAction.CUT, ENDED_BY_OPERATOR, HAND_INSTANCE, debounce=10, name="bus",
+    SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=10, name="bus",
     cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
     remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
 
 declare_row("B12", "bus off", ticks=1, required=1)
 declare_fault(
-    "B12", "bus off", "The interface reports bus-off", SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("bus_off",),
+    "B12", "bus off", "The interface reports bus-off", SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("bus_off",),
     cause="A short circuit, a wrong bit rate or the lack of other nodes caused too many errors, and the interface "
     "stopped.",
     remedy="Check cable, termination and bit rate, then bring the interface up again (handctl bus doctor says how).",
@@ -201,13 +205,13 @@ declare_fault(
 declare_row("B13", "error-warning, error-passive", ticks=21, required=21)
 declare_fault(
     "B13a", "errors on the bus", "The interface reports error-warning or error-passive",
-    SafetyAction.WARN, ENDED_BY_ITSELF, reports=("error_warning", "error_passive"),
+    SafetyAction.WARN, CLEARED_BY_ITSELF, reports=("error_warning", "error_passive"),
     cause="A plug is loose, a termination is missing, or a long cable has no shield.",
     remedy="Check plugs and termination (60 ohm between CANH and CANL), and run handctl bus doctor.",
 )  # fmt: skip
 declare_fault(
     "B13b", "lasting errors on the bus", "The interface is error-passive for 20 ticks",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_passive",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_passive",),
     cause="A plug is loose, a termination is missing, a bit rate is wrong, or a node has lost power.",
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
@@ -215,7 +219,7 @@ declare_fault(
 declare_row("B14", "interface down", ticks=1, required=1)
 declare_fault(
     "B14", "the CAN interface is down", "The interface is down",
-    SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("enetdown",),
+    SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enetdown",),
     cause="The interface was shut down by a command or by the system.",
     remedy="Bring the interface up again (handctl bus doctor prints the command), then start a new run.",
 )  # fmt: skip
@@ -223,7 +227,7 @@ declare_fault(
 declare_row("B15", "send queue full", ticks=3, required=3)
 declare_fault(
     "B15", "the send queue is full", "The interface refuses frames in two ticks",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=2, reports=("enobufs",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=2, reports=("enobufs",),
     cause="The bus is overloaded, or no node acknowledges frames.",
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
@@ -231,31 +235,34 @@ declare_fault(
 declare_row("B16", "adapter unplugged", ticks=1, required=1)
 declare_fault(
     "B16", "the CAN adapter is unplugged", "The interface no longer exists",
-    SafetyAction.CUT, ENDED_BY_OPERATOR, reports=("enodev", "ebadf"),
+    SafetyAction.CUT, CLEARED_BY_OPERATOR, reports=("enodev", "ebadf"),
     cause="The USB plug or its cable is loose, or the adapter has crashed.",
     remedy="Plug the adapter in and secure the cable. Bring the interface up, then start a new run.",
 )  # fmt: skip
 
 declare_row("B17", "some nodes do not hear", CHECKED_BY_FAULT_TABLE,
-    f"{WEAKER_SIGN}: no reply for four ticks while others reply",
-    f"{WEAKER_SIGN}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
-    f"{WEAKER_SIGN}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
-    ticks=4, odrive_ms=160, required=4)  # fmt: skip
+    f"{INDIRECT_FAULT_SIGN}: no reply for four ticks while others reply",
+    f"{INDIRECT_FAULT_SIGN}: by counted losses (B03) or by its watchdog (N08), because its cyclic messages continue",
+    f"{INDIRECT_FAULT_SIGN}: by the drive's timeout of the master (N08), because RPDOs are not confirmed",
+    ticks=4, odrive_extra_ms=160, required=4)  # fmt: skip
 B17 = declare_fault(
     "B17", "some nodes do not hear",
     f"A motor sends no reply in {MIN_SILENT_TICKS} ticks in a row, while other motors reply",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR,
     caused_by_lateness=True,
     cause="One motor's cable, supply or drive has failed, or one branch of the bus is disturbed.",
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip
 
 declare_row(
-    "B18", "alone on the bus", CHECKED_BEFORE_ARMING, tested="tests/safety/test_reported_faults.py"
+    "B18",
+    "alone on the bus",
+    CHECKED_BEFORE_ARMING,
+    tested_by="tests/safety/test_reported_faults.py",
 )
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
-    SafetyAction.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_frame",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_frame",),
     cause="The bit rate is wrong, the hand has no power, or a cable is not connected.",
     remedy="Switch the hand on, check cable and bit rate, and run handctl bus doctor.",
 )  # fmt: skip

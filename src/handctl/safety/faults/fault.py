@@ -6,7 +6,7 @@ in the module of its kind: ``bus``, ``node``, ``tendon``, ``host``. The tables i
 deadlines in the fault campaign, the event texts and the reactions are all derived from the
 declarations.
 
-The declaration of a fault may have the argument ``per``, which lists the parts that the fault can
+The declaration of a fault may have the argument ``fault_places``, which lists the parts that the fault can
 affect, such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The
 declaration of such a fault returns the row of the fault in the detectors' table of results, which
 is used as in ``evidence[N07, motor]``. The declaration of a fault may instead have the argument
@@ -18,26 +18,26 @@ from typing import NamedTuple
 
 from handctl.safety.safety_action import RelaxMethod, SafetyAction
 
-ENDED_BY_OPERATOR = "by the operator"
-ENDED_BY_ITSELF = "by itself"
+CLEARED_BY_OPERATOR = "by the operator"
+CLEARED_BY_ITSELF = "by itself"
 """Ways in which a fault ends. The operator clears a latched fault.
 
 Any other fault ends by itself when its cause ends.
 """
 
-TENDON_INSTANCE = "tendon"
-MOTOR_INSTANCE = "motor"
-JOINT_INSTANCE = "joint"
-NODE_INSTANCE = "node"
-HAND_INSTANCE = "hand"
-"""Kinds of instances in which a fault can occur.
+FAULT_PLACE_TENDON = "tendon"
+FAULT_PLACE_MOTOR = "motor"
+FAULT_PLACE_JOINT = "joint"
+FAULT_PLACE_NODE = "node"
+FAULT_PLACE_HAND = "hand"
+"""Kinds of parts that a fault can affect.
 
-``NODE_INSTANCE`` includes motors and the sensor node. A fault of ``HAND_INSTANCE`` has a single instance.
+``FAULT_PLACE_NODE`` includes motors and the sensor node. A fault of ``FAULT_PLACE_HAND`` has a single instance.
 """
 
-DETECTED_FAULT = "detected"
-WEAKER_SIGN = "replaced"
-NOT_VISIBLE = "lost"
+VISIBLE_FAULT = "detected"
+INDIRECT_FAULT_SIGN = "replaced"
+INVISIBLE_FAULT = "lost"
 """Visibility of a fault with a protocol: detected, replaced by a weaker sign, or not visible."""
 CHECKED_BY_FAULT_TABLE = "fault table"
 CHECKED_BEFORE_ARMING = "before arming"
@@ -61,35 +61,35 @@ class CatalogueRow(NamedTuple):
             this part.
         ms: the part of the longest reaction time that does not depend on the tick [ms]. ``ticks``
             is added to this part.
-        odrive_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
+        odrive_extra_ms: additional reaction time with an ODrive [ms], because the heartbeat of an ODrive
             has a period of 100 ms.
         required: reaction time that the project's fault catalogue requires with an ideal drive
             [ticks of 5 ms]. The value is 0 if the catalogue gives no time, for example for a fault
             before any torque.
         why: the reason if ``ticks`` is larger than ``required``, or an empty text.
-        tested: ``campaign``, or the name of the test that covers the fault.
+        tested_by: ``campaign``, or the name of the test that covers the fault.
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
             protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if it equals ``mit``.
-        counted_from: event from which the longest reaction time counts, as the end of a sentence.
+        counted_from_event: event from which the longest reaction time counts, as the end of a sentence.
             The text is empty if the time counts from the failure itself.
     """
 
     id: str
     title: str
     where: str = CHECKED_BY_FAULT_TABLE
-    mit: str = DETECTED_FAULT
-    odrive: str = DETECTED_FAULT
-    cia402: str = DETECTED_FAULT
+    mit: str = VISIBLE_FAULT
+    odrive: str = VISIBLE_FAULT
+    cia402: str = VISIBLE_FAULT
     ticks: int = 0
     ms: float = 0.0
-    odrive_ms: float = 0.0
+    odrive_extra_ms: float = 0.0
     required: int = 0
     why: str = ""
-    tested: str = "campaign"
+    tested_by: str = "campaign"
     moteus: str = ""
     robstride: str = ""
-    counted_from: str = ""
+    counted_from_event: str = ""
 
     def visibility(self, protocol: str) -> str:
         """Return how a drive protocol shows the failure.
@@ -99,10 +99,10 @@ class CatalogueRow(NamedTuple):
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
-    def latest_ms(self, rate_hz: float) -> float:
+    def max_reaction_ms(self, rate_hz: float) -> float:
         """Return the longest time from the failure to the reaction at a control rate [ms].
 
-        This time does not include ``odrive_ms``.
+        This time does not include ``odrive_extra_ms``.
         """
         return self.ticks * 1e3 / rate_hz + self.ms
 
@@ -116,13 +116,13 @@ class Fault:
         title: name of the fault for an operator.
         detection: condition of the fault.
         action: reaction to the fault.
-        clears: the way in which the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
+        cleared_by: the way in which the fault ends, ``CLEARED_BY_OPERATOR`` or ``CLEARED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
         debounce: number of consecutive ticks with the fault after which the fault becomes active.
         relax_method: method of removing the torque if the action is RELAX.
-        per: kinds of the fault's instances. The value is empty for a reported fault.
-        name: name of the only instance, if the fault has the kind ``HAND_INSTANCE``.
+        fault_places: kinds of parts that the fault can affect. The value is empty for a reported fault.
+        name: name of the only instance, if the fault has the kind ``FAULT_PLACE_HAND``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
         makes_tension_unreliable: True if the true tension may be larger than the measured tension.
@@ -138,12 +138,12 @@ class Fault:
     title: str
     detection: str
     action: SafetyAction
-    clears: str
+    cleared_by: str
     cause: str
     remedy: str
     debounce: int = 1
-    relax_method: RelaxMethod = RelaxMethod.LOOP
-    per: tuple[str, ...] = ()
+    relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP
+    fault_places: tuple[str, ...] = ()
     name: str = ""
     reports: tuple[str, ...] = ()
     makes_tension_unreliable: bool = False
@@ -160,7 +160,7 @@ class Fault:
     @property
     def latched(self) -> bool:
         """Return True if the reaction stays until an operator clears the fault."""
-        return self.clears == ENDED_BY_OPERATOR
+        return self.cleared_by == CLEARED_BY_OPERATOR
 
     @property
     def row(self) -> str:
@@ -186,16 +186,16 @@ def declare_row(*args: object, **details: object) -> None:
 
 
 def declare_fault(
-    id_: str,
+    fault_id: str,
     title: str,
     detection: str,
     action: SafetyAction,
-    clears: str,
-    *per: str,
+    cleared_by: str,
+    *fault_places: str,
     cause: str,
     remedy: str,
     debounce: int = 1,
-    relax_method: RelaxMethod = RelaxMethod.LOOP,
+    relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP,
     name: str = "",
     reports: tuple[str, ...] = (),
     makes_tension_unreliable: bool = False,
@@ -210,17 +210,17 @@ def declare_fault(
         First row of the fault in the table of the detectors' results. For a reported fault, which
         has no detector, it is -1.
     """
-    declared = Fault(
-        id_,
+    fault = Fault(
+        fault_id,
         title,
         detection,
         action,
-        clears,
+        cleared_by,
         cause,
         remedy,
         debounce,
         relax_method,
-        per,
+        fault_places,
         name,
         reports,
         makes_tension_unreliable,
@@ -229,10 +229,10 @@ def declare_fault(
         needs_load_cell,
         needs_joint_encoders,
     )
-    DECLARED_FAULTS.append(declared)
+    DECLARED_FAULTS.append(fault)
     # A fault may concern several kinds of parts, such as tendons and joints. Detectors write their
     # results into a table. In this table, the fault has one row for tendons and one row for joints.
     # For the second kind of part, detectors add 1 to the row of the first kind.
     first = len(DETECTOR_ROWS)
-    DETECTOR_ROWS.extend((declared, kind) for kind in per)
-    return first if per else -1
+    DETECTOR_ROWS.extend((fault, kind) for kind in fault_places)
+    return first if fault_places else -1

@@ -5,7 +5,7 @@ from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, CatalogueRow, Fa
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
 
-REQUIRED_MS = 5.0
+CATALOGUE_PERIOD_MS = 5.0
 """Control period that the project's fault catalogue assumes [ms]."""
 RATE_HZ = 500.0
 """Control rate for which the catalogue states reaction times [Hz].
@@ -17,7 +17,9 @@ The packaged hand with one motor per digit has this rate.
 def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
     head = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
-    rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
+    rows = [
+        f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.cleared_by} |" for f in table
+    ]
     return "\n".join([*head, *rows])
 
 
@@ -27,7 +29,7 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
         f"- **Why:** {f.cause}\n"
-        f"- **Reaction:** {f.reaction}, cleared {f.clears}.\n"
+        f"- **Reaction:** {f.reaction}, cleared {f.cleared_by}.\n"
         f"- **What to do:** {f.remedy}"
         for f in table
     )
@@ -51,9 +53,9 @@ def _catalogue_row(row: CatalogueRow) -> str:
     judged = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest = f"{row.latest_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
-    latest += f", ODrive {row.odrive_ms:g} ms more" if row.odrive_ms else ""
-    latest += f", after {row.counted_from}" if row.counted_from else ""
+    latest = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest += f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
+    latest += f", after {row.counted_from_event}" if row.counted_from_event else ""
     latest = (
         latest
         if row.ticks or row.ms
@@ -63,15 +65,15 @@ def _catalogue_row(row: CatalogueRow) -> str:
     )
     return (
         f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, GUARDED_PROTOCOLS))} | {latest} "
-        f"| {row.tested} |"
+        f"| {row.tested_by} |"
     )
 
 
 def _ticks_text(row: CatalogueRow) -> int:
-    return round(row.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
+    return round(row.max_reaction_ms(RATE_HZ) * RATE_HZ / 1e3)
 
 
-def is_late(row: CatalogueRow) -> bool:
+def reacts_too_late(row: CatalogueRow) -> bool:
     """Return True if the reaction to the failure of a row takes more ticks than the project's fault catalogue allows.
 
     The result is False if the catalogue gives no time.
@@ -79,13 +81,13 @@ def is_late(row: CatalogueRow) -> bool:
     return 0 < row.required < _ticks_text(row)
 
 
-def late_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+def late_reaction_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return, as Markdown, the rows whose reaction is later than the project's fault catalogue allows, with reasons."""
     rows = [
-        f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "
-        f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"
+        f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
+        f"| {e.max_reaction_ms(RATE_HZ):g} ms | {e.why} |"
         for e in entries
-        if is_late(e)
+        if reacts_too_late(e)
     ]
     head = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
     return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])

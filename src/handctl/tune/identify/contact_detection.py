@@ -20,9 +20,9 @@ import numpy as np
 
 from handctl.tune.identify.tendon_data import Array
 
-CONTACT_SCORE = 4.5
+MIN_CONTACT_SCORE = 4.5
 """Smallest score of a ramp that counts as a contact, for a digit with one tendon."""
-MULTI_TENDON_CONTACT_SCORE = 6.0
+MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS = 6.0
 """Smallest score of a ramp that counts as a contact, for a digit with several tendons.
 
 In simulations without contact (20 seeds, parameters wrong by up to 30 %), scores reach 3.1 for
@@ -30,13 +30,13 @@ digits with one tendon and 3.9 for digits with several. With several tendons, a 
 every joint, and errors of joint encoders are neglected. A finger of the hand jamia that touches the
 thumb between 14 and 25 degrees has scores from 4.7 to 17.
 """
-CLEAR_SCORE = 3.0
+MAX_SCORE_WITHOUT_CONTACT = 3.0
 """A fit can exclude a blocked digit only if the score of its ramp is at most this value."""
-MIN_CLEAR_ROWS = 80
+MIN_ROWS_WITHOUT_CONTACT = 80
 """A fit can exclude a blocked digit only if its sweep has at least this number of rows."""
-MAX_CLEAR_MEAN_SQUARE = 1.5
+MAX_MEAN_SQUARE_WITHOUT_CONTACT = 1.5
 """A fit can exclude a blocked digit only if the mean square of its residuals is at most this value."""
-MAX_CLEAR_OUTLIERS = 0.005
+MAX_OUTLIERS_WITHOUT_CONTACT = 0.005
 """A fit can exclude a blocked digit only if its fraction of outliers is at most this value."""
 RAMP_START_COUNT = 40
 """Number of angles at which a ramp is tried to begin."""
@@ -45,7 +45,7 @@ SWEEP_END_FRACTION = 0.04
 
 Too few rows would determine a ramp that begins near an end of the sweep.
 """
-MIN_OWN_FRACTION = 1e-6
+MIN_UNEXPLAINED_RAMP_FRACTION = 1e-6
 """Smallest fraction of a ramp's squared norm that the parameters must leave unexplained."""
 
 
@@ -59,7 +59,7 @@ class ResidualRamp(NamedTuple):
         end: largest mean joint angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] of the ramp at the angle ``end``.
         rows: number of averaged data points (bins) in the sweep.
-        outliers: fraction of the data points in the sweep that the fit has excluded as outliers.
+        outlier_fraction: fraction of the data points in the sweep that the fit has excluded as outliers.
         mean_square: mean square of the residuals of the sweep, without outliers.
         contact_score: smallest score at which the ramp counts as a contact of this digit.
     """
@@ -69,7 +69,7 @@ class ResidualRamp(NamedTuple):
     end: float
     rise: float
     rows: int
-    outliers: float
+    outlier_fraction: float
     mean_square: float
     contact_score: float
 
@@ -82,11 +82,11 @@ class ResidualRamp(NamedTuple):
     def excludes_contact(self) -> bool:
         """Return True if the fit explains the sweep well enough to exclude a contact."""
         good = (
-            self.mean_square <= MAX_CLEAR_MEAN_SQUARE
-            and self.outliers <= MAX_CLEAR_OUTLIERS
-            and self.rows >= MIN_CLEAR_ROWS
+            self.mean_square <= MAX_MEAN_SQUARE_WITHOUT_CONTACT
+            and self.outlier_fraction <= MAX_OUTLIERS_WITHOUT_CONTACT
+            and self.rows >= MIN_ROWS_WITHOUT_CONTACT
         )
-        return abs(self.score) < CLEAR_SCORE and good
+        return abs(self.score) < MAX_SCORE_WITHOUT_CONTACT and good
 
 
 def steepest_ramp(
@@ -126,11 +126,13 @@ def steepest_ramp(
             # Only the part of the ramp outside of this span counts for the score.
             orthogonal = column - basis @ (basis.T @ column)
             size = float(orthogonal @ orthogonal)
-            if size > MIN_OWN_FRACTION * float(column @ column):
+            if size > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
                 score = float(orthogonal @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     mean_square = float(np.mean(residual[rows][used] ** 2))
-    contact_score = CONTACT_SCORE if len(unit_vectors) == 1 else MULTI_TENDON_CONTACT_SCORE
+    contact_score = (
+        MIN_CONTACT_SCORE if len(unit_vectors) == 1 else MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS
+    )
     return ResidualRamp(
         best[0],
         best[1],

@@ -20,11 +20,11 @@ At larger angles, the fingers of the packaged hands touch thumb or palm.
 """
 SWING_AMPLITUDE_DEG = 9.0
 """Amplitude of the sinusoidal swing of the joints [deg]."""
-SWING_LOW_HZ = 0.7
+SWING_MIN_FREQUENCY_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
-SWING_HIGH_HZ = 6.0
+SWING_MAX_FREQUENCY_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
-PRESS_FRACTIONS = (0.08, 0.15, 0.5)
+PRESS_TENSION_FRACTIONS = (0.08, 0.15, 0.5)
 """Three tensions, as fractions of the largest tension of the tendon.
 
 The first is the tension after the presses. The others are the lower and the upper tension of a
@@ -35,7 +35,7 @@ At higher tensions, the monitor would report a wrong load cell (T04b) because of
 """
 MIN_TENSION_N = 1.1
 """Lower tension when a tendon is stretched while its digit rests on the open stop [N]."""
-LIFT_FRACTION = 0.6
+STRETCH_UPPER_FRACTION = 0.6
 """Upper tension of a stretch, as a fraction of the tension at which the digit leaves its open stop.
 
 The lifting tension is calculated with the springs of the hand file.
@@ -69,10 +69,10 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
         if not hand.digit_named(name).has_springs:
             continue
         if (
-            LIFT_FRACTION * (tension := lift_off_tension(hand, name))
+            STRETCH_UPPER_FRACTION * (tension := lift_off_tension(hand, name))
             < MIN_TENSION_N + MIN_STRETCH_RANGE_N
         ):
-            min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
+            min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / STRETCH_UPPER_FRACTION
             problem = f"the digit leaves its open stop at {tension:.2f} N, too low a tension to stretch the tendon"
             raise ConfigError(
                 problem,
@@ -120,8 +120,8 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
     middle = 0.5 * (low + high)
     swing = math.radians(SWING_AMPLITUDE_DEG)
-    lift = LIFT_FRACTION * lift_off_tension(hand, digit)
-    released, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
+    upper_stretch_tension = STRETCH_UPPER_FRACTION * lift_off_tension(hand, digit)
+    released, soft, hard = (fraction * max_tension for fraction in PRESS_TENSION_FRACTIONS)
 
     def excite_step(
         name: str,
@@ -138,14 +138,18 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
     swing_step = excite_step("swing", "chirp", 2.4, middle)
     swing_step = swing_step.model_copy(
-        update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ}
+        update={
+            "amplitude": swing,
+            "low_Hz": SWING_MIN_FREQUENCY_HZ,
+            "high_Hz": SWING_MAX_FREQUENCY_HZ,
+        }
     )
-    sweeps = [
+    sweep_steps = [
         excite_step("sweep", "move", duration, goal)
         for duration in SWEEP_DURATIONS_S
         for goal in (high, low)
     ]
-    presses = [
+    press_steps = [
         excite_step("press", "tension", 0.22, goal, 250.0, held=True)
         for _ in range(3)
         for goal in (hard, soft)
@@ -156,22 +160,22 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
             "tension",
             STRETCH_DURATION_S,
             goal,
-            (lift - MIN_TENSION_N) / STRETCH_DURATION_S,
+            (upper_stretch_tension - MIN_TENSION_N) / STRETCH_DURATION_S,
         )
         for _ in range(STRETCH_COUNT)
-        for goal in (lift, MIN_TENSION_N)
+        for goal in (upper_stretch_tension, MIN_TENSION_N)
     ]
     return [
         excite_step("tare", "limp", 0.5),
         excite_step("taut", "taut", 0.4, floor, 40.0),
         *stretch,
         excite_step("approach", "move", 0.4, low),
-        *sweeps,
+        *sweep_steps,
         excite_step("approach", "move", 0.3, middle),
         swing_step,
         excite_step("approach", "move", 0.3, high),
         excite_step("close", "tension", 0.5, soft, 80.0, held=True),
-        *presses,
+        *press_steps,
         excite_step("open", "tension", 0.7, released, 60.0, held=True),
         excite_step("open", "move", 0.5, low),
         excite_step("rest", "limp", 0.1),

@@ -38,22 +38,22 @@ SWING_AMPLITUDE_DEG = 9.0
 """Largest amplitude of the sinusoidal swing of the joints [deg]."""
 SWING_DURATION_S = 3.0
 """Duration of the swing [s]."""
-SWING_LOW_HZ = 0.7
+SWING_MIN_FREQUENCY_HZ = 0.7
 """Lowest frequency of the swing [Hz]."""
-SWING_HIGH_HZ = 6.0
+SWING_MAX_FREQUENCY_HZ = 6.0
 """Highest frequency of the swing [Hz]."""
-SWING_TORQUE = 0.25
+SWING_TORQUE_FRACTION = 0.25
 """Largest motor torque during the swing, as a fraction of the motor's torque limit."""
-STRETCH_FRACTION = 0.3
+STRETCH_TENSION_FRACTION = 0.3
 """Largest tension while a tendon is stretched, as a fraction of ``tension_max_N``.
 
 The tendons that hold the digit open have this tension for several seconds. At higher tensions, the
 monitor would mistake a motor that makes 30 % less torque than commanded for a wrong load cell
 (T04b) or an oscillation (N14b).
 """
-PAIR_LOW_FRACTION = 0.07
+PAIR_MIN_TENSION_FRACTION = 0.07
 """Smallest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``."""
-CLOSE_FRACTION = 0.12
+CLOSING_TENSION_FRACTION = 0.12
 """Net tension with which spool pairs move their digit to its lower stops, as a fraction of ``tension_max_N``."""
 CLOSING_DURATION_S = 2.5
 """Time in which spool pairs move their digit to its lower stops [s].
@@ -80,12 +80,12 @@ SETTLE_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
-PAIR_STRETCHES = 10
+PAIR_STRETCH_COUNT = 10
 """Number of stretches up and down of all spool pairs of a digit.
 
 All pairs are stretched at once.
 """
-PAIR_HIGH_FRACTION = 0.65
+PAIR_MAX_TENSION_FRACTION = 0.65
 """Largest net tension while a spool pair is stretched, as a fraction of ``tension_max_N``.
 
 If the net tension exceeds twice the pretension, one of the two tendons is slack. The largest net
@@ -108,15 +108,15 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     def excite_step(
         step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
     ) -> ExciteStep:
-        angles_or_tensions = () if targets is None else tuple(targets.tolist())
+        target_values = () if targets is None else tuple(targets.tolist())
         given = {"digit": name, "name": step_name, "kind": kind, "duration_s": duration_s} | more
-        return ExciteStep.model_validate(given | {"targets": angles_or_tensions})
+        return ExciteStep.model_validate(given | {"targets": target_values})
 
-    sweeps = []
+    sweep_steps = []
     for signs in _sign_patterns(len(middle)):
-        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half))
+        sweep_steps.append(excite_step("approach", "move", 0.4, middle - signs * half))
         for duration in SWEEP_DURATIONS_S:
-            sweeps += [
+            sweep_steps += [
                 excite_step("sweep", "move", duration, middle + side * signs * half)
                 for side in (1.0, -1.0)
             ]
@@ -127,18 +127,22 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         SWING_DURATION_S,
         middle,
         amplitudes=amplitudes,
-        low_Hz=SWING_LOW_HZ,
-        high_Hz=SWING_HIGH_HZ,
+        low_Hz=SWING_MIN_FREQUENCY_HZ,
+        high_Hz=SWING_MAX_FREQUENCY_HZ,
     )
-    rest, stretches = _stretched_tensions(hand, digit)
+    rest, stretch_ranges = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
     _, largest = _tension_limits(hand, digit)
-    onto_stop = -CLOSE_FRACTION / STRETCH_FRACTION * largest if pairs else stretches[0][0]
+    closing_tensions = (
+        -CLOSING_TENSION_FRACTION / STRETCH_TENSION_FRACTION * largest
+        if pairs
+        else stretch_ranges[0][0]
+    )
     stretch_steps = []
-    for lower, upper in stretches:
+    for lower, upper in stretch_ranges:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
         stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
-        for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
+        for _ in range(PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
                     excite_step(
@@ -153,7 +157,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             rest if pairs else _balanced_tensions(hand, digit),
             rate=40.0,
         ),
-        *sweeps,
+        *sweep_steps,
         excite_step("approach", "move", 0.4, middle),
         swing,
         excite_step("approach", "move", 0.6, low),
@@ -161,13 +165,13 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             "close",
             "tension",
             CLOSING_DURATION_S if pairs else 0.8,
-            onto_stop,
+            closing_tensions,
             rate=20.0 if pairs else 60.0,
             held=True,
         ),
         *stretch_steps,
         excite_step(
-            "open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True
+            "open", "tension", 0.4, rest if pairs else stretch_ranges[0][0], rate=100.0, held=True
         ),
         excite_step("open", "move", OPENING_DURATION_S, low),
         excite_step("rest", "limp", 0.1),
@@ -176,12 +180,16 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
-    least, most = digit.reach
+    lowest_angles, highest_angles = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
-    low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
-    high = np.minimum(most - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
+    low = np.maximum(lowest_angles + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
+    high = np.minimum(highest_angles - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
     near, far = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
-    sideways = digit.sideways_coordinates & (least + margin < near) & (most - margin > far)
+    sideways = (
+        digit.sideways_coordinates
+        & (lowest_angles + margin < near)
+        & (highest_angles - margin > far)
+    )
     return np.where(sideways, near, low), np.where(sideways, far, high)
 
 
@@ -193,15 +201,15 @@ def _sign_patterns(coordinate_count: int) -> list[Array]:
     In the first pattern, all coordinates move together. In each other pattern, one coordinate moves
     against all others.
     """
-    patterns = [np.ones(coordinate_count)]
+    sign_patterns = [np.ones(coordinate_count)]
     if coordinate_count > 1:
         # With two coordinates, a single pattern of this kind is sufficient, because each coordinate
         # moves against the other.
-        patterns += [
+        sign_patterns += [
             np.where(np.arange(coordinate_count) == i, -COUNTER_MOTION_FRACTION, 1.0)
             for i in range(coordinate_count if coordinate_count > 2 else 1)
         ]
-    return patterns
+    return sign_patterns
 
 
 def _swing_amplitudes(
@@ -217,18 +225,22 @@ def _swing_amplitudes(
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
     motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
-    available = SWING_TORQUE * np.array(
+    available_force = SWING_TORQUE_FRACTION * np.array(
         [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
     )
-    largest = float((available / (force * (2.0 * math.pi * SWING_HIGH_HZ) ** 2)).min())
-    return np.minimum(np.minimum(math.radians(SWING_AMPLITUDE_DEG), 0.7 * half_ranges), largest)
+    max_amplitude = float(
+        (available_force / (force * (2.0 * math.pi * SWING_MAX_FREQUENCY_HZ) ** 2)).min()
+    )
+    return np.minimum(
+        np.minimum(math.radians(SWING_AMPLITUDE_DEG), 0.7 * half_ranges), max_amplitude
+    )
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
     """Return the floors and the largest stretch tensions of the tendons of a digit, (n_t,) each [N]."""
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
-    return floor, STRETCH_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
+    return floor, STRETCH_TENSION_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
 
 
 def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
@@ -252,19 +264,23 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():
-        whole = largest / STRETCH_FRACTION
-        return np.zeros(len(whole)), [(-PAIR_LOW_FRACTION * whole, -PAIR_HIGH_FRACTION * whole)]
+        whole = largest / STRETCH_TENSION_FRACTION
+        return np.zeros(len(whole)), [
+            (-PAIR_MIN_TENSION_FRACTION * whole, -PAIR_MAX_TENSION_FRACTION * whole)
+        ]
     arms = digit.reduced_moment_arms
-    opens = arms.sum(axis=1) < 0.0
-    hold = np.where(opens, largest, floor)
-    half = np.where(opens, 0.5 * largest, floor)
-    stretches = [(half, hold)]
-    for i in np.flatnonzero(~opens).tolist():
-        without = np.where(np.arange(len(hold)) == i, 0.0, hold)
-        opening = -(arms.T @ without)
+    is_opening_tendon = arms.sum(axis=1) < 0.0
+    hold = np.where(is_opening_tendon, largest, floor)
+    half = np.where(is_opening_tendon, 0.5 * largest, floor)
+    stretch_ranges = [(half, hold)]
+    for i in np.flatnonzero(~is_opening_tendon).tolist():
+        hold_without_tendon = np.where(np.arange(len(hold)) == i, 0.0, hold)
+        opening = -(arms.T @ hold_without_tendon)
         closing = np.maximum(arms[i], 0.0)
-        most = float((MAX_TORQUE_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min())
+        max_closing_tension = float(
+            (MAX_TORQUE_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min()
+        )
         upper = hold.copy()
-        upper[i] = max(min(most, float(largest[i])), float(floor[i]))
-        stretches.append((hold, upper))
-    return hold, stretches
+        upper[i] = max(min(max_closing_tension, float(largest[i])), float(floor[i]))
+        stretch_ranges.append((hold, upper))
+    return hold, stretch_ranges

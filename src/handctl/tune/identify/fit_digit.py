@@ -48,7 +48,7 @@ At lower speeds, the direction of friction is not known at every pulley.
 """
 DIFFERENCE_STEP_S = 1e-4
 """Time step of the numerical derivative of the moment arms along the motion of the joints [s]."""
-MIN_ROWS = 20
+MIN_DATA_ROWS = 20
 """Smallest number of sample times for a fit."""
 
 
@@ -109,7 +109,7 @@ class TorqueBalance:
         fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
         complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
         selected = _spaced_indices(np.flatnonzero(free & fast & complete), 2 * reach)
-        if len(selected) < MIN_ROWS:
+        if len(selected) < MIN_DATA_ROWS:
             return None
         q = first_tendon.joints[selected]
         dq, ddq = _joint_rates(digit, q, speed[selected], acceleration[selected])
@@ -192,17 +192,19 @@ def _joint_rates(
     additional term R' q'^2.
     """
     if not digit.has_varying_arm:
-        to_joints = digit.excursion_to_joints.T
-        return speed @ to_joints, acceleration @ to_joints
-    to_rates = np.array([digit.at_angles(row).excursion_to_joints for row in q])
-    dq = np.einsum("mjn,mn->mj", to_rates, speed)
+        excursion_to_joints = digit.excursion_to_joints.T
+        return speed @ excursion_to_joints, acceleration @ excursion_to_joints
+    excursions_to_joints_by_row = np.array([digit.at_angles(row).excursion_to_joints for row in q])
+    dq = np.einsum("mjn,mn->mj", excursions_to_joints_by_row, speed)
     bend = np.einsum(
         "mnj,mj->mn",
         digit.moment_arms_at(q + DIFFERENCE_STEP_S * dq)
         - digit.moment_arms_at(q - DIFFERENCE_STEP_S * dq),
         dq,
     )
-    return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * DIFFERENCE_STEP_S))
+    return dq, np.einsum(
+        "mjn,mn->mj", excursions_to_joints_by_row, acceleration - bend / (2.0 * DIFFERENCE_STEP_S)
+    )
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
@@ -213,7 +215,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
     n = len(SHARED_PARAMETERS)
     tendons = len(balance.noise)
     arms = balance.digit.moment_arms
-    whiten = balance.whitening_matrix
+    whitening_matrix = balance.whitening_matrix
     spread = np.array(
         [
             *(PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
@@ -224,12 +226,12 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 
     def residuals(z: Array) -> Array:
         offset = z[n + tendons :]
-        imbalance = balance.tendon_torque(
+        torque_imbalance = balance.tendon_torque(
             z[n : n + tendons] * friction, offset
         ) - balance.required_torque(*z[:n].tolist())
         return np.concatenate(
             [
-                (imbalance @ whiten).ravel(),
+                (torque_imbalance @ whitening_matrix).ravel(),
                 (z[: n + tendons] - 1.0) / spread,
                 offset / balance.drift_sigma,
             ]
@@ -241,7 +243,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
     return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 
-def fits_with_digit(
+def fits_with_digit_solution(
     tendon_fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
     """Return the fits of the tendons of a digit, with the parameters from the fit of the whole digit added.

@@ -207,7 +207,9 @@ class DigitLoad:
         ]
         return np.interp(excursion, grid, TABLE_ANGLES_RAD)
 
-    def _joint(self, i: int, q: Array) -> tuple[Array | float, Array | float, Array]:
+    def _arm_slope_and_excursion(
+        self, i: int, q: Array
+    ) -> tuple[Array | float, Array | float, Array]:
         """Return the moment arm [m], its derivative [m/rad] and the excursion [m] of joint i at angles (m,) [rad]."""
         if self.varying is None:
             arm = float(self.arms[i])
@@ -229,7 +231,7 @@ class DigitLoad:
         mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])
         rate = means.speed / total
         acceleration = means.acceleration / total
-        extra = [
+        load_torques = [
             p.damping * self.damping[i] * rate
             + p.mass
             * (
@@ -256,10 +258,10 @@ class DigitLoad:
                         MAX_FRICTION_EXPONENT,
                     )
                 )
-                arm, bend, _ = self._joint(i, q[i])
+                arm, bend, _ = self._arm_slope_and_excursion(i, q[i])
                 rest = (
                     (arm - bend * q[i]) * f * friction_factor
-                    - extra[i]
+                    - load_torques[i]
                     - stiffness[i] * p.preload * self.preload[i]
                 )
                 # If a moment arm increases with the joint angle, it acts against the spring.
@@ -268,7 +270,7 @@ class DigitLoad:
                 )
                 q[i] = rest / held
                 angle = angle + q[i]
-                arm, _, taken_up = self._joint(i, q[i])
+                arm, _, taken_up = self._arm_slope_and_excursion(i, q[i])
                 excursion = excursion + taken_up
                 # `slope` is the derivative of the excursion with respect to the tension.
                 slope = slope + arm * arm * friction_factor / held

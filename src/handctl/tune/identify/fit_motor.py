@@ -126,7 +126,7 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     rows = centres[:, None] + samples
     travel = data.travel[rows]
     _, speed, acceleration = weights.derivatives(travel)
-    quick = quick_speed(data.travel, period)
+    quick = speed_from_difference(data.travel, period)
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
     # All signs in a window are equal if the absolute value of their sum is the number of readings.
@@ -145,7 +145,7 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     )
 
 
-def quick_speed(travel: Array, period: float, half_window: int = 3) -> Array:
+def speed_from_difference(travel: Array, period: float, half_window: int = 3) -> Array:
     """Return the speed for a series of travels, from differences over a few control periods [m/s].
 
     At both ends of the data, the speed is zero.

@@ -27,13 +27,18 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.link_tree import HandLinkTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 from handctl.tune.identify.fit_load import SignalBins
-from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
+from handctl.tune.identify.fit_motor import (
+    MotorWindows,
+    WindowWeights,
+    motor_windows,
+    speed_from_difference,
+)
 from handctl.tune.identify.fit_tendon import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
-    SCALE_OFFSET_M,
+    STRETCH_OFFSET_SCALE_M,
     TendonFit,
     TendonFitProblem,
     parameter_scales,
@@ -167,7 +172,7 @@ class PairWindows:
         )
         to_tension = digit.torque_to_tension[tendon]
         passed = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
-        quick = quick_speed(own.travel, own.period)[rows]
+        quick = speed_from_difference(own.travel, own.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own, rows, weights)
         return PairWindows(
             motor=windows,
@@ -317,7 +322,7 @@ class PairProblem:
             - coulomb / r
         )
 
-    def free_tension(self, z: Array) -> Array:
+    def tension_in_free_motion(self, z: Array) -> Array:
         """Return the net tension (m,) that links and tendon friction require in free motion [N]."""
         w = self.windows
         load = (
@@ -345,12 +350,12 @@ class PairProblem:
         If a window contains too few joint-encoder readings, the length is NaN.
         """
         w = self.windows
-        skew = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
+        time_skew_travel = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
         return np.asarray(
             w.travel
             - self.parameter_value(z, "moment_arm") * w.excursion
             - self.parameter_value(z, "stretch_offset")
-            - skew
+            - time_skew_travel
         )
 
     def residuals(self, z: Array) -> Array:
@@ -359,9 +364,11 @@ class PairProblem:
         stiffness = self.parameter_value(z, "tendon_stiffness")
         pretension = self.parameter_value(z, "pretension")
         measured = self.measured_tension(z)
-        needed = self.free_tension(z)
-        by_tension = stretch_of_pair(np.where(w.free, needed, measured), stiffness, pretension)
-        motor = np.where(w.free, measured - needed, 0.0) / self.motor_noise
+        needed = self.tension_in_free_motion(z)
+        stretch_from_tension = stretch_of_pair(
+            np.where(w.free, needed, measured), stiffness, pretension
+        )
+        motor_residuals = np.where(w.free, measured - needed, 0.0) / self.motor_noise
         softest = (
             self.motor_noise / self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         )
@@ -369,7 +376,7 @@ class PairProblem:
             self.reading_noise / np.sqrt(w.reading_count), np.where(w.free, 0.0, softest)
         )
         known = np.isfinite(w.excursion)
-        second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
+        stretch_residuals = np.where(known, self.stretch(z) - stretch_from_tension, 0.0) / noise
         spread = np.array(
             [
                 *(
@@ -380,7 +387,9 @@ class PairProblem:
                 1.0,
             ]
         )
-        return np.concatenate([motor, second, (z - self.start_parameters) / spread])
+        return np.concatenate(
+            [motor_residuals, stretch_residuals, (z - self.start_parameters) / spread]
+        )
 
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
@@ -391,13 +400,13 @@ class PairProblem:
             signed, np.inf, MAX_SCALED_PARAMETER
         )
 
-    def with_noise_of(self, z: Array) -> "PairProblem":
+    def with_estimated_noise(self, z: Array) -> "PairProblem":
         """Return the input of the fit, with a new value for the noise of the motor equation.
 
         The noise is estimated from the median of the absolute residuals.
         """
         w = self.windows
-        rest = (self.measured_tension(z) - self.free_tension(z))[w.free]
+        rest = (self.measured_tension(z) - self.tension_in_free_motion(z))[w.free]
         size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
         return replace(self, motor_noise=max(size, MIN_NOISE_N))
 
@@ -431,7 +440,7 @@ def fit_pair(
         for start in _start_candidates(problem.start_parameters)
     ]
     first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
-    problem = problem.with_noise_of(first.z)
+    problem = problem.with_estimated_noise(first.z)
     solution = solve_least_squares(problem.residuals, first.z, problem.parameter_bounds(), times)
     return with_model_error(_as_tendon_fit(hand, problem, solution), PAIR_MODEL_ERROR)
 
@@ -446,7 +455,7 @@ def _start_parameters(windows: PairWindows) -> Array:
     offset = (
         float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
     )
-    first[PAIR_PARAMETERS.index("stretch_offset")] = offset / SCALE_OFFSET_M
+    first[PAIR_PARAMETERS.index("stretch_offset")] = offset / STRETCH_OFFSET_SCALE_M
     first[-2:] = 0.0
     return first
 
@@ -484,13 +493,13 @@ def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> T
     z[target] = solution.z[:own]
     covariance = np.eye(count + 2) * DEFAULT_PRIOR_DEVIATION**2
     covariance[np.ix_(target, target)] = solution.covariance[:own, :own]
-    freedom = np.full(count + 2, MIN_DEGREES_OF_FREEDOM)
-    freedom[target] = solution.degrees_of_freedom[:own]
+    degrees_of_freedom = np.full(count + 2, MIN_DEGREES_OF_FREEDOM)
+    degrees_of_freedom[target] = solution.degrees_of_freedom[:own]
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
     sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
     measured = problem.measured_tension(solution.z)
     none = np.zeros(0)
-    nothing = SignalBins(none, none, none, none, none, 1)
+    empty_bins = SignalBins(none, none, none, none, none, 1)
     seen = np.isfinite(windows.excursion) & ~windows.free
     t = windows.motor.t[seen]
     rest = np.zeros(len(t))
@@ -502,18 +511,20 @@ def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> T
             digit_load=None,
             motor_windows=replace(
                 windows.motor,
-                tension=np.where(windows.free, problem.free_tension(solution.z), measured),
+                tension=np.where(
+                    windows.free, problem.tension_in_free_motion(solution.z), measured
+                ),
             ),
-            free_bins=nothing,
-            stop_bins=SignalBins(t, stretch, measured[seen], rest, rest, 1),
-            slack_bins=nothing,
+            free_motion_bins=empty_bins,
+            open_stop_bins=SignalBins(t, stretch, measured[seen], rest, rest, 1),
+            slack_tendon_bins=empty_bins,
             drift_knots=windows.motor.t[[0, -1]],
             cell_noise_N=problem.motor_noise,
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3),
         ),
         z=z,
         covariance=covariance,
-        degrees_of_freedom=freedom,
+        degrees_of_freedom=degrees_of_freedom,
         sensitivity=sensitivity,
         residual=solution.residual,
     )

@@ -34,9 +34,9 @@ LOAD_PARAMETERS = slice(
     PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1
 )
 """Indexes of the parameters that `fit_load.LoadParameters` contains."""
-SCALE_DELAY_S = 1e-3
+DELAY_SCALE_S = 1e-3
 """Scale of the parameter `delay` [s]."""
-SCALE_OFFSET_M = 1e-4
+STRETCH_OFFSET_SCALE_M = 1e-4
 """Scale of the parameter `stretch_offset` [m]."""
 PRIOR_DEVIATIONS = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 """Prior standard deviation of each parameter for which prior knowledge exists, divided by the parameter's scale.
@@ -85,9 +85,9 @@ class TendonFitProblem:
         parameter_scales: (15,) scale of each parameter, usually the value in the hand file.
         digit_load: model of the digit, or None if the digit has several tendons or no springs.
         motor_windows: time windows of the motor equation.
-        free_bins: averaged data (bins) in which the digit moves freely.
-        stop_bins: bins of data in which the digit is on the open stop.
-        slack_bins: bins in which the tendon is slack.
+        free_motion_bins: averaged data (bins) in which the digit moves freely.
+        open_stop_bins: bins of data in which the digit is on the open stop.
+        slack_tendon_bins: bins in which the tendon is slack.
         drift_knots: (k,) times of the knots of the drift of the load cell [s].
         cell_noise_N: standard deviation of a load-cell sample [N].
         drift_step_N: standard deviation of the change of the drift between two neighbouring
@@ -98,9 +98,9 @@ class TendonFitProblem:
     parameter_scales: Array
     digit_load: DigitLoad | None
     motor_windows: MotorWindows
-    free_bins: SignalBins
-    stop_bins: SignalBins
-    slack_bins: SignalBins
+    free_motion_bins: SignalBins
+    open_stop_bins: SignalBins
+    slack_tendon_bins: SignalBins
     drift_knots: Array
     cell_noise_N: float
     drift_step_N: float
@@ -131,9 +131,9 @@ class TendonFitProblem:
             parameter_scales=parameter_scales(hand, data.tendon),
             digit_load=DigitLoad.from_digit(digit) if single and sprung else None,
             motor_windows=windows,
-            free_bins=average_in_bins(data, data.free, is_moving=True),
-            stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_S),
-            slack_bins=average_in_bins(data, data.slack, is_moving=False, bin_s=STOP_BIN_S),
+            free_motion_bins=average_in_bins(data, data.free, is_moving=True),
+            open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_S),
+            slack_tendon_bins=average_in_bins(data, data.slack, is_moving=False, bin_s=STOP_BIN_S),
             drift_knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
@@ -148,7 +148,9 @@ class TendonFitProblem:
         """Return the initial scaled parameters (15 + k,), which come from the hand file."""
         first = np.ones(len(PARAMETER_NAMES))
         first[PARAMETER_NAMES.index("delay")] = 1.0
-        first[PARAMETER_NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
+        first[PARAMETER_NAMES.index("stretch_offset")] = (
+            self._initial_stretch_offset() / STRETCH_OFFSET_SCALE_M
+        )
         return np.append(first, np.zeros(len(self.drift_knots)))
 
     def parameter_bounds(self) -> tuple[Array, Array]:
@@ -159,23 +161,25 @@ class TendonFitProblem:
         free = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
         low = -free
         high = free
-        sized = [
+        positive_indices = [
             i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")
         ]
-        low[sized] = MIN_SCALED_PARAMETER
-        high[sized] = MAX_SCALED_PARAMETER
+        low[positive_indices] = MIN_SCALED_PARAMETER
+        high[positive_indices] = MAX_SCALED_PARAMETER
         return low, high
 
-    def _first_offset(self) -> float:
+    def _initial_stretch_offset(self) -> float:
         """Return a first estimate of the stretch offset [m].
 
         The estimate uses the data at the open stop. Without such data, it is the smallest travel in
         free motion.
         """
         stiffness = self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
-        if len(self.stop_bins.t):
-            return float(np.mean(self.stop_bins.travel - self.stop_bins.tension / stiffness))
-        return float(self.free_bins.travel.min()) if len(self.free_bins.t) else 0.0
+        if len(self.open_stop_bins.t):
+            return float(
+                np.mean(self.open_stop_bins.travel - self.open_stop_bins.tension / stiffness)
+            )
+        return float(self.free_motion_bins.travel.min()) if len(self.free_motion_bins.t) else 0.0
 
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations, in the order motor, stop, slack, free, drift, priors."""
@@ -191,9 +195,11 @@ class TendonFitProblem:
         # In the motor equation, the tension is the driving force minus the forces of inertia and
         # friction.
         driven = gain * m.delayed_command(delay)
-        losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
+        motor_losses = (
+            inertia / r * m.acceleration + viscous / r * m.speed
+        ) / r + coulomb / r * m.sign
         rows = [
-            (driven - losses - (m.tension - self._cell_offset(m.t, drift)))
+            (driven - motor_losses - (m.tension - self._cell_offset(m.t, drift)))
             / (self.cell_noise_N * m.noise_ratio)
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
@@ -209,20 +215,20 @@ class TendonFitProblem:
         """Return the bins of data, each with the tensions that the model expects."""
         rows = [
             (
-                self.stop_bins,
+                self.open_stop_bins,
                 stop_stiffness(
                     stiffness, p[PARAMETER_NAMES.index("stop_softness")], self.parameter_scales
                 )
-                * (self.stop_bins.travel - p[PARAMETER_NAMES.index("stretch_offset")]),
+                * (self.open_stop_bins.travel - p[PARAMETER_NAMES.index("stretch_offset")]),
             ),
-            (self.slack_bins, np.zeros_like(self.slack_bins.t)),
+            (self.slack_tendon_bins, np.zeros_like(self.slack_tendon_bins.t)),
         ]
-        if self.digit_load is not None and len(self.free_bins.t):
+        if self.digit_load is not None and len(self.free_motion_bins.t):
             rows.append(
                 (
-                    self.free_bins,
+                    self.free_motion_bins,
                     self.digit_load.expected_tension(
-                        LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free_bins
+                        LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free_motion_bins
                     ),
                 )
             )
@@ -249,9 +255,9 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     scales = np.array([
-        1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S,
+        1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, DELAY_SCALE_S,
         known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
-        SCALE_OFFSET_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
+        STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
     ])  # fmt: skip
     # Even a parameter that is zero in the hand file needs a scale.
     return np.where(scales > 0.0, scales, 1e-3)
@@ -319,11 +325,11 @@ class TendonFit:
             np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)]
             * self.problem.parameter_scales
         )
-        wide = student.ppf(
+        student_factor = student.ppf(
             0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / parameter_count),
             self.degrees_of_freedom[: len(PARAMETER_NAMES)],
         )
-        return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
+        return dict(zip(PARAMETER_NAMES, (student_factor * spread).tolist(), strict=True))
 
 
 def fit_tendon(problem: TendonFitProblem) -> TendonFit:
@@ -350,12 +356,16 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
 
     If there are no free sweeps, return None.
     """
-    free = problem.free_bins
+    free = problem.free_motion_bins
     load = problem.digit_load
     if load is None or not len(free.t):
         return None
-    first = len(problem.motor_windows.t) + len(problem.stop_bins.t) + len(problem.slack_bins.t)
-    offset = float(solution.z[PARAMETER_NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
+    first = (
+        len(problem.motor_windows.t)
+        + len(problem.open_stop_bins.t)
+        + len(problem.slack_tendon_bins.t)
+    )
+    offset = float(solution.z[PARAMETER_NAMES.index("stretch_offset")]) * STRETCH_OFFSET_SCALE_M
     stiffness = float(
         solution.z[PARAMETER_NAMES.index("tendon_stiffness")]
         * problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
@@ -367,9 +377,9 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
 
 def _row_times(problem: TendonFitProblem) -> Array:
     """Return the time of every row of measured data, in the order of the residuals."""
-    parts = [problem.motor_windows.t, problem.stop_bins.t, problem.slack_bins.t]
-    if problem.digit_load is not None and len(problem.free_bins.t):
-        parts.append(problem.free_bins.t)
+    parts = [problem.motor_windows.t, problem.open_stop_bins.t, problem.slack_tendon_bins.t]
+    if problem.digit_load is not None and len(problem.free_motion_bins.t):
+        parts.append(problem.free_motion_bins.t)
     return np.concatenate(parts)
 
 
@@ -409,20 +419,20 @@ def merge_solution(
     target = [PARAMETER_NAMES.index(name) for name in parameter_names]
     z = fit.z.copy()
     covariance = fit.covariance.copy()
-    freedom = fit.degrees_of_freedom.copy()
+    degrees_of_freedom = fit.degrees_of_freedom.copy()
     z[target] = solution.z[source_rows]
-    freedom[target] = solution.degrees_of_freedom[source_rows]
+    degrees_of_freedom[target] = solution.degrees_of_freedom[source_rows]
     # Because the two fits are independent, the covariance between their parameters is zero.
     covariance[target, :] = covariance[:, target] = 0.0
     covariance[np.ix_(target, target)] = solution.covariance[np.ix_(source_rows, source_rows)]
-    rows_added = np.zeros((row_count, len(PARAMETER_NAMES)))
-    rows_added[:, target] = solution.jacobian[:row_count, source_rows]
+    added_jacobian_rows = np.zeros((row_count, len(PARAMETER_NAMES)))
+    added_jacobian_rows[:, target] = solution.jacobian[:row_count, source_rows]
     return replace(
         fit,
         z=z,
         covariance=covariance,
-        degrees_of_freedom=freedom,
-        sensitivity=np.vstack([fit.sensitivity, rows_added]),
+        degrees_of_freedom=degrees_of_freedom,
+        sensitivity=np.vstack([fit.sensitivity, added_jacobian_rows]),
     )
 
 

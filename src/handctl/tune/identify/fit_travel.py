@@ -19,7 +19,7 @@ from handctl.tune.identify.fit_tendon import (
     MAX_SCALED_PARAMETER,
     MIN_SCALED_PARAMETER,
     PARAMETER_NAMES,
-    SCALE_OFFSET_M,
+    STRETCH_OFFSET_SCALE_M,
     TendonFit,
     merge_solution,
     with_model_error,
@@ -45,7 +45,7 @@ SENSOR_SKEW_S = 1e-3
 """Scale of the time difference between the encoders, and its prior standard deviation [s]."""
 SAMPLES_EACH_SIDE = 1
 """Number of samples before and after a joint reading over which the tension is averaged."""
-MIN_ROWS = 50
+MIN_DATA_ROWS = 50
 """Smallest number of joint readings for a fit."""
 
 
@@ -56,7 +56,7 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
     return np.array([digit.excursion_at(row)[tendon] for row in q])
 
 
-def model_with_arms(digit: DigitModel, arm_factors: Array) -> DigitModel:
+def model_with_arm_factors(digit: DigitModel, arm_factors: Array) -> DigitModel:
     """Return a copy of a digit in which the moment arms of each tendon are multiplied by a factor (n_t,)."""
     arms = digit.moment_arms * arm_factors[:, None]
     to_coordinates = np.linalg.pinv(arms @ digit.coupling)
@@ -94,7 +94,7 @@ def fit_travel(
         & np.isfinite(tension + data.travel + speed)
         & (tension > MIN_TENSION_N)
     )
-    if used.sum() < MIN_ROWS:
+    if used.sum() < MIN_DATA_ROWS:
         return fit
     excursion = tendon_excursions(digit, tendon, data.joints[used])
     travel, tension, speed, t = data.travel[used], tension[used], speed[used], data.t[used]
@@ -109,10 +109,10 @@ def fit_travel(
 
     def residuals(z: Array) -> Array:
         stretch = tension / (z[0] * nominal)
-        moving = np.interp(t, knots, z[own:]) * SCALE_OFFSET_M
+        moving = np.interp(t, knots, z[own:]) * STRETCH_OFFSET_SCALE_M
         expected = z[1] * excursion + stretch + offset + moving + z[2] * SENSOR_SKEW_S * speed
         # The offset follows the drift of the load cell, which is a random walk.
-        steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.drift_step_N
+        steps = np.diff(z[own:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
         prior = np.array(
             [
                 (z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION,

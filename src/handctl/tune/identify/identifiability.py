@@ -13,9 +13,9 @@ from scipy.signal import coherence
 from handctl.core.identified_parameters import PARAMETER_UNITS
 from handctl.hand.description import Hand
 from handctl.tune.identify.fit_tendon import (
+    DELAY_SCALE_S,
     MAX_HALF_WIDTH,
     PARAMETER_NAMES,
-    SCALE_DELAY_S,
     TendonFit,
 )
 from handctl.tune.identify.tendon_data import Array, TendonData
@@ -41,9 +41,9 @@ class Identifiability:
         missing: parameters that are not identified, each with the reason.
         rank: number of combinations of parameters that the data determine.
         columns: number of all combinations, which is the number of parameters.
-        condition: largest singular value of the Jacobian divided by the smallest.
-        weakest: combination of parameters that the data determine worst, as text.
-        correlated: pairs of identified parameters whose errors are correlated, each with the
+        condition_number: largest singular value of the Jacobian divided by the smallest.
+        weakest_combination: combination of parameters that the data determine worst, as text.
+        correlated_pairs: pairs of identified parameters whose errors are correlated, each with the
             correlation.
     """
 
@@ -51,9 +51,9 @@ class Identifiability:
     missing: tuple[str, ...]
     rank: int
     columns: int
-    condition: float
-    weakest: str
-    correlated: tuple[tuple[str, str, float], ...]
+    condition_number: float
+    weakest_combination: str
+    correlated_pairs: tuple[tuple[str, str, float], ...]
 
 
 def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) -> Identifiability:
@@ -65,7 +65,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         digit: name of the digit.
         tendon: name of the tendon.
     """
-    unseen = unobservable_parameters(hand, digit, tendon)
+    unobservable_reasons = unobservable_parameters(hand, digit, tendon)
     jacobian = fit.sensitivity
     # Each right singular vector is a combination of parameters. The singular value of this vector
     # measures how much the data say about the combination.
@@ -75,18 +75,20 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     names = tuple(
         name
         for name in PARAMETER_UNITS
-        if name not in unseen
-        and _is_narrow(name, values[name], widths[name])
-        and _is_excited(jacobian, name)
+        if name not in unobservable_reasons
+        and _is_interval_narrow(name, values[name], widths[name])
+        and _is_parameter_excited(jacobian, name)
     )
     reasons = {
         name: _reason_not_identified(jacobian, name)
         for name in PARAMETER_UNITS
         if name not in names
-    } | unseen
-    if _lacks_encoders(hand, digit):
-        unexcited = (name for name in BALANCE_PARAMETERS if not _is_excited(jacobian, name))
-        reasons |= dict.fromkeys(unexcited, ENCODERS_NEEDED)
+    } | unobservable_reasons
+    if _needs_missing_encoders(hand, digit):
+        unexcited_names = (
+            name for name in BALANCE_PARAMETERS if not _is_parameter_excited(jacobian, name)
+        )
+        reasons |= dict.fromkeys(unexcited_names, ENCODERS_NEEDED)
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -99,19 +101,19 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         names=names,
         missing=(
             *(f"{name}: {reason}" for name, reason in reasons.items() if reason),
-            *_never_identifiable(fit, hand, tendon),
+            *_unidentifiable_parameters(fit, hand, tendon),
         ),
         # A combination of parameters is counted if its 95 % interval is as narrow as that of an
         # identified parameter.
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
-        condition=float(sizes[0] / max(sizes[-1], 1e-12)),
-        weakest=_combination_text(directions[-1]),
-        correlated=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
+        condition_number=float(sizes[0] / max(sizes[-1], 1e-12)),
+        weakest_combination=_combination_text(directions[-1]),
+        correlated_pairs=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
     )
 
 
-def _lacks_encoders(hand: Hand, digit: str) -> bool:
+def _needs_missing_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit with springs and several tendons has no joint encoders.
 
     In such a digit, the tension of a single tendon does not show the load of the springs. The
@@ -119,32 +121,36 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
     to measure.
     """
     tendons = hand.digit_tendons[digit]
-    sprung = hand.digit_named(digit).has_springs
-    several = tendons.stop - tendons.start > 1
-    return sprung and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
+    has_springs = hand.digit_named(digit).has_springs
+    has_several_tendons = tendons.stop - tendons.start > 1
+    return (
+        has_springs
+        and has_several_tendons
+        and not bool(np.all(hand.tendons_with_encoders[tendons]))
+    )
 
 
-def _is_narrow(name: str, half_width: float, width: float) -> bool:
+def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
     """Return True if the confidence interval of a parameter is narrow enough.
 
     The width of the interval is compared with the value of the parameter. For the parameter
     `delay`, it is compared with a millisecond.
     """
-    scale = SCALE_DELAY_S if name == "delay" else abs(half_width)
+    scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)
 
 
-def _is_excited(jacobian: Array, name: str) -> bool:
+def _is_parameter_excited(jacobian: Array, name: str) -> bool:
     """Return True if a parameter influences at least one row of the data."""
     return bool(np.linalg.norm(jacobian[:, PARAMETER_NAMES.index(name)]) > 1e-6)
 
 
 def _reason_not_identified(jacobian: Array, name: str) -> str:
     """Return the reason why a parameter is not identified, as text."""
-    if not _is_excited(jacobian, name):
+    if not _is_parameter_excited(jacobian, name):
         return "no data depend on this parameter"
     if name == "delay":
-        return f"the 95 % interval is wider than {1e3 * MAX_HALF_WIDTH * SCALE_DELAY_S:g} ms to either side"
+        return f"the 95 % interval is wider than {1e3 * MAX_HALF_WIDTH * DELAY_SCALE_S:g} ms to either side"
     return (
         f"the 95 % interval is wider than {100 * MAX_HALF_WIDTH:.0f} % of the value to either side"
     )
@@ -163,25 +169,25 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     index = hand.tendon_names.index(tendon)
     is_pair = bool(hand.is_pair[index])
     sprung = hand.digit_named(digit).has_springs
-    unseen = {} if is_pair else {"pretension": ""}
+    reason_by_parameter = {} if is_pair else {"pretension": ""}
     if is_pair:
-        unseen["torque_gain"] = (
+        reason_by_parameter["torque_gain"] = (
             "without a load cell the torque of the drive is the unit of all forces"
         )
     if not sprung:
-        unseen |= dict.fromkeys(
+        reason_by_parameter |= dict.fromkeys(
             ("spring_stiffness", "spring_preload"), "the hand file has no springs"
         )
     if sprung:
-        unseen["moment_arm"] = (
+        reason_by_parameter["moment_arm"] = (
             "it trades off with springs and stretch, so the moment arms of the hand file are used"
         )
     elif not hand.tendons_with_encoders[index]:
-        unseen["moment_arm"] = ENCODERS_NEEDED
-    return unseen
+        reason_by_parameter["moment_arm"] = ENCODERS_NEEDED
+    return reason_by_parameter
 
 
-def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
+def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[str]:
     """Return the parameters that this excitation cannot identify however long it lasts, each with the reason."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
@@ -191,7 +197,11 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
             f"tendon damping: its force is too small for the noise of the motor force, {problem.cell_noise_N:.2f} N",
         ]
     tension = np.concatenate(
-        [problem.motor_windows.tension, problem.stop_bins.tension, problem.free_bins.tension]
+        [
+            problem.motor_windows.tension,
+            problem.open_stop_bins.tension,
+            problem.free_motion_bins.tension,
+        ]
     )
     reasons = [
         "load-cell gain: torque gain, inertia, friction, tendon and springs all scale with it. "
@@ -204,9 +214,9 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
         reasons.append(
             f"knee of the tendon: the data end at {tension.max(initial=0.0):.0f} N, the knee is at {tendon.knee_N:g} N"
         )
-    if not len(problem.stop_bins.t):
+    if not len(problem.open_stop_bins.t):
         return reasons
-    rates = np.abs(problem.stop_bins.speed)
+    rates = np.abs(problem.open_stop_bins.speed)
     max_speed = float(rates.max(initial=0.0))
     damping_force = tendon.damping_N_s_per_m * max_speed
     reasons.append(
@@ -230,9 +240,9 @@ def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     At a coherence of 1, the speed follows from the force through a linear system. Noise, friction,
     and other causes of the motion reduce the coherence.
     """
-    use = data.acting & np.isfinite(data.travel)
-    force = data.command[use]
-    travel = data.travel[use]
+    is_used = data.acting & np.isfinite(data.travel)
+    force = data.command[is_used]
+    travel = data.travel[is_used]
     if len(force) < 64:
         return np.zeros(0), np.zeros(0)
     speed = np.gradient(travel, data.period)

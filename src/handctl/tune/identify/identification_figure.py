@@ -54,7 +54,7 @@ def _drift_at(result: TendonResult, t: Any) -> Any:
 
 
 def _draw_stop_stretch(axes: Any, result: TendonResult) -> None:
-    bins = result.fit.problem.stop_bins
+    bins = result.fit.problem.open_stop_bins
     values = result.fit.parameter_values
     axes.set(title="tendon, on the open stop", xlabel="tendon travel [um]", ylabel="tension [N]")
     if not len(bins.t):
@@ -80,7 +80,7 @@ def _draw_stop_stretch(axes: Any, result: TendonResult) -> None:
 
 def _draw_free_sweep(axes: Any, result: TendonResult) -> None:
     problem = result.fit.problem
-    bins = problem.free_bins
+    bins = problem.free_motion_bins
     axes.set(
         title="springs and friction, in free sweeps",
         xlabel="tendon travel [mm]",

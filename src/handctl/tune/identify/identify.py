@@ -15,7 +15,7 @@ from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
-from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
+from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit_solution
 from handctl.tune.identify.fit_pair import fit_pair
 from handctl.tune.identify.fit_tendon import (
     PARAMETER_NAMES,
@@ -23,7 +23,7 @@ from handctl.tune.identify.fit_tendon import (
     TendonFitProblem,
     fit_tendon,
 )
-from handctl.tune.identify.fit_travel import fit_travel, model_with_arms
+from handctl.tune.identify.fit_travel import fit_travel, model_with_arm_factors
 from handctl.tune.identify.identifiability import (
     Identifiability,
     assess_identifiability,
@@ -104,16 +104,16 @@ class TendonResult:
         return self.coherence < MIN_COHERENCE
 
     @property
-    def why_not(self) -> dict[str, str]:
+    def reason_by_invalid_quantity(self) -> dict[str, str]:
         """Return, for each quantity without a valid value, the reason.
 
         The fitted parameters come first, and then other quantities.
         """
         missing = dict(text.split(": ", 1) for text in self.identifiability.missing)
-        invalid = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
+        invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
         if self.is_incoherent and not self.blocked_event:
-            invalid |= dict.fromkeys(SWING_PARAMETERS, LOW_COHERENCE_TEXT)
-        reasons = dict.fromkeys(PARAMETER_UNITS, "") | invalid | missing
+            invalid_reasons |= dict.fromkeys(SWING_PARAMETERS, LOW_COHERENCE_TEXT)
+        reasons = dict.fromkeys(PARAMETER_UNITS, "") | invalid_reasons | missing
         return {
             name: reason
             for name, reason in reasons.items()
@@ -174,9 +174,9 @@ class TendonResult:
             "coherence_is_low": self.is_incoherent,
             "not_identified": list(self.identifiability.missing),
             "rank": [self.identifiability.rank, self.identifiability.columns],
-            "condition": self.identifiability.condition,
-            "weakest_combination": self.identifiability.weakest,
-            "correlated": [list(pair) for pair in self.identifiability.correlated],
+            "condition": self.identifiability.condition_number,
+            "weakest_combination": self.identifiability.weakest_combination,
+            "correlated": [list(pair) for pair in self.identifiability.correlated_pairs],
             "residual_rms": float(np.sqrt(np.mean(self.fit.residual**2))),
             "load_cell_noise_N": self.fit.problem.cell_noise_N,
         }
@@ -197,40 +197,40 @@ def identify_tendons(
     Raises:
         LogError: no tendon moves in the log.
     """
-    solved = []
+    data_and_fits = []
     failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
-    data_of_all = tendon_data(log, hand)
-    for data in data_of_all:
+    tendons_data = tendon_data(log, hand)
+    for data in tendons_data:
         progress(f"fitting {data.tendon}")
         try:
-            solved.append(
+            data_and_fits.append(
                 (
                     data,
-                    _fit_alone(
-                        hand, data, [other for other in data_of_all if other.digit == data.digit]
+                    _fit_single_tendon(
+                        hand, data, [other for other in tendons_data if other.digit == data.digit]
                     ),
                 )
             )
         except LogError as error:
             failure = error
-    if not solved:
+    if not data_and_fits:
         raise failure
     results: dict[str, TendonResult] = {}
     for name in hand.digit_names:
-        fits_of_digit = [(data, fit) for data, fit in solved if data.digit == name]
-        balance, fits = _digit_fits(hand, name, fits_of_digit)
+        digit_data_and_fits = [(data, fit) for data, fit in data_and_fits if data.digit == name]
+        balance, fits = _digit_fits(hand, name, digit_data_and_fits)
         results |= {
             data.tendon: _tendon_result(hand, data, fit, balance)
-            for (data, _), fit in zip(fits_of_digit, fits, strict=True)
+            for (data, _), fit in zip(digit_data_and_fits, fits, strict=True)
         }
     events = blocked_digits(log)
     return {
-        name: _with_contacts(hand, fit, events.get(fit.data.digit, ""))
+        name: _result_with_contacts(hand, fit, events.get(fit.data.digit, ""))
         for name, fit in results.items()
     }
 
 
-def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> TendonFit:
+def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> TendonFit:
     """Return the fit of a single tendon or spool pair.
 
     The fit of a spool pair needs the data of all spool pairs of the digit.
@@ -248,7 +248,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Te
     return fit_travel(digit, place, data, fit, hand.sensor_node.joint_noise_rad)
 
 
-def _with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
+def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
     """Return the result of a tendon with information about contacts that make parameters invalid.
 
     To detect obstacles, the controller uses the springs of the hand file. If the real springs are
@@ -268,9 +268,11 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
     """
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
-        several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
+        has_several_tendons = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
         size = (
-            f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
+            f"{1e3 * abs(ramp.rise):.1f} mN m at a joint"
+            if has_several_tendons
+            else f"{abs(ramp.rise):.1f} N"
         )
         kind = "higher" if ramp.rise > 0.0 else "lower"
         start, end = np.degrees([ramp.begin, ramp.end])
@@ -350,11 +352,13 @@ def _digit_fits(
     ):
         return None, fits
     if not any(digit.spring_stiffness):
-        digit = model_with_arms(
+        digit = model_with_arm_factors(
             digit, np.array([fit.parameter_values["moment_arm"] for fit in fits])
         )
     balance = TorqueBalance.from_fits(digit, [data for data, _ in data_and_fits], fits)
-    return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
+    return balance, fits if balance is None else fits_with_digit_solution(
+        fits, fit_digit(balance), balance
+    )
 
 
 def _tendon_result(
@@ -404,7 +408,7 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
         lines.append(
             _table_row("parameter", "value", "95 % interval", "unit", "hand file", "why not")
         )
-        reasons = result.why_not
+        reasons = result.reason_by_invalid_quantity
         for key in PARAMETER_UNITS:
             if key in result.identified_names:
                 lines.append(_identified_row(result, key))
@@ -442,18 +446,18 @@ def _combination_lines(result: TendonResult) -> list[str]:
     names = result.identified_names
     widths = result.fit.half_widths
     together = result.fit.half_widths_of(max(1, len(names)))
-    wider = [together[name] / widths[name] for name in names]
+    width_ratios = [together[name] / widths[name] for name in names]
     lines = []
-    if wider:
+    if width_ratios:
         lines.append(
             f"  intervals that cover all {len(names)} parameters at once with 95 %: "
-            f"{min(wider):.2f} to {max(wider):.2f} times as wide"
+            f"{min(width_ratios):.2f} to {max(width_ratios):.2f} times as wide"
         )
     rank = f"{result.identifiability.rank} of {result.identifiability.columns} combinations"
     lines.append(
-        f"  the data determine {rank}, with the least information about {result.identifiability.weakest}"
+        f"  the data determine {rank}, with the least information about {result.identifiability.weakest_combination}"
     )
     return lines + [
         f"  {a} and {b} trade off: correlation {r:+.2f}"
-        for a, b, r in result.identifiability.correlated
+        for a, b, r in result.identifiability.correlated_pairs
     ]

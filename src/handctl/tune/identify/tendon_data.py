@@ -16,11 +16,11 @@ from handctl.log.read.timeline import phase_of_each
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLACK_STEPS = ("tare",)
+SLACK_STEP_NAMES = ("tare",)
 """Names of the steps of an excitation in which the tendon is slack."""
-STOP_STEPS = ("stretch",)
+STOP_STEP_NAMES = ("stretch",)
 """Names of the steps in which the tendon is taut and the digit is at its open stop."""
-FREE_STEPS = ("sweep",)
+FREE_STEP_NAMES = ("sweep",)
 """Names of the steps in which the digit moves freely."""
 CONTACT_PHASES = ("close", "open")
 """Names of the steps in which a contact begins or ends.
@@ -87,18 +87,18 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
-    excited = {
+    excited_digits = {
         name.partition(" ")[0]
         for name in phases
-        if name.partition(" ")[2] in (*STOP_STEPS, *FREE_STEPS)
+        if name.partition(" ")[2] in (*STOP_STEP_NAMES, *FREE_STEP_NAMES)
     }
-    settle = round(SETTLE_S / period)
-    transient = round(TRANSIENT_S / period)
+    settling_ticks = round(SETTLE_S / period)
+    transient_ticks = round(TRANSIENT_S / period)
     # After the last tick, there is no further measurement. Therefore every array ends one tick
     # earlier than the log.
     active = (log.mode == HandMode.ACTIVE)[:-1]
     # If a tick was missed, the equation between a command and the next measurement is not valid.
-    consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
+    is_consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
     gain = _logged_gain(log, len(hand.tendon))
     result = []
@@ -115,13 +115,15 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             tension=log.field("tension_raw")[1:, i],
             command=log.field("motor_torque_goal")[:-1, i] / spool / gain[i],
             joints=log.field("joint_encoder")[1:, hand.digit_joints[digit]],
-            slack=_step_mask(phases, digit, SLACK_STEPS, transient)[:-1],
-            stop=_step_mask(phases, digit, STOP_STEPS, settle)[:-1] & active,
-            free=_step_mask(phases, digit, FREE_STEPS, settle)[:-1] & active,
-            acting=active & consecutive & ~_step_mask(phases, digit, CONTACT_PHASES, 0)[:-1],
+            slack=_step_mask(phases, digit, SLACK_STEP_NAMES, transient_ticks)[:-1],
+            stop=_step_mask(phases, digit, STOP_STEP_NAMES, settling_ticks)[:-1] & active,
+            free=_step_mask(phases, digit, FREE_STEP_NAMES, settling_ticks)[:-1] & active,
+            acting=active & is_consecutive & ~_step_mask(phases, digit, CONTACT_PHASES, 0)[:-1],
         )
-        if excited:
-            result += [_restrict_to_excitation(data, phases, digit)] if digit in excited else []
+        if excited_digits:
+            result += (
+                [_restrict_to_excitation(data, phases, digit)] if digit in excited_digits else []
+            )
         else:
             taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (
                 data.tension > MIN_TENSION_N

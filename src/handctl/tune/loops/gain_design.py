@@ -52,11 +52,11 @@ MIN_FORCE_N = 0.2
 """Smallest authority of the search [N]."""
 MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
-LOG_FORCE_STEP = math.log(1.7)
+FORCE_SEARCH_LOG_STEP = math.log(1.7)
 """Step of the search for the largest authority, in the natural logarithm of the force."""
 BISECTION_STEPS = 5
 """Number of bisections of the last step of the search, for an accuracy of two per cent."""
-LOG_REDUCTION_STEP = math.log(1.03)
+FORCE_REDUCTION_LOG_STEP = math.log(1.03)
 """Step by which a force is reduced after the search, in the natural logarithm of the force.
 
 The force is reduced until the margins that eigenvalues confirm are large enough.
@@ -69,11 +69,11 @@ MAX_COMMON_REDUCTIONS = 5
 The forces are reduced if the loops keep their margins but the hand does not come to rest in
 simulation.
 """
-FORCE_RATIO = 2.0
+MIN_SEPARATE_FORCE_RATIO = 2.0
 """Ratio of a tendon's authority to the common authority, above which the tendon gets a separate force."""
-FORCE_DIGITS = 3
+FORCE_SIGNIFICANT_DIGITS = 3
 """Number of significant digits of a designed force. Further digits are cut off."""
-REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
+DISTURBANCE_REJECTION_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Fractions of disturbance rejection that the design tries, largest first.
 
 With the filters of some hands, loops with a large fraction have no margin.
@@ -89,22 +89,22 @@ class GainDesign:
         margins_before: margins of each tendon and loop with the old gains, on the nominal plant.
         margins_after: margins of each tendon and loop with the designed gains, on the nominal
             plant.
-        worst_before: smallest value of each margin over all plants of the ensemble, with the old
+        worst_margins_before: smallest value of each margin over all plants of the ensemble, with the old
             gains.
-        worst_after: smallest value of each margin over all plants of the ensemble, with the
+        worst_margins_after: smallest value of each margin over all plants of the ensemble, with the
             designed gains.
-        not_at_rest_before: reason why the hand does not come to rest in simulation with the old
+        old_gains_unrest_reason: reason why the hand does not come to rest in simulation with the old
             gains, or an empty text.
     """
 
     gains: Gains
     margins_before: dict[tuple[str, LoopKind], LoopMargins]
     margins_after: dict[tuple[str, LoopKind], LoopMargins]
-    worst_before: LoopMargins
-    worst_after: LoopMargins
-    not_at_rest_before: str = ""
+    worst_margins_before: LoopMargins
+    worst_margins_after: LoopMargins
+    old_gains_unrest_reason: str = ""
 
-    def with_unproven_before(self, reason: str) -> "GainDesign":
+    def with_unproven_old_gains(self, reason: str) -> "GainDesign":
         """Return the design with zero in place of all margins for the old gains.
 
         The margins are zero if the hand did not come to rest in simulation with the old gains.
@@ -116,8 +116,8 @@ class GainDesign:
         return replace(
             self,
             margins_before=before,
-            worst_before=unproven_margins(self.worst_before),
-            not_at_rest_before=reason,
+            worst_margins_before=unproven_margins(self.worst_margins_before),
+            old_gains_unrest_reason=reason,
         )
 
     def as_weights(self) -> Gains:
@@ -139,7 +139,7 @@ class GainDesign:
             "tension_error_N": tension_gains.tension_error_N * tension,
             "speed_error_m_s": tension_gains.speed_error_m_s * tension,
         }
-        return _checked_gains(
+        return _gains_with_sections(
             gains,
             motion={
                 **motion_gains.model_dump(),
@@ -188,11 +188,11 @@ def gains_with_poles(
         motion = shared.motion
         force = largest_force_weight(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _checked_gains(shared, motion={**motion.model_dump(), **table})
+        return _gains_with_sections(shared, motion={**motion.model_dump(), **table})
     tension = shared.tension
     force = largest_force_weight(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _checked_gains(shared, tension={**tension.model_dump(), **table})
+    return _gains_with_sections(shared, tension={**tension.model_dump(), **table})
 
 
 def _scaled_tendon_forces(
@@ -212,7 +212,9 @@ def _scaled_tendon_forces(
     ]
 
 
-def _checked_gains(gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]) -> Gains:
+def _gains_with_sections(
+    gains: Gains, **sections: dict[str, float] | list[dict[str, Any]]
+) -> Gains:
     """Return gains in which some sections are replaced, after their bounds have been checked.
 
     Raises:
@@ -287,16 +289,16 @@ def worst_margins(
 
     The eigenvalues of the closed loops confirm these margins.
     """
-    return reduce(smaller_margins, _each_margin(model, plants, kinds, confirmed_margins))
+    return reduce(smaller_margins, _margins_of_loops(model, plants, kinds, confirmed_margins))
 
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
     """Return the index of the plant on which a loop has the smallest disk margin."""
-    disks = [
-        min(margin.disk for margin in _each_margin(model, (factors,), LoopKind))
+    disk_margins = [
+        min(margin.disk for margin in _margins_of_loops(model, (factors,), LoopKind))
         for factors in plants
     ]
-    return disks.index(min(disks))
+    return disk_margins.index(min(disk_margins))
 
 
 def keeps_required_margins(
@@ -311,15 +313,15 @@ def keeps_required_margins(
     margin is too small.
     """
     return all(
-        margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons)
+        margin.are_sufficient for margin in _margins_of_loops(model, plants, kinds, tendons=tendons)
     )
 
 
-def _each_margin(
+def _margins_of_loops(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
-    margins_of: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
+    margins_function: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
 ) -> Iterator[LoopMargins]:
     """Yield the margins of each loop, tendon, and plant.
@@ -330,7 +332,7 @@ def _each_margin(
         for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
-                margins_of(
+                margins_function(
                     join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)
                 )
                 for factors in plants
@@ -339,10 +341,10 @@ def _each_margin(
 
 def distinct_tendons(model: HandModel) -> tuple[int, ...]:
     """Return the index of one tendon in each group of equal tendons."""
-    return tuple(group[0] for group in _equal_tendons(model))
+    return tuple(group[0] for group in _groups_of_equal_tendons(model))
 
 
-def _equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
+def _groups_of_equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
     """Return groups of tendons whose constants and forces are the same, apart from rounding errors."""
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
@@ -372,16 +374,16 @@ def design_gains(
             test.
     """
     unproven = False
-    for rejection in REJECTION_FRACTIONS:
+    for rejection in DISTURBANCE_REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
-        candidate = with_largest_authority(
+        candidate = model_with_largest_authority(
             _gains_with_motion(model, disturbance_rejection=rejection), LoopKind.MOTION, plants
         )
-        candidate = candidate and with_largest_authority(candidate, LoopKind.TENSION, plants)
+        candidate = candidate and model_with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried in _with_decreasing_authority(candidate, plants):
+        for tried in _models_with_decreasing_authority(candidate, plants):
             after = worst_margins(tried, plants)
             if after.are_sufficient and passes_test(tried):
                 return GainDesign(
@@ -403,20 +405,20 @@ def design_gains(
     )
 
 
-def _with_decreasing_authority(
+def _models_with_decreasing_authority(
     model: HandModel, plants: tuple[PlantFactors, ...]
 ) -> Iterator[HandModel]:
     """Yield the model, and then models with decreasing authority, as long as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
-        less = _gains_with_scaled_forces(model, math.exp(-step * LOG_FORCE_STEP))
-        if keeps_required_margins(less, plants):
-            yield less
+        weaker_model = _gains_with_scaled_forces(model, math.exp(-step * FORCE_SEARCH_LOG_STEP))
+        if keeps_required_margins(weaker_model, plants):
+            yield weaker_model
 
 
 def _gains_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     """Return the model with the authority of all loops multiplied by a factor."""
-    gains = _checked_gains(
+    gains = _gains_with_sections(
         model.gains,
         motion={**model.gains.motion.model_dump(), "force_N": model.gains.motion.force_N * factor},
         tension={
@@ -430,11 +432,11 @@ def _gains_with_scaled_forces(model: HandModel, factor: float) -> HandModel:
 
 def _gains_with_motion(model: HandModel, **values: float) -> HandModel:
     """Return the model with some gains of the motion loop replaced."""
-    gains = _checked_gains(model.gains, motion={**model.gains.motion.model_dump(), **values})
+    gains = _gains_with_sections(model.gains, motion={**model.gains.motion.model_dump(), **values})
     return model_with_gains(model, gains)
 
 
-def with_largest_authority(
+def model_with_largest_authority(
     model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
 ) -> HandModel | None:
     """Return the model in which each tendon's loop has the largest authority that keeps the margins.
@@ -444,22 +446,30 @@ def with_largest_authority(
     """
     model = model_with_gains(model, _without_tendon_forces(model.gains, kind))
     forces: dict[int, float] = {}
-    for group in _equal_tendons(model):
+    for group in _groups_of_equal_tendons(model):
         force = _largest_force(model, kind, group[0], plants)
         if force is None:
             return None
         forces |= dict.fromkeys(group, force)
-    shared = min(forces.values())
-    with_shared = _with_force(model, kind, shared)
-    own = {
-        model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared
+    shared_force = min(forces.values())
+    shared_force_model = _model_with_common_force(model, kind, shared_force)
+    separate_force_by_tendon = {
+        model.space.names[i]: force
+        for i, force in forces.items()
+        if force > MIN_SEPARATE_FORCE_RATIO * shared_force
     }
-    if not own:
-        return with_shared
-    separate = _gains_with_tendon_forces(with_shared, kind, own)
+    if not separate_force_by_tendon:
+        return shared_force_model
+    separate_forces_model = _gains_with_tendon_forces(
+        shared_force_model, kind, separate_force_by_tendon
+    )
     # Each of these forces was found while all tendons had the same force. If two tendons share a
     # joint, a larger force of one tendon reduces the margins of the other.
-    return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
+    return (
+        separate_forces_model
+        if keeps_required_margins(separate_forces_model, plants, (kind,))
+        else shared_force_model
+    )
 
 
 def _largest_force(
@@ -477,7 +487,10 @@ def _largest_force(
 
     def keeps_margins(log_force: float) -> bool:
         return keeps_required_margins(
-            _with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,)
+            _model_with_common_force(model, kind, _rounded_force(log_force)),
+            plants,
+            (kind,),
+            (tendon,),
         )
 
     best = None
@@ -487,7 +500,7 @@ def _largest_force(
             best = at
         elif best is not None:
             break
-        at += LOG_FORCE_STEP
+        at += FORCE_SEARCH_LOG_STEP
     if best is None:
         return None
     high = min(at, math.log(MAX_FORCE_N))
@@ -500,30 +513,30 @@ def _largest_force(
     # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
     # the margins may be smaller.
     for _ in range(MAX_REDUCTIONS):
-        tried = _with_force(model, kind, _rounded_force(best))
+        tried = _model_with_common_force(model, kind, _rounded_force(best))
         if all(
             margin.are_sufficient
-            for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))
+            for margin in _margins_of_loops(tried, plants, (kind,), confirmed_margins, (tendon,))
         ):
             break
-        best -= LOG_REDUCTION_STEP
+        best -= FORCE_REDUCTION_LOG_STEP
     return _rounded_force(best)
 
 
 def _rounded_force(log_force: float) -> float:
     """Return the force whose natural logarithm is given, rounded down to a few digits [N]."""
     force = math.exp(log_force)
-    unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_DIGITS + 1)
+    unit = 10.0 ** (math.floor(math.log10(force)) - FORCE_SIGNIFICANT_DIGITS + 1)
     # The summand 1e-9 compensates the rounding error of the quotient.
-    return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_DIGITS}g}")
+    return float(f"{math.floor(force / unit + 1e-9) * unit:.{FORCE_SIGNIFICANT_DIGITS}g}")
 
 
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     """Return gains in which no single tendon has a separate force in a loop."""
-    removed = f"{kind}_force_N"
-    entries = [one.model_copy(update={removed: None}) for one in gains.tendon]
+    removed_key = f"{kind}_force_N"
+    entries = [one.model_copy(update={removed_key: None}) for one in gains.tendon]
     kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
-    return _checked_gains(gains, tendon=kept)
+    return _gains_with_sections(gains, tendon=kept)
 
 
 def _gains_with_tendon_forces(
@@ -536,12 +549,12 @@ def _gains_with_tendon_forces(
     return model_with_gains(model, gains_with_values(model.gains, values, "design"))
 
 
-def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
+def _model_with_common_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
     """Return the model with another common authority for a loop of all tendons [N]."""
     if kind == LoopKind.MOTION:
         return _gains_with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
-    return model_with_gains(model, _checked_gains(model.gains, tension=table))
+    return model_with_gains(model, _gains_with_sections(model.gains, tension=table))
 
 
 def design_with_poles(

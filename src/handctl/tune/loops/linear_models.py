@@ -67,7 +67,7 @@ With this value, the control law predicts the tension at the edge of the frictio
 """
 MIN_LIMIT_DISTANCE = 0.1
 """Smallest distance of the operating point from the limits of a joint, as a fraction of the joint's range."""
-CONSTANT_TOLERANCE = 1e-9
+CONSTANT_STATE_TOLERANCE = 1e-9
 """A state counts as constant if no coefficient of another state or an input in its equation exceeds this value."""
 
 
@@ -170,19 +170,21 @@ def plant_system(
         A[3, 2] -= space.load_stiffness[i] * factors.spring / load
         A[3, 3] -= space.load_damping[i] * factors.damping / load
     else:
-        keep = [0, 1, 4]
-        A = A[np.ix_(keep, keep)]
-        B = B[keep]
-        tendon_force = tendon_force[keep]
+        kept_states = [0, 1, 4]
+        A = A[np.ix_(kept_states, kept_states)]
+        B = B[kept_states]
+        tendon_force = tendon_force[kept_states]
     n = len(A)
     # For a zero-order hold, the exponential of [[A, B], [0, 0]] contains both discrete matrices.
-    discrete = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
+    discrete_matrices = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
     C = np.zeros((3, n))
     C[0, 0] = 1.0
     C[1] = tendon_force
     if kind == LoopKind.MOTION:
         C[2, 2] = 1.0
-    return LinearSystem(discrete[:n, :n], discrete[:n, n:], C, np.zeros((3, 1)), model.period)
+    return LinearSystem(
+        discrete_matrices[:n, :n], discrete_matrices[:n, n:], C, np.zeros((3, 1)), model.period
+    )
 
 
 def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSystem:
@@ -254,7 +256,8 @@ def _without_constants(K: LinearSystem) -> LinearSystem:
     A = K.A - np.eye(len(K.A))
     B = K.B
     varying = np.flatnonzero(
-        (np.abs(A).max(axis=1) > CONSTANT_TOLERANCE) | (np.abs(B).max(axis=1) > CONSTANT_TOLERANCE)
+        (np.abs(A).max(axis=1) > CONSTANT_STATE_TOLERANCE)
+        | (np.abs(B).max(axis=1) > CONSTANT_STATE_TOLERANCE)
     )
     return LinearSystem(K.A[np.ix_(varying, varying)], K.B[varying], K.C[:, varying], K.D, K.period)
 
@@ -315,9 +318,9 @@ class _LinearizationBench:
 
     def __init__(self, model: HandModel) -> None:
         """Store the model, without limits and without motor friction."""
-        unlimited = np.full(model.tendon_count, UNREACHABLE_LIMIT)
-        space = replace(model.space, coulomb=np.zeros_like(unlimited))
-        self.model = replace(model, torque_limit=unlimited, space=space)
+        unreachable_limits = np.full(model.tendon_count, UNREACHABLE_LIMIT)
+        space = replace(model.space, coulomb=np.zeros_like(unreachable_limits))
+        self.model = replace(model, torque_limit=unreachable_limits, space=space)
         self.layout: BlockLayout = layout_of_state(model, 1)
         self._constants = HandConstants(self.model, {})
         self._constant_args = self._constants.block, self._constants.layout.places
@@ -377,7 +380,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     model = bench.model
     layout = bench.layout
     moving = kind == LoopKind.MOTION
-    coordinates = [_half_closed(digit) for digit in model.digits]
+    coordinates = [_half_closed_coordinates(digit) for digit in model.digits]
     rates = [
         _winding_rates(model, d, tendon, OPERATING_SPEED_M_S if moving else 0.0)
         for d in range(len(model.digits))
@@ -430,7 +433,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     return block
 
 
-def _half_closed(digit: DigitModel) -> Matrix:
+def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     """Return coordinates (n_c,) at which all joints of a digit are well inside their ranges [rad].
 
     If the coupling and the joint limits allow it, all joints are at `OPERATING_ANGLE_RAD`.
@@ -461,7 +464,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
     speed.
     """
     digit = model.digits[d]
-    arms = digit.at_angles(digit.coupling @ _half_closed(digit)).reduced_moment_arms
+    arms = digit.at_angles(digit.coupling @ _half_closed_coordinates(digit)).reduced_moment_arms
     i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))

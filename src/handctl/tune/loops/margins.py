@@ -35,15 +35,15 @@ SEARCH_GRID_POINTS = 300
 """Number of frequencies of a response that is calculated for a search."""
 FINE_GRID_POINTS = 3000
 """Number of frequencies of a response that is calculated for reported margins."""
-NO_GAIN = 1e-6
+MAX_OPEN_LOOP_GAIN = 1e-6
 """Largest gain over all frequencies at which a loop counts as open and has no margins."""
 MAX_GAIN_DB = 60.0
 """Largest reported gain margin [dB]. Larger margins are not confirmed."""
 MAX_DELAY_S = 0.1
 """Largest reported delay margin [s]. Larger margins are not confirmed."""
-CHECKED_FRACTIONS = 10
+CHECKED_FRACTION_COUNT = 10
 """Number of fractions of a margin at which the eigenvalues are calculated."""
-DISK_DIRECTIONS = 6
+DISK_DIRECTION_COUNT = 6
 """Number of directions on the edge of the disk at which the eigenvalues are calculated."""
 
 
@@ -128,7 +128,7 @@ def margins_of_loop(system: LinearSystem, point_count: int = SEARCH_GRID_POINTS)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
         return _zero_margins(math.nan, math.inf, is_stable_loop=False)
     L: NDArray[np.complex128] = system.frequency_response(omega)[:, 0, 0]
-    if not (stable := is_stable(system)) or float(np.abs(L).max()) <= NO_GAIN:
+    if not (stable := is_stable(system)) or float(np.abs(L).max()) <= MAX_OPEN_LOOP_GAIN:
         return _zero_margins(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
     sensitivity = 1.0 / (1.0 + L)
     factors = _gain_factors(L)
@@ -182,7 +182,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
-    delays = np.unique(np.linspace(0, ticks, CHECKED_FRACTIONS + 1).astype(int))[1:].tolist()
+    delays = np.unique(np.linspace(0, ticks, CHECKED_FRACTION_COUNT + 1).astype(int))[1:].tolist()
     first_unstable = next(
         (i for i, k in enumerate(delays) if not is_stable(system, delay_ticks=k)), None
     )
@@ -190,15 +190,16 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
         result,
         gain_db=_largest_confirmed_margin(
             min(result.gain_db, MAX_GAIN_DB),
-            lambda x: _is_stable_with_all(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0))),
+            lambda x: _is_stable_with_factors(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0))),
         ),
         phase_deg=_largest_confirmed_margin(
-            result.phase_deg, lambda x: _is_stable_with_all(system, (np.exp(1j * math.radians(x)),))
+            result.phase_deg,
+            lambda x: _is_stable_with_factors(system, (np.exp(1j * math.radians(x)),)),
         ),
         disk=_largest_confirmed_margin(
             result.disk,
-            lambda x: _is_stable_with_all(system, _disk_factors(x)),
-            CHECKED_FRACTIONS // 3,
+            lambda x: _is_stable_with_factors(system, _disk_factors(x)),
+            CHECKED_FRACTION_COUNT // 3,
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
@@ -206,7 +207,7 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     )
 
 
-def _is_stable_with_all(
+def _is_stable_with_factors(
     system: LinearSystem, loop_factors: Sequence[complex] | NDArray[np.complex128]
 ) -> bool:
     """Return True if the loop is stable with every given factor of its gain."""
@@ -218,24 +219,24 @@ def _disk_factors(disk_size: float) -> NDArray[np.complex128]:
 
     Complex conjugate factors have the same stability. Therefore only half of the edge is returned.
     """
-    delta = disk_size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTIONS))
-    return np.asarray((2.0 + delta) / (2.0 - delta))
+    disk_points = disk_size * np.exp(1j * np.linspace(0.0, np.pi, DISK_DIRECTION_COUNT))
+    return np.asarray((2.0 + disk_points) / (2.0 - disk_points))
 
 
 def _largest_confirmed_margin(
-    claimed_margin: float,
+    linear_margin: float,
     is_confirmed: Callable[[float], bool],
-    fraction_count: int = CHECKED_FRACTIONS,
+    fraction_count: int = CHECKED_FRACTION_COUNT,
 ) -> float:
     """Return the largest part of a margin that is confirmed at every tested fraction of it.
 
     The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
-    tried = claimed_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
+    tried = linear_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
         if not is_confirmed(float(at)):
             return float(before)
-    return claimed_margin
+    return linear_margin
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
@@ -254,7 +255,7 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
     """Return (angle from -180 degrees [rad], frequency [rad/s]) for each interpolated crossing of the gain 1."""
-    size = np.log(np.maximum(np.abs(L), NO_GAIN))
+    size = np.log(np.maximum(np.abs(L), MAX_OPEN_LOOP_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
     # The logarithm of the magnitude and the phase are interpolated, because both are almost linear

@@ -49,18 +49,18 @@ With margins of 6 dB and 45 degrees, the three oscillations are at most 0.0004 r
 N, because of quantisation, noise, and stick-slip. With a gain margin of 2 dB or less, or an
 unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with a fault.
 """
-CLEAR_FRACTION = 0.4
+SINGLE_RUN_LIMIT_FRACTION = 0.4
 """Fraction of the limits below which one run decides that a hand comes to rest."""
-DESIGN_FRACTION = 0.7
+DESIGN_LIMIT_FRACTION = 0.7
 """Fraction of the limits that the oscillations of a design may reach.
 
 With other noise, the hand then comes to rest as well.
 """
-RUNS_OF_MEDIAN = 5
+MEDIAN_RUN_COUNT = 5
 """Number of runs whose median oscillation is compared with the limits."""
-SEED_STEP = 1000
+SEED_INCREMENT = 1000
 """Difference between the seeds of two runs of the same plant."""
-AMPLIFICATION = 2.0
+MAX_LOOP_AMPLIFICATION = 2.0
 """Factor by which a loop may amplify the oscillation of the plant.
 
 At its gain margin of 6 dB, a loop with this margin amplifies disturbances by 1 / (1 - 10^(-6/20)) = 2.
@@ -110,9 +110,9 @@ class StepOscillation:
     @property
     def is_at_rest(self) -> bool:
         """Return True if all oscillations are small enough for a hand at rest."""
-        return self.is_within(1.0)
+        return self.is_within_limits(1.0)
 
-    def is_within(self, allowed_fraction: float) -> bool:
+    def is_within_limits(self, allowed_fraction: float) -> bool:
         """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
         small = (
             self.angle_rad <= allowed_fraction * MAX_ANGLE_SWING_RAD
@@ -121,14 +121,14 @@ class StepOscillation:
         )
         return small and not self.failure
 
-    def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
+    def without_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions minus the part that the plant causes [N].
 
         A loop with sufficient margins amplifies the oscillation of the plant by up to
-        `AMPLIFICATION`.
+        `MAX_LOOP_AMPLIFICATION`.
         """
         remaining = (
-            max(0.0, swing - AMPLIFICATION * plant_swing)
+            max(0.0, swing - MAX_LOOP_AMPLIFICATION * plant_swing)
             for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
         return replace(self, hold_swings_N=tuple(remaining))
@@ -177,12 +177,12 @@ def simulate_swing(
 def swings_with_other_noise(
     hand: Hand, model: HandModel, plant_factors: Mapping[str, float], seed: int
 ) -> Iterator[StepOscillation]:
-    """Yield the oscillations of `RUNS_OF_MEDIAN` runs of a plant, each with different noise.
+    """Yield the oscillations of `MEDIAN_RUN_COUNT` runs of a plant, each with different noise.
 
     `median_swing` explains the arguments.
     """
-    for i in range(RUNS_OF_MEDIAN):
-        yield simulate_swing(hand, model, plant_factors, seed + i * SEED_STEP)
+    for i in range(MEDIAN_RUN_COUNT):
+        yield simulate_swing(hand, model, plant_factors, seed + i * SEED_INCREMENT)
 
 
 def median_swing(
@@ -201,7 +201,7 @@ def median_swing(
     """
     runs = list[StepOscillation]()
     for run in swings_with_other_noise(hand, model, plant_factors, seed):
-        if run.failure or (not runs and run.is_within(CLEAR_FRACTION)):
+        if run.failure or (not runs and run.is_within_limits(SINGLE_RUN_LIMIT_FRACTION)):
             return run
         runs.append(run)
     return StepOscillation(
@@ -289,7 +289,7 @@ class RestTest:
 
     The links of a digit that presses on an object may chatter even at constant motor torque. The
     chatter is a property of the plant. The oscillation is measured on the same plant without
-    feedback, multiplied by `AMPLIFICATION`, and subtracted for each tendon. Nothing is subtracted
+    feedback, multiplied by `MAX_LOOP_AMPLIFICATION`, and subtracted for each tendon. Nothing is subtracted
     if the eigenvalues of a linear tension loop show that the loop itself oscillates.
 
     The chatter of pressed links varies by a factor of two between seeds of the noise. The test
@@ -311,19 +311,19 @@ class RestTest:
     seed: int
     fraction: float = 1.0
     reason: str = ""
-    _results: dict[str, str] = field(default_factory=dict)
-    _chatter: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    _reason_by_gains: dict[str, str] = field(default_factory=dict)
+    _plant_swings_by_name: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
-    def with_fraction(self, fraction: float) -> "RestTest":
+    def with_limit_fraction(self, fraction: float) -> "RestTest":
         """Return the test with other limits. Both tests measure the plant without feedback only once."""
-        return replace(self, fraction=fraction, reason="", _results={})
+        return replace(self, fraction=fraction, reason="", _reason_by_gains={})
 
     def __call__(self, model: HandModel) -> bool:
         """Return True if the hand comes to rest with the gains of a model."""
         gains = model.gains.model_dump_json()
-        if gains not in self._results:
-            self._results[gains] = self._simulate(model)
-        self.reason = self._results[gains]
+        if gains not in self._reason_by_gains:
+            self._reason_by_gains[gains] = self._simulate(model)
+        self.reason = self._reason_by_gains[gains]
         return not self.reason
 
     def _simulate(self, model: HandModel) -> str:
@@ -343,18 +343,18 @@ class RestTest:
         )
         for name, (factors, seed) in cases.items():
             result = median_swing(self.hand, model, factors, seed)
-            if result.is_within(self.fraction):
+            if result.is_within_limits(self.fraction):
                 continue
             # A simulation without feedback shows how much the plant itself oscillates.
-            ringing = is_loop_ringing(model, linear_factors(factors))
+            is_ringing = is_loop_ringing(model, linear_factors(factors))
             if (
                 result.failure
-                or ringing
-                or not result.minus_plant_swings(
+                or is_ringing
+                or not result.without_plant_swings(
                     self._plant_swing(model, name, factors, seed)
-                ).is_within(self.fraction)
+                ).is_within_limits(self.fraction)
             ):
-                return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
+                return f": {name} {result}{' of a loop that oscillates' if is_ringing else ''}"
         return ""
 
     def _plant_swing(
@@ -364,14 +364,14 @@ class RestTest:
 
         If a run fails, its oscillations count as zero.
         """
-        if name not in self._chatter:
-            still = HandModel.from_hand(
+        if name not in self._plant_swings_by_name:
+            model_without_feedback = HandModel.from_hand(
                 model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
-            none = (0.0,) * model.tendon_count
+            zero_swings = (0.0,) * model.tendon_count
             each = [
-                none if run.failure else run.hold_swings_N
-                for run in swings_with_other_noise(self.hand, still, factors, seed)
+                zero_swings if run.failure else run.hold_swings_N
+                for run in swings_with_other_noise(self.hand, model_without_feedback, factors, seed)
             ]
-            self._chatter[name] = tuple(np.median(each, axis=0).tolist())
-        return self._chatter[name]
+            self._plant_swings_by_name[name] = tuple(np.median(each, axis=0).tolist())
+        return self._plant_swings_by_name[name]

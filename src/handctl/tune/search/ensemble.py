@@ -28,7 +28,7 @@ MAX_FACTOR_SPREAD = 0.9
 """Largest half width of the range of a factor. No real plant has a factor near zero."""
 
 
-def draw_ensemble(
+def sample_ensemble(
     plant_count: int, seed: int, spread_of_factor: Mapping[str, float] | None = None
 ) -> tuple[dict[str, float], ...]:
     """Return factors for the parameters of each plant: first the nominal plant, and then random plants.
@@ -72,7 +72,7 @@ FACTOR_OF_PARAMETER = {
 """Key of the ensemble's factor that scales each identified parameter."""
 
 
-def ensemble_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
+def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
     """Return the half width of the range of each factor that covers all 95 % intervals of an identification.
 
     Args:

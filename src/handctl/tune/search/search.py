@@ -119,24 +119,24 @@ class SearchResult:
     @staticmethod
     def from_trials(trials: tuple[SearchTrial, ...]) -> "SearchResult":
         """Return the result of a search, given the trials that are finished."""
-        feasible = [trial for trial in trials if trial.is_feasible]
+        feasible_trials = [trial for trial in trials if trial.is_feasible]
         best = (
             min(
-                feasible,
+                feasible_trials,
                 key=lambda trial: (
                     trial.score.relative_cost(_cost_reference(trials)),
                     trial.number,
                 ),
             )
-            if feasible
+            if feasible_trials
             else None
         )
-        front = [
+        front_trials = [
             trial.number
-            for trial in feasible
-            if not any(_dominates(other.score, trial.score) for other in feasible)
+            for trial in feasible_trials
+            if not any(_dominates(other.score, trial.score) for other in feasible_trials)
         ]
-        return SearchResult(trials, best, tuple(front))
+        return SearchResult(trials, best, tuple(front_trials))
 
     def relative_cost(self, trial: SearchTrial) -> float:
         """Return the cost of a trial relative to the cost of the first trial.
@@ -149,8 +149,8 @@ class SearchResult:
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
     """Return the score that serves as the reference for costs."""
     first = trials[0].score
-    feasible = (trial.score for trial in trials if trial.is_feasible)
-    return next(feasible, first) if first.failure else first
+    feasible_scores = (trial.score for trial in trials if trial.is_feasible)
+    return next(feasible_scores, first) if first.failure else first
 
 
 def _dominates(score: GainScore, other_score: GainScore) -> bool:
@@ -220,9 +220,12 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         _truncate_partial_line(path)
-        backend = JournalStorage(JournalFileBackend(str(path)))
+        journal_storage = JournalStorage(JournalFileBackend(str(path)))
         study = optuna.create_study(
-            storage=backend, study_name=STUDY_NAME, directions=["minimize"] * 3, load_if_exists=True
+            storage=journal_storage,
+            study_name=STUDY_NAME,
+            directions=["minimize"] * 3,
+            load_if_exists=True,
         )
         _finished_trials(study)
     except (
@@ -271,7 +274,7 @@ def _run_batch(
 ) -> None:
     """Compute the missing scores of the present batch, and report them in the order of the trials."""
     finished_count = len(_finished_trials(study))
-    trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
+    trials = _unscored_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.trial_job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
     scores: dict[int, dict[str, Any]] = {}
     reported = 0
@@ -283,7 +286,7 @@ def _run_batch(
             show_result(SearchResult.from_trials(_finished_trials(study)))
 
 
-def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
+def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
     """Return the trials of the present batch that have no score yet.
 
     A whole batch is requested from Optuna before the first score of this batch is reported.
@@ -293,14 +296,14 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     from optuna.trial import TrialState
 
     count = BATCH_SIZE - finished_count % BATCH_SIZE
-    still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+    open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # If the whole batch was requested earlier, the number of trials without a score is right, and
     # all have their parameters.
-    if len(still_open) == count and all(
-        len(trial.params) == len(GAIN_RANGES) for trial in still_open
+    if len(open_trials) == count and all(
+        len(trial.params) == len(GAIN_RANGES) for trial in open_trials
     ):
-        return [OptunaTrial(study, trial._trial_id) for trial in still_open]
-    _close_open_trials(study)
+        return [OptunaTrial(study, trial._trial_id) for trial in open_trials]
+    _fail_unfinished_trials(study)
     if finished_count == 0:
         for gains in (plan.gains, *plan.others):
             study.enqueue_trial(clamped_gains(gains))
@@ -308,7 +311,7 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     return [study.ask(_gain_distributions()) for _ in range(count)]
 
 
-def _close_open_trials(study: Any) -> None:
+def _fail_unfinished_trials(study: Any) -> None:
     """Mark queued trials and trials without a score as failed."""
     from optuna.trial import TrialState
 

@@ -95,7 +95,7 @@ class ProcessPool:
             ConfigError: a job is invalid, or every worker that tries a job dies.
         """
         waiting = deque(range(len(jobs)))
-        attempts = [0] * len(jobs)
+        attempts_by_job = [0] * len(jobs)
         busy: dict[int, int] = {}
         while waiting or busy:
             for slot in range(len(self._processes)):
@@ -109,8 +109,8 @@ class ProcessPool:
                     yield i, _check_result(json.loads(line))
                     continue
                 self._replace_process(slot)
-                attempts[i] += 1
-                if attempts[i] == MAX_JOB_ATTEMPTS:
+                attempts_by_job[i] += 1
+                if attempts_by_job[i] == MAX_JOB_ATTEMPTS:
                     raise ConfigError(
                         f"a worker died {MAX_JOB_ATTEMPTS} times on one trial",
                         "tune search",
@@ -122,9 +122,9 @@ class ProcessPool:
 
     def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
-        outputs = {_read_output(self._processes[slot]): slot for slot in busy_workers}
-        ready, _, _ = select.select(list(outputs), [], [])
-        return [outputs[output] for output in ready]
+        slot_by_output = {_read_output(self._processes[slot]): slot for slot in busy_workers}
+        ready, _, _ = select.select(list(slot_by_output), [], [])
+        return [slot_by_output[output] for output in ready]
 
     def _send_job(self, worker_slot: int, job: ScoreJob) -> None:
         """Send a job to a worker. If the worker has died, replace it first."""

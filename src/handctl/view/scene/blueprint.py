@@ -45,7 +45,7 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
     right = rrb.Vertical(
         _force_plots(window),
         _angle_plots(run, window),
-        _state_lanes(window),
+        _state_lanes_view(window),
         row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
@@ -113,7 +113,7 @@ def _angle_unit(digit: Digit) -> str:
 
 def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     """Return a plot of the joint angles of each digit."""
-    views = [
+    plot_views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint {_angle_unit(digit)}, grey: command",
             contents=f"/angle/{digit.name}/**",
@@ -123,10 +123,10 @@ def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
         )
         for digit in run.hand.digit
     ]
-    return rrb.Grid(*views, grid_columns=2)
+    return rrb.Grid(*plot_views, grid_columns=2)
 
 
-def _state_lanes(window: PlotTimeRange) -> rrb.StateTimelineView:
+def _state_lanes_view(window: PlotTimeRange) -> rrb.StateTimelineView:
     """Return the lanes that show the grasp phase, the mode of the hand and the reaction to faults over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",

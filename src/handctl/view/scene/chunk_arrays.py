@@ -45,7 +45,7 @@ def static_chunk(entity_path: str, columns: Iterable[ComponentColumn]) -> Chunk:
     return Chunk.from_columns(entity_path, [], columns)
 
 
-def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
+def chunk_with_run_times(chunk: Chunk, offset_ns: int) -> Chunk:
     """Return a chunk of Rerun's MCAP reader, moved to the timeline of the run.
 
     A chunk without times is returned unchanged.

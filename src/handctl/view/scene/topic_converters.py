@@ -15,7 +15,7 @@ from handctl.core.tick_types import TELEMETRY_AXES
 from handctl.view.scene.bus_load_calculator import BusLoadCalculator
 from handctl.view.scene.chunk_arrays import (
     FloatArray,
-    chunk_on_run_time,
+    chunk_with_run_times,
     column_as_array,
     decoded_messages,
     timed_chunk,
@@ -28,7 +28,7 @@ ARROW_LENGTH_M_PER_N = 0.008
 """Length of a force arrow for each newton of force [m/N]."""
 ARROW_RADIUS_M = 0.0013
 """Radius of a force arrow [m]."""
-LIMIT_SHOWN_FRACTION = 0.6
+SHOWN_LIMIT_FRACTION = 0.6
 """Fraction of a tension limit that a tension must reach so that the limit is drawn."""
 MIN_ARROW_FORCE_N = 0.05
 """Smallest force drawn as an arrow [N]."""
@@ -60,7 +60,7 @@ class TopicConverters:
         self._offset = run.header.offset_ns
         self._load = BusLoadCalculator(run)
         self._converters: dict[str, ChunkConverter] = {
-            "/controller/values": self._convert_values,
+            "/controller/values": self._convert_telemetry,
             "/cycle": self._convert_cycle,
             "/tick": self._convert_tick,
             **dict.fromkeys(STATE_TOPICS, self._convert_state),
@@ -75,17 +75,17 @@ class TopicConverters:
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert a chunk of the log, and yield the resulting chunks for the dashboard."""
-        entity = chunk.entity_path
-        if "/visual_geometries/" in entity:
+        entity_path = chunk.entity_path
+        if "/visual_geometries/" in entity_path:
             yield from solid_chunks(chunk, self._run)
         elif not chunk.timeline_names:
             return
-        elif entity in self._converters:
-            yield from self._converters[entity](chunk)
-        elif entity.startswith(self._native):
-            yield chunk_on_run_time(chunk, self._offset)
+        elif entity_path in self._converters:
+            yield from self._converters[entity_path](chunk)
+        elif entity_path.startswith(self._native):
+            yield chunk_with_run_times(chunk, self._offset)
 
-    def _convert_values(self, chunk: Chunk) -> Iterator[Chunk]:
+    def _convert_telemetry(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the telemetry of the controller to plots, force arrows and single values."""
         messages = decoded_messages(chunk)
         if messages is None:
@@ -97,7 +97,7 @@ class TopicConverters:
             "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
         )
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
-        limits = near_limits(self._run.tension_limits, part["tension"])
+        limits = limits_near_tensions(self._run.tension_limits, part["tension"])
         if not np.isnan(limits).all():
             drawn = plot_lines(np.tile(limits, (2, 1)))
             yield timed_chunk("/tension/limit", times[[0, -1]], drawn)
@@ -137,20 +137,22 @@ class TopicConverters:
         messages = decoded_messages(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
-            entity = STATE_TOPICS[chunk.entity_path]
+            entity_path = STATE_TOPICS[chunk.entity_path]
             yield timed_chunk(
-                entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names)
+                entity_path,
+                times_since_start(chunk, self._offset),
+                rr.StateChange.columns(state=names),
             )
 
 
-def near_limits(joint_limits: list[float], tension: FloatArray) -> FloatArray:
+def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> FloatArray:
     """Return the tension limits (n,) [N], with NaN in place of each limit that is far above all tensions.
 
     The range of the plot follows from the lines that the plot shows. With a very high limit, the
     lines of the tensions would be too close together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
-    return np.array([x if largest >= LIMIT_SHOWN_FRACTION * x else np.nan for x in joint_limits])
+    return np.array([x if largest >= SHOWN_LIMIT_FRACTION * x else np.nan for x in joint_limits])
 
 
 def lines_with_band(line_values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
