@@ -59,13 +59,15 @@ class HeldHand:
 
 
 def test_single_outlier_is_rejected(model: HandModel) -> None:
-    quiet, hit = HeldHand(model).settle(), HeldHand(model).settle()
+    quiet, disturbed_hand = HeldHand(model).settle(), HeldHand(model).settle()
     before = quiet.run_sample(HELD_TENSION_N).tension
-    after = hit.run_sample(HELD_TENSION_N + 60.0)
+    after = disturbed_hand.run_sample(HELD_TENSION_N + 60.0)
     np.testing.assert_allclose(after.tension, before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
-        hit.run_sample(HELD_TENSION_N).tension, quiet.run_sample(HELD_TENSION_N).tension, atol=0.02
+        disturbed_hand.run_sample(HELD_TENSION_N).tension,
+        quiet.run_sample(HELD_TENSION_N).tension,
+        atol=0.02,
     )
 
 
@@ -117,9 +119,9 @@ def slack_state(
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=held_hand.travel, tension=np.zeros(n))
         read.tension[0] = cell_error_N
-        untouched = (False,) * len(model.digits)
+        no_touches = (False,) * len(model.digits)
         held_hand.state, estimate = run_filter_tick(
-            model, held_hand.state, read, np.zeros(n), np.zeros(n), untouched
+            model, held_hand.state, read, np.zeros(n), np.zeros(n), no_touches
         )
     return estimate
 

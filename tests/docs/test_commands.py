@@ -50,10 +50,12 @@ def page_cases() -> Iterator[Any]:
     """
     for page, parts in EXECUTED_BLOCKS.items():
         if any(block.language == "sh" for block in parts):
-            marks = [pytest.mark.realtime, pytest.mark.alone] if any(map(stays_open, parts)) else []
+            page_marks = (
+                [pytest.mark.realtime, pytest.mark.alone] if any(map(stays_open, parts)) else []
+            )
             if page in LONG_PAGES:
-                marks.append(pytest.mark.nightly)
-            yield pytest.param(page, marks=marks)
+                page_marks.append(pytest.mark.nightly)
+            yield pytest.param(page, marks=page_marks)
 
 
 @pytest.mark.parametrize("page", list(page_cases()))

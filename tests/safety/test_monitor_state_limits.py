@@ -11,7 +11,7 @@ import pytest
 
 from handctl.core.detectors import stuck_sensors, tendon_slip
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
-from handctl.core.detectors.tendon_slip import DEG_PER_RAD, SETTLE_S
+from handctl.core.detectors.tendon_slip import DEG_PER_RAD, MIN_TAUT_DURATION_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
@@ -83,7 +83,10 @@ def test_the_taut_time_does_not_change_between_slack_and_taut(
 def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
     monitor: SyntheticMonitor,
 ) -> None:
-    for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
+    for since, settled in (
+        (MIN_TAUT_DURATION_S, False),
+        (np.nextafter(MIN_TAUT_DURATION_S, 1.0), True),
+    ):
         now = resting_tick(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
         begin, slipped = monitor.field_values("slip_from"), monitor.field_values("slip")
@@ -127,10 +130,13 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
     at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
           "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
     assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
-    beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
+    pairs_beyond_limits = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert stuck_names(monitor, long, 20.0, beyond) == all_names
-    assert stuck_names(monitor, long - 1, 20.0, beyond) == all_names | {"motor": [], "joint": []}
+    assert stuck_names(monitor, long, 20.0, pairs_beyond_limits) == all_names
+    assert stuck_names(monitor, long - 1, 20.0, pairs_beyond_limits) == all_names | {
+        "motor": [],
+        "joint": [],
+    }
 
 
 def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(

@@ -13,7 +13,7 @@ from handctl.campaign.fault_matrix import GRASP_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.core.detectors import replayed_readings
 from handctl.core.tick_types import HandMode
-from handctl.safety.faults.node import SWING_S
+from handctl.safety.faults.node import MIN_SWING_DURATION_S
 from handctl.session.run_plan import default_rate
 from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
@@ -113,7 +113,7 @@ def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(
     when, rms = first_oscillation(
         20.0 * np.sin(2.0 * math.pi * swing_frequency_hz * t), 1.0 / control_rate_hz
     )
-    assert SWING_S <= when < 0.35
+    assert MIN_SWING_DURATION_S <= when < 0.35
     assert 8.0 < rms < 20.0
 
 
@@ -147,12 +147,14 @@ def test_a_grasping_hand_relaxes(
     fault_command: str, expected_faults: set[str], duration_s: float, seed: int
 ) -> None:
     hand = hand_with_protocol("jamia", "mit")
-    with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to_stage(course, GRASP_STAGE)
+    with homed_run(hand, default_rate(hand), seed) as hand_run:
+        advance_to_stage(hand_run, GRASP_STAGE)
         which = seed % 4
-        course.simulated_hand.inject(
+        hand_run.simulated_hand.inject(
             fault_command.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s)
-        assert {mark.id for mark in course.state.latched} <= expected_faults
-        assert course.simulated_hand.fault_states()[0]["felt"]
+        assert hand_run.run_until(
+            lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s
+        )
+        assert {mark.id for mark in hand_run.state.latched} <= expected_faults
+        assert hand_run.simulated_hand.fault_states()[0]["felt"]

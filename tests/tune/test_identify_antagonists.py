@@ -95,8 +95,8 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
         own = [step for step in steps if step.digit == digit.name]
         assert sum(step.duration_s for step in own) < 35.0
         low, high = sweep_range(digit)
-        least, most = digit.reach
-        assert (least < low).all()
+        lower_limits, most = digit.reach
+        assert (lower_limits < low).all()
         assert (low < high).all()
         assert (high < most).all()
         for step in own:

@@ -46,8 +46,8 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
     below_failed = FAILED_SCALE_FRACTION * plan.time_scale
     advised = measured.get("advice") or math.inf
-    carried = MAX_CORE_LOAD / load if load > 0.0 else math.inf
-    return round_down_to_one_digit(max(0.001, min(below_failed, advised, carried)))
+    load_reduction = MAX_CORE_LOAD / load if load > 0.0 else math.inf
+    return round_down_to_one_digit(max(0.001, min(below_failed, advised, load_reduction)))
 
 
 def round_down_to_one_digit(value: float) -> float:

@@ -62,14 +62,16 @@ def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProces
     for number, time_scale in enumerate(TIME_SCALES):
         place = work_folder / str(number)
         place.mkdir()
-        ran = run_handctl(place, time_scale)
-        if ran.returncode == 0:
+        result = run_handctl(place, time_scale)
+        if result.returncode == 0:
             break
         simulator = (place / "simulator").read_text()
-        undisturbed = "slips=0" in simulator and not any(row in ran.stderr for row in STALL_FAULTS)
-        assert not undisturbed, ran.stderr + ran.stdout + simulator
-    assert ran.returncode == 0, ran.stderr + ran.stdout
-    return ran, place
+        undisturbed = "slips=0" in simulator and not any(
+            row in result.stderr for row in STALL_FAULTS
+        )
+        assert not undisturbed, result.stderr + result.stdout + simulator
+    assert result.returncode == 0, result.stderr + result.stdout
+    return result, place
 
 
 @pytest.mark.timeout(900)

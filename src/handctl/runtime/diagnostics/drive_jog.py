@@ -253,12 +253,12 @@ class _JogExecution:
             )
         if abs(self.moved_rad) > goal.max_travel_rad:
             return f"moved {self.moved_rad:+.2f} rad, expected at most {goal.max_travel_rad:g}"
-        too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
+        is_too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
         too_strong = torque > OVERTORQUE_FACTOR * goal.max_torque_N_m
-        self._ticks_beyond_limit = self._ticks_beyond_limit + 1 if too_fast or too_strong else 0
+        self._ticks_beyond_limit = self._ticks_beyond_limit + 1 if is_too_fast or too_strong else 0
         if self._ticks_beyond_limit < MAX_TICKS_BEYOND_LIMIT:
             return ""
-        if too_fast:
+        if is_too_fast:
             return f"turns at {speed:.2f} rad/s, expected at most {goal.limits.speed:g}"
         return f"reports {torque:.3g} N m, expected at most {goal.max_torque_N_m:g}"
 

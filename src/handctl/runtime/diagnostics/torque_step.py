@@ -59,7 +59,7 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
         torque_limit: largest torque [N m].
     """
     start = rig.state.position
-    coasting = rig.velocity_rad_s
+    initial_velocity = rig.velocity_rad_s
     impulse = 0.0
     ticks = round(TORQUE_RAMP_S / PERIOD_S)
     moved = torque = 0.0
@@ -73,7 +73,7 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
         if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
         travel = motion_sign * (rig.state.position - start)
-        coasted = abs(coasting) * (rig.t_ns - start_ns) * 1e-9
+        coasted = abs(initial_velocity) * (rig.t_ns - start_ns) * 1e-9
         moved = (
             math.copysign(max(0.0, abs(travel) - coasted), travel)
             if math.isfinite(coasted)
@@ -83,7 +83,7 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
             break
     reported = rig.state.torque
     rig.run_for(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
-    gained = rig.velocity_rad_s - (coasting if math.isfinite(coasting) else 0.0)
+    gained = rig.velocity_rad_s - (initial_velocity if math.isfinite(initial_velocity) else 0.0)
     if (
         impulse * gained > 0.0
     ):  # the inertia is the integral of the torque over time [N m s], divided by the change of velocity

@@ -58,7 +58,7 @@ A drive that obeys reports one of its last three commands, within 0.1 N in simul
 a step with a time constant of 4 ms still differs by 15 % of the step after three ticks of 2.5 ms.
 """
 SWING_N = 8.0
-SWING_S = 0.25
+MIN_SWING_DURATION_S = 0.25
 SWING_HZ = 8.0
 """Thresholds for an oscillation of the tension: RMS [N], duration [s], lowest frequency [Hz].
 
@@ -290,7 +290,8 @@ N14 = declare_fault(
 )  # fmt: skip
 N14B = declare_fault(
     "N14b", "the tension oscillates",
-    f"For {SWING_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, above {SWING_HZ:g} Hz",
+    f"For {MIN_SWING_DURATION_S * 1e3:g} ms, the tension oscillates about the command with {SWING_N:g} N RMS, "
+    f"above {SWING_HZ:g} Hz",
     SafetyAction.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     needs_load_cell=True,
     cause="The torque of the motor has a ripple, or the gains are too high for this hand.",

@@ -76,7 +76,7 @@ TENSION_RATE_N_PER_S = 250.0
 
 At this rate, the spool turns fast enough that the direction of its friction is known.
 """
-SETTLE_S = 0.06
+STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
@@ -102,7 +102,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     """
     digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
-    middle = 0.5 * (low + high)
+    middle_angles = 0.5 * (low + high)
     half = 0.5 * (high - low)
 
     def excite_step(
@@ -113,19 +113,19 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         return ExciteStep.model_validate(given | {"targets": angles_or_tensions})
 
     sweeps = []
-    for signs in _sign_patterns(len(middle)):
-        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half))
+    for signs in _sign_patterns(len(middle_angles)):
+        sweeps.append(excite_step("approach", "move", 0.4, middle_angles - signs * half))
         for duration in SWEEP_DURATIONS_S:
             sweeps += [
-                excite_step("sweep", "move", duration, middle + side * signs * half)
+                excite_step("sweep", "move", duration, middle_angles + side * signs * half)
                 for side in (1.0, -1.0)
             ]
-    amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
-    swing = excite_step(
+    amplitudes = tuple(_swing_amplitudes(hand, digit, middle_angles, half).tolist())
+    swing_step = excite_step(
         "swing",
         "chirp",
         SWING_DURATION_S,
-        middle,
+        middle_angles,
         amplitudes=amplitudes,
         low_Hz=SWING_LOW_HZ,
         high_Hz=SWING_HIGH_HZ,
@@ -136,7 +136,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     onto_stop = -CLOSE_FRACTION / STRETCH_FRACTION * largest if pairs else stretches[0][0]
     stretch_steps = []
     for lower, upper in stretches:
-        duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
+        duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + STRETCH_WAIT_S
         stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
@@ -154,8 +154,8 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             rate=40.0,
         ),
         *sweeps,
-        excite_step("approach", "move", 0.4, middle),
-        swing,
+        excite_step("approach", "move", 0.4, middle_angles),
+        swing_step,
         excite_step("approach", "move", 0.6, low),
         excite_step(
             "close",
@@ -176,13 +176,17 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
-    least, most = digit.reach
+    lower_limits, upper_limits = digit.reach
     margin = math.radians(STOP_MARGIN_DEG)
-    low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
-    high = np.minimum(most - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
-    near, far = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
-    sideways = digit.sideways_coordinates & (least + margin < near) & (most - margin > far)
-    return np.where(sideways, near, low), np.where(sideways, far, high)
+    low = np.maximum(lower_limits + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
+    high = np.minimum(upper_limits - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
+    near_limit, far_limit = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
+    is_sideways = (
+        digit.sideways_coordinates
+        & (lower_limits + margin < near_limit)
+        & (upper_limits - margin > far_limit)
+    )
+    return np.where(is_sideways, near_limit, low), np.where(is_sideways, far_limit, high)
 
 
 def _sign_patterns(coordinate_count: int) -> list[Array]:
@@ -255,11 +259,11 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
         whole = largest / STRETCH_FRACTION
         return np.zeros(len(whole)), [(-PAIR_LOW_FRACTION * whole, -PAIR_HIGH_FRACTION * whole)]
     arms = digit.reduced_moment_arms
-    opens = arms.sum(axis=1) < 0.0
-    hold = np.where(opens, largest, floor)
-    half = np.where(opens, 0.5 * largest, floor)
+    is_opening_tendon = arms.sum(axis=1) < 0.0
+    hold = np.where(is_opening_tendon, largest, floor)
+    half = np.where(is_opening_tendon, 0.5 * largest, floor)
     stretches = [(half, hold)]
-    for i in np.flatnonzero(~opens).tolist():
+    for i in np.flatnonzero(~is_opening_tendon).tolist():
         without = np.where(np.arange(len(hold)) == i, 0.0, hold)
         opening = -(arms.T @ without)
         closing = np.maximum(arms[i], 0.0)

@@ -120,18 +120,20 @@ def _parameter_covariance(
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
     # of the sandwich estimator without correction.
-    middle = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
-    expected = [np.diag(plain @ middle @ plain)]
+    score_covariance = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
+    expected = [np.diag(plain @ score_covariance @ plain)]
     for rows in _block_rows(sample_times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain @ part.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
         # a least-squares solution takes the place of the inverse of (I - H).
-        alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
-        score = part.T @ alone[:, 0]
-        middle += np.outer(score, score)
-        expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
-    robust = plain @ middle @ plain
+        parameter_alone = np.linalg.lstsq(
+            left, np.column_stack([residual[rows], part]), rcond=1e-9
+        )[0]
+        score = part.T @ parameter_alone[:, 0]
+        score_covariance += np.outer(score, score)
+        expected.append(np.maximum(np.diag(plain @ part.T @ parameter_alone[:, 1:] @ plain), 0.0))
+    robust = plain @ score_covariance @ plain
     # The robust covariance may be larger than that of independent noise, but never smaller.
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)

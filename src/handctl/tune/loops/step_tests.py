@@ -114,12 +114,12 @@ class StepOscillation:
 
     def is_within(self, allowed_fraction: float) -> bool:
         """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
-        small = (
+        is_small = (
             self.angle_rad <= allowed_fraction * MAX_ANGLE_SWING_RAD
             and self.free_tension_N <= allowed_fraction * MAX_FREE_SWING_N
             and self.largest_hold_swing <= allowed_fraction * MAX_HOLD_SWING_N
         )
-        return small and not self.failure
+        return is_small and not self.failure
 
     def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions minus the part that the plant causes [N].
@@ -128,8 +128,8 @@ class StepOscillation:
         `AMPLIFICATION`.
         """
         remaining = (
-            max(0.0, swing - AMPLIFICATION * plant_swing)
-            for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
+            max(0.0, hold_swing - AMPLIFICATION * plant_swing)
+            for hold_swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
         return replace(self, hold_swings_N=tuple(remaining))
 
@@ -368,10 +368,10 @@ class RestTest:
             still = HandModel.from_hand(
                 model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
-            none = (0.0,) * model.tendon_count
-            each = [
-                none if run.failure else run.hold_swings_N
+            zero_tensions = (0.0,) * model.tendon_count
+            swings = [
+                zero_tensions if run.failure else run.hold_swings_N
                 for run in swings_with_other_noise(self.hand, still, factors, seed)
             ]
-            self._chatter[name] = tuple(np.median(each, axis=0).tolist())
+            self._chatter[name] = tuple(np.median(swings, axis=0).tolist())
         return self._chatter[name]
