@@ -64,7 +64,12 @@ def _parts_of_function(
     """
     name = f"{function[0]}/{function[2]}"
     part = next(
-        (part for part, marks in PART_MARKS.items() if any(mark in name for mark in marks)), None
+        (
+            part
+            for part, function_marks in PART_MARKS.items()
+            if any(mark in name for mark in function_marks)
+        ),
+        None,
     )
     callers = profile_stats[function][4]
     if part or not callers or not depth:

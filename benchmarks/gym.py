@@ -125,11 +125,11 @@ def step_cpu_s(env: gymnasium.Env, step_count: int) -> float:
     for _ in range(step_count):
         action = random_action(env.action_space, rng)
         begin = time.process_time()
-        _, _, ended, truncated, info = env.step(action)
+        _, _, ended, is_truncated, info = env.step(action)
         took += time.process_time() - begin
         if ended:
             raise RuntimeError(f"the episode ended: {info}")
-        if truncated:
+        if is_truncated:
             env.reset()
     return took / step_count
 

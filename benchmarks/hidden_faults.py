@@ -20,7 +20,7 @@ from typing import Any
 
 from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed_run
 from handctl.core.tick_types import HandMode
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.safety_action import SafetyAction
 from handctl.session.run_plan import default_control_rate
 from handctl.session.simulate import SimulatedRun
@@ -212,7 +212,7 @@ def main() -> None:
     parser.add_argument(
         "--protocol",
         default="mit",
-        choices=GUARDED_PROTOCOLS,
+        choices=VERIFIABLE_PROTOCOLS,
         help="protocol of the drives (default: mit)",
     )
     parser.add_argument(

@@ -82,13 +82,13 @@ def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[s
     step = 0
     while True:
         action = ACTION_SOURCES[source_name](random, action, step)
-        _, _, ended, truncated, information = env.step(action.astype(np.float32))
+        _, _, ended, is_truncated, information = env.step(action.astype(np.float32))
         largest = max(
             largest,
             float(np.max(np.abs(list(env.simulated_run.simulated_hand.world.plant.tensions())))),
         )
         step += 1
-        if ended or truncated:
+        if ended or is_truncated:
             return str(information["failure"]) if ended else "", largest
 
 

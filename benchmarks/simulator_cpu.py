@@ -17,7 +17,7 @@ from lockstep import SETUP_BY_SCENE, record_rollout, repeat_rollout, sum_of_shor
 from lockstep_stack import RATE_BY_HAND_HZ, LockstepStack
 
 from handctl.campaign.run_stages import hand_with_protocol
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 
 SIMULATED_TIME_S = 3.0
 QUICK_SIMULATED_TIME_S = 1.2
@@ -34,7 +34,7 @@ def main() -> None:
     seconds = QUICK_SIMULATED_TIME_S if args.quick else SIMULATED_TIME_S
     rows = []
     for hand in RATE_BY_HAND_HZ:
-        for protocol in GUARDED_PROTOCOLS:
+        for protocol in VERIFIABLE_PROTOCOLS:
             for scene in SETUP_BY_SCENE:
                 rows.append(measure_simulator_cpu(hand, protocol, scene, seconds))
                 if not args.json:

@@ -121,8 +121,8 @@ def compare_searches(
     rate = default_control_rate(hand)
     crew = make_workers(worker_count, None)
     try:
-        with tempfile.TemporaryDirectory() as passing:
-            folder = study_folder or Path(passing)
+        with tempfile.TemporaryDirectory() as passing_folder:
+            folder = study_folder or Path(passing_folder)
             folder.mkdir(parents=True, exist_ok=True)
             blind = SearchPlan(
                 hand.to_toml(),
@@ -136,7 +136,7 @@ def compare_searches(
             knowing = SearchPlan(
                 blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
             )
-            searches, spent = _run_timed_search(blind, folder / "blind", crew)
+            search_jobs, spent = _run_timed_search(blind, folder / "blind", crew)
             informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
             around = SearchPlan(
                 twin.to_toml(),
@@ -157,7 +157,7 @@ def compare_searches(
             for gains in (
                 detuned,
                 packaged,
-                _best_gains(detuned, searches),
+                _best_gains(detuned, search_jobs),
                 _best_gains(detuned, informed),
             )
         ]

@@ -58,9 +58,9 @@ def run_episode(policy, seed):
     Return the mean reward, and the angles and references of the digits in each step [deg].
     """
     seen, _ = env.reset(seed=seed)
-    rewards, rows, ended, truncated = [], [], False, False
-    while not (ended or truncated):
-        seen, reward, ended, truncated, _ = env.step(policy_action(policy, seen))
+    rewards, rows, ended, is_truncated = [], [], False, False
+    while not (ended or is_truncated):
+        seen, reward, ended, is_truncated, _ = env.step(policy_action(policy, seen))
         rewards.append(reward)
         rows.append([np.degrees(env.coordinates_of_joints(env.true_q)), env.reference_deg(env.t_s)])
     return sum(rewards) / env.max_steps, np.array(rows)

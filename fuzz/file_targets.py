@@ -28,7 +28,7 @@ from handctl.hand.hand_loading import (
     packaged_hands,
     read_toml,
 )
-from handctl.programs.task import Task, trajectory_from
+from handctl.programs.task import Task, task_from_trajectory_file
 from handctl.session.tasks import check_task_for_hand
 
 FuzzTarget = Callable[[bytes], bool]
@@ -148,7 +148,9 @@ def trajectory_target(folder: Path) -> FuzzTarget:
     return _document_target(
         folder / "trajectory.toml",
         [content],
-        lambda content: check_task_for_hand(trajectory_from(content, "fuzzed"), jamia, "fuzzed"),
+        lambda content: check_task_for_hand(
+            task_from_trajectory_file(content, "fuzzed"), jamia, "fuzzed"
+        ),
     )
 
 

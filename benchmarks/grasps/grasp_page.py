@@ -62,10 +62,10 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
                 f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}"
             )
     failures = []
-    for (hand, grasp, thing), failed in _grouped_rows(
+    for (hand, grasp, thing), failed_rows in _grouped_rows(
         [row for row in rows if row["why"]], "hand", "grasp", "object"
     ).items():
-        by_reason = _grouped_rows(failed, "why")
+        by_reason = _grouped_rows(failed_rows, "why")
         reasons = [
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
             for (reason,), selected in by_reason.items()

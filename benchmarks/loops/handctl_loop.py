@@ -15,7 +15,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.tick_record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.programs.program import ProgramProgress, motion_to
+from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.clocks.realtime_priority import keep_processors_awake, request_priority
@@ -35,7 +35,9 @@ class StayProgram:
 
     def advance(self, model, progress, estimate, measured, t):
         if progress.phase == "start":
-            goals = tuple(motion_to(digit, estimate, 0.0, 1.0, t) for digit in model.digits)
+            goals = tuple(
+                goal_to_move_to_angle(digit, estimate, 0.0, 1.0, t) for digit in model.digits
+            )
             progress = replace(progress, phase="stay", goals=goals)
         return progress, ()
 

@@ -12,7 +12,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.gains.motion_design import largest_force_weight
+from handctl.core.gains.motion_design import force_weight_at_period
 from handctl.core.hand_model import InverseDynamics
 from handctl.core.tick_types import TickIn
 from handctl.drives.frame_records import Frames
@@ -76,13 +76,13 @@ def misprinted_torque(
     for i in range(3):
         here = i < digit.joint_count
         names[f"L{i + 1}"] = digit.lengths[i] if here else 0.0
-        names[f"d{i + 1}"] = float(digit.coms[i, 0]) if here else 0.0
+        names[f"d{i + 1}"] = float(digit.centres_of_mass[i, 0]) if here else 0.0
         names[f"m{i + 1}"] = digit.masses[i] if here else 0.0
         names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
     printed = [
-        sum(float(term.readings[0].evaluate(names)) for term in terms)
-        for terms in equations.TORQUE_TERMS
+        sum(float(term.readings[0].evaluate(names)) for term in equation_terms)
+        for equation_terms in equations.TORQUE_TERMS
     ]
     joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]
     passive = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
@@ -98,7 +98,7 @@ This force costs as much as the position error and the speed error that define t
 
 def force_scale(rate_hz: float) -> float:
     """Return the factor that restores the force weight, which the controller reduces at a low control rate."""
-    return 1.0 / largest_force_weight(1.0, 1.0 / rate_hz)
+    return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 
 
 class RawTensionController(Controller):
@@ -122,7 +122,11 @@ class RawTensionController(Controller):
 def controller_on_raw_tension(controller: Controller) -> Controller:
     """Return a copy of the controller whose control law uses the raw load cell."""
     return RawTensionController(
-        **{each.name: getattr(controller, each.name) for each in fields(controller) if each.init}
+        **{
+            controller_field.name: getattr(controller, controller_field.name)
+            for controller_field in fields(controller)
+            if controller_field.init
+        }
     )
 
 
@@ -166,7 +170,7 @@ class AblationLaw:
 def _with_law(
     controller: Controller, inverse_dynamics: InverseDynamics, with_raw_tension: bool
 ) -> Controller:
-    other = replace(controller, model=replace(controller.model, inverse=inverse_dynamics))
+    other = replace(controller, model=replace(controller.model, inverse_dynamics=inverse_dynamics))
     return controller_on_raw_tension(other) if with_raw_tension else other
 
 

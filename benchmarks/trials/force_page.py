@@ -64,7 +64,7 @@ def _conclusion(result: dict[str, Any]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():
-        none, raw, estimate = plants["as known"].values()
+        without_estimate, raw, estimate = plants["as known"].values()
         margin = raw["rmse_N"] - estimate["rmse_N"]
         spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
         word = (
@@ -78,7 +78,7 @@ def _conclusion(result: dict[str, Any]) -> str:
             f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
             f"{estimate['rmse_N']:.2f} and "
             f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
-            f"{none['rmse_N'] / estimate['rmse_N']:.1f} "
+            f"{without_estimate['rmse_N'] / estimate['rmse_N']:.1f} "
             f"times smaller than without a loop. The loop on the estimate overshoots the step of 25 N by "
             f"{estimate['overshoot_N']:.1f} N, "
             f"and its steady error is {estimate['steady_N']:.2f} N. The ripple of this loop is "

@@ -104,7 +104,7 @@ class TrialRecord:
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
         """Return true values (ticks, names) at each tick, or earlier by ``delay_ns`` [ns]."""
-        return self.truth_record.columns_at(list(names), self.t_ns - delay_ns)
+        return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:
         """Return the true tension (ticks, N) [N]."""

@@ -10,7 +10,7 @@ from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.program import ProgramProgress, motion_to
+from handctl.programs.program import ProgramProgress, goal_to_move_to_angle
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _digit_goal(
     t: float,
 ) -> DigitGoal:
     if step.angle_deg is not None:
-        return motion_to(
+        return goal_to_move_to_angle(
             model.digits[digit_index], estimate, math.radians(step.angle_deg), step.move_s, t
         )
     if step.tension_N is None:

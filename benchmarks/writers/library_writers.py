@@ -88,16 +88,16 @@ def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> A
     import numpy as np
 
     fields = {}
-    for name, (node, inner) in type_store.fielddefs[type_name][1]:
+    for name, (node, inner_definition) in type_store.fielddefs[type_name][1]:
         value = content[name]
         if node.name == "NAME":
-            fields[name] = _typed_object(type_store, inner, value)
+            fields[name] = _typed_object(type_store, inner_definition, value)
         elif node.name == "BASE":
             fields[name] = value
-        elif inner[0][0].name == "NAME":
-            fields[name] = [_typed_object(type_store, inner[0][1], one) for one in value]
+        elif inner_definition[0][0].name == "NAME":
+            fields[name] = [_typed_object(type_store, inner_definition[0][1], one) for one in value]
         else:
-            word = inner[0][1][0]
+            word = inner_definition[0][1][0]
             fields[name] = (
                 list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
             )

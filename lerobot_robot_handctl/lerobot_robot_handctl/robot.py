@@ -122,12 +122,12 @@ class HandctlRobot(Robot):
         Send and return the limited angles.
         """
         hand = self._connected()
-        wanted = np.clip(positions_of(self._names, action), self._low, self._high)
+        expected_positions = np.clip(positions_of(self._names, action), self._low, self._high)
         with self._lock:
             if self._stream is None:
                 self._sent = np.clip(hand.observe().q_rad, self._low, self._high)
                 self._stream = hand.stream(self.config.rate_Hz, "joint", unit="rad")
-            target = self._sent + np.clip(wanted - self._sent, -self._step, self._step)
+            target = self._sent + np.clip(expected_positions - self._sent, -self._step, self._step)
             self._stream.send(target)
             self._sent = target
             self._sent_s = time.monotonic()

@@ -74,26 +74,32 @@ def _error_line(
     is reported. In a union of several models, the deepest error belongs to the model that the user
     meant.
     """
-    details = error.errors(include_url=False)
-    deepest = max(details, key=lambda d: len(_without_tags(file_content, d["loc"], d["type"])))
-    detail = next((d for d in details if d["type"] == "extra_forbidden"), deepest)
-    location = _without_tags(file_content, detail["loc"], detail["type"])
+    error_details = error.errors(include_url=False)
+    deepest = max(
+        error_details, key=lambda d: len(_without_tags(file_content, d["loc"], d["type"]))
+    )
+    error_detail = next((d for d in error_details if d["type"] == "extra_forbidden"), deepest)
+    location = _without_tags(file_content, error_detail["loc"], error_detail["type"])
     where = f"{source}: {key_path(file_content, location)}" if location else source
-    if detail["type"] == "extra_forbidden":
+    if error_detail["type"] == "extra_forbidden":
         return ConfigError(
-            "unknown key", where, _expected_key(str(location[-1]), model, detail["loc"][:-1])
+            "unknown key", where, _expected_key(str(location[-1]), model, error_detail["loc"][:-1])
         )
-    if detail["type"] == "missing":
+    if error_detail["type"] == "missing":
         return ConfigError("missing", where, "this key")
-    value = detail["input"]
-    if detail["type"] == "union_tag_invalid":
-        key = detail["ctx"]["discriminator"].strip("'")
+    value = error_detail["input"]
+    if error_detail["type"] == "union_tag_invalid":
+        key = error_detail["ctx"]["discriminator"].strip("'")
         return ConfigError(
-            toml_spelling(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"]
+            toml_spelling(value[key]),
+            f"{where}.{key}",
+            "one of " + error_detail["ctx"]["expected_tags"],
         )
     what = "a table" if isinstance(value, Mapping) else toml_spelling(value)
     return ConfigError(
-        what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+        what,
+        where,
+        error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "),
     )
 
 
@@ -123,11 +129,15 @@ def _without_tags(
 
 def _expected_key(key: str, model: type[BaseModel], key_location: Sequence[str | int]) -> str:
     """Return the key that was probably meant, or all keys that are allowed in the same table."""
-    valid = sorted(_keys_at(model, key_location) or _keys_at(model, ()))
-    near = similar_name(key, valid)
+    valid_keys = sorted(_keys_at(model, key_location) or _keys_at(model, ()))
+    near = similar_name(key, valid_keys)
     if near:
         return f"{near}?"
-    return f"one of {', '.join(valid)}" if len(valid) <= MAX_LISTED_KEYS else "a documented key"
+    return (
+        f"one of {', '.join(valid_keys)}"
+        if len(valid_keys) <= MAX_LISTED_KEYS
+        else "a documented key"
+    )
 
 
 def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str]:

@@ -45,12 +45,12 @@ class NoSimulatorError(BusError):
 
     Args:
         bus: specification of the bus.
-        why: reason why the bus cannot be opened.
+        reason: reason why the bus cannot be opened.
         command: command that starts a suitable simulator. The text is empty if the hand is unknown.
     """
 
     def __init__(self, bus: str, reason: str, command: str = "") -> None:
-        self.bus, self.why = bus, reason
+        self.bus, self.reason = bus, reason
         start = command or f"handctl sim --bus {bus}"
         super().__init__(
             f"no simulator serves this bus: {reason}", bus, f"a simulator there; type: {start}"

@@ -9,7 +9,7 @@ import json
 import pytest
 
 from handctl.cli.main import main
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from tests.drives.bench_process import run_simulated_drives
 
 
@@ -53,7 +53,7 @@ def test_an_odrive_with_firmware_05_is_found(capsys):
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
+@pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_two_drives_with_one_number_are_found(capsys, protocol):
     with run_simulated_drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 1

@@ -7,13 +7,13 @@ import pytest
 
 from handctl.cli.checks import bus_up
 from handctl.cli.main import main
-from handctl.runtime.buses.interface_setup import set_up_commands
+from handctl.runtime.buses.interface_setup import interface_setup_commands
 
 MEGABIT_PER_S = 1_000_000
 
 
 def command_texts(*command_words) -> list[str]:
-    return [" ".join(command) for command in set_up_commands(*command_words)]
+    return [" ".join(command) for command in interface_setup_commands(*command_words)]
 
 
 def test_the_commands_of_a_real_interface():
@@ -66,20 +66,20 @@ def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
 
 
 def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):
-    ran = []
+    result = []
 
     class SucceededProcess:
         returncode, stdout, stderr = 0, "", ""
 
     def record_command(command_line, **options):
-        ran.append(" ".join(command_line))
+        result.append(" ".join(command_line))
         return SucceededProcess()
 
     monkeypatch.setattr(bus_up.os, "geteuid", lambda: 0)
     monkeypatch.setattr(bus_up.subprocess, "run", record_command)
     assert main(["bus", "up", "--bus", "socketcan:vcan77", "--yes"]) == 0
-    assert ran == capsys.readouterr().out.splitlines()
-    assert len(ran) == 3
+    assert result == capsys.readouterr().out.splitlines()
+    assert len(result) == 3
 
 
 def test_a_command_that_fails_ends_the_verb_with_its_reason(capsys, monkeypatch):

@@ -222,14 +222,14 @@ def test_each_missing_value_is_refused_until_it_is_given(
         "one line for each value"
     )
     assert all("# TODO" in line for line in text.splitlines() if '"TODO"' in line)
-    full = text_with_all_values(text)
+    full_text = text_with_all_values(text)
     for key, value in MEASURED_VALUES.items():
-        Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
+        Path("mine.toml").write_text(full_text.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
         assert all(
             f"{key}: " in line
             for line in refusal_lines(capsys, "config", "check", "--hand", "mine.toml")
         )
-    Path("mine.toml").write_text(full)
+    Path("mine.toml").write_text(full_text)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
@@ -245,9 +245,9 @@ def test_values_that_a_description_lacks_are_asked_for(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
-    asked: list[str] = []
+    questions: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
+    monkeypatch.setattr("builtins.input", lambda text: questions.append(text) or next(answers))
     assert (
         main(
             [
@@ -264,9 +264,9 @@ def test_values_that_a_description_lacks_are_asked_for(
         == 0
     )
     content = hand_content("mine.toml")
-    assert not any("Load cells" in text for text in asked), "the answer was an option"
+    assert not any("Load cells" in text for text in questions), "the answer was an option"
     for question in ("Encoders", "Return springs", "Protocol"):
-        assert any(question in text for text in asked)
+        assert any(question in text for text in questions)
     assert len(content["tendon"]) == 6
     assert content["tendon"][1]["moment_arm_m"] == {"finger_a_j1": 0.007, "finger_a_j2": 0.007}
     assert content["motor"][0]["torque_max_N_m"] == pytest.approx(1.4 * 90.0 * 0.008)

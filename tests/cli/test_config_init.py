@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
 from handctl.session.run_plan import default_control_rate
 from tests.cli.command_refusals import refusal_line
@@ -56,7 +56,7 @@ def test_new_hand_file_passes_config_check(
     assert (work_folder / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 
-@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
+@pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
     work_folder: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str
@@ -71,12 +71,12 @@ def test_questions_are_asked_until_they_are_answered(
     work_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answers = iter(["gripper", "one", "1", "", "55, 35", *itertools.repeat("", 9)])
-    asked: list[str] = []
+    questions: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
+    monkeypatch.setattr("builtins.input", lambda text: questions.append(text) or next(answers))
     assert main(["config", "init", "--tension", "50", "--output", "mine.toml"]) == 0
     assert "'one'; expected a whole number" in capsys.readouterr().out
-    assert not any("Largest tension" in text for text in asked), "the answer was an option"
+    assert not any("Largest tension" in text for text in questions), "the answer was an option"
     hand = load_hand("mine.toml")
     assert (hand.name, hand.digit_names) == ("gripper", ("index", "thumb"))
     assert hand.digit[0].link_length_m == (0.055, 0.035)
@@ -104,7 +104,7 @@ def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
 ) -> None:
     """Reproduce a defect: `config init` refused `--cells none` without a robot description."""
     tendons, springs, cells, encoders = SENSOR_CASES[case_index]
-    protocol = GUARDED_PROTOCOLS[case_index % len(GUARDED_PROTOCOLS)]
+    protocol = VERIFIABLE_PROTOCOLS[case_index % len(VERIFIABLE_PROTOCOLS)]
     links = ("60", "40,30", "50,30,20")[case_index % 3]
     words = [*sensor_options(SENSOR_CASES[case_index]), "--protocol", protocol, "--links", links]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
@@ -112,8 +112,8 @@ def test_every_choice_of_sensors_and_springs_is_a_valid_hand(
     assert code == 0, capsys.readouterr().err
     hand = load_hand("mine.toml")
     count = len(links.split(","))
-    per_digit = 1 if tendons == "one" else count + (springs == "none")
-    assert len(hand.tendon) == len(hand.motor) == 3 * per_digit
+    motors_per_digit = 1 if tendons == "one" else count + (springs == "none")
+    assert len(hand.tendon) == len(hand.motor) == 3 * motors_per_digit
     assert all(
         any(digit.spring_stiffness_N_m_per_rad) == (springs == "all") for digit in hand.digit
     )
@@ -144,11 +144,11 @@ def test_sensors_springs_and_protocol_are_asked_for(
             "odrive",
         ]
     )
-    asked: list[str] = []
+    questions: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
-    monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
+    monkeypatch.setattr("builtins.input", lambda text: questions.append(text) or next(answers))
     assert main(["config", "init", "--output", "mine.toml"]) == 0
-    assert [text.rpartition(" [")[2] for text in asked[-4:]] == [
+    assert [text.rpartition(" [")[2] for text in questions[-4:]] == [
         "all]: ",
         "none]: ",
         "all]: ",
@@ -232,13 +232,14 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     """Reproduce a defect: `--protocol cubemars` was not accepted as a choice."""
     words = ["config", "init", "--protocol", protocol, "--output"]
     assert main([*words, "option.toml", "--yes", "--motor-type", motor_type]) == 0
-    asked: list[str] = []
+    questions: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr(
-        "builtins.input", lambda text: asked.append(text) or motor_type * ("Type of the" in text)
+        "builtins.input",
+        lambda text: questions.append(text) or motor_type * ("Type of the" in text),
     )
     assert main([*words, "asked.toml"]) == 0
-    assert sum("Type of the motors" in text for text in asked) == 1
+    assert sum("Type of the motors" in text for text in questions) == 1
     for file in ("option.toml", "asked.toml"):
         assert main(["config", "check", "--hand", file]) == 0
         motors = load_hand(file).motor

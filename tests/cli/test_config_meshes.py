@@ -125,8 +125,8 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
 
 
 def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_meshes: Path) -> None:
-    with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large:
-        large.truncate(MAX_MESH_BYTES)
+    with (copy_t42_with_meshes.parent / "t42" / "outer.stl").open("r+b") as large_file:
+        large_file.truncate(MAX_MESH_BYTES)
     messages: list[str] = []
     plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
     assert not plan.attachments

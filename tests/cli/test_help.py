@@ -255,8 +255,8 @@ def test_each_gain_is_shown_with_meaning_and_bounds(capsys):
     assert len(lines) == 2 * len(gain_bounds())
     for key, text in zip(lines[::2], lines[1::2], strict=True):
         gain = gain_bounds()[key.split()[0]]
-        assert gain.why
-        assert text.startswith(f"    {gain.why.splitlines()[0]} ")
+        assert gain.meaning
+        assert text.startswith(f"    {gain.meaning.splitlines()[0]} ")
         assert f"at most {gain.high:g}" in text
     assert main(["gains", "show", "-q"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(gain_bounds())
@@ -265,7 +265,7 @@ def test_each_gain_is_shown_with_meaning_and_bounds(capsys):
 def test_a_gain_with_a_unit_in_its_name_tells_the_unit():
     for key, gain in gain_bounds().items():
         if re.search(r"_(N|m|s|m_s|N_per_s|per_s)$", key):
-            assert re.search(r"\[[^\]]+\]\.", gain.why.splitlines()[0]), key
+            assert re.search(r"\[[^\]]+\]\.", gain.meaning.splitlines()[0]), key
 
 
 def test_a_line_of_a_run_names_the_tendons(capsys, monkeypatch):

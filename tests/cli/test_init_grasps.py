@@ -91,7 +91,7 @@ def test_new_hand_grasps_holds_and_releases(
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
     assert forces
     # At the end the object lies on the table, and no digit touches it.
-    assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0
+    assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0
 
 
 @pytest.mark.nightly

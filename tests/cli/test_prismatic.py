@@ -46,8 +46,10 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert 0.0 <= jaw_result["error_deg"] < 0.2
     truth = read_truth(gripper_hand_files / "run.truth")
     forces = [name for name in truth.columns if name.startswith("contact_force/")]
-    assert abs(truth.columns_at(forces, truth.t_ns[-1:])).max() == 0.0, "the hand has released"
-    opened = truth.columns_at(
+    assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0, (
+        "the hand has released"
+    )
+    opened = truth.interpolated_columns(
         [f"q/{joint}" for joint in load_hand(hand_file).joints], truth.t_ns[-1:]
     )
     assert np.abs(opened).max() < 0.06
@@ -270,6 +272,6 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
         again = load_hand("whole.toml")
         assert again.identity == hand.identity
         for one, other in zip(
-            DigitModel.all_from_hand(hand), DigitModel.all_from_hand(again), strict=True
+            DigitModel.models_of_hand(hand), DigitModel.models_of_hand(again), strict=True
         ):
             np.testing.assert_array_equal(one.table, other.table)

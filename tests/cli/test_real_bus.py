@@ -126,7 +126,7 @@ def run_at_terminal(typed_answer: str) -> tuple[int, str]:
 
     Return the exit code and the text on the terminal.
     """
-    ours, theirs = pty.openpty()
+    controlling_side, terminal_side = pty.openpty()
     command = [
         sys.executable,
         "-m",
@@ -137,20 +137,24 @@ def run_at_terminal(typed_answer: str) -> tuple[int, str]:
         "socketcan:nosuch",
     ]
     process = subprocess.Popen(
-        command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
+        command,
+        stdin=terminal_side,
+        stdout=terminal_side,
+        stderr=terminal_side,
+        start_new_session=True,
     )
-    os.close(theirs)
+    os.close(terminal_side)
     shown, answered, end = "", False, time.monotonic() + 60.0
-    while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
+    while time.monotonic() < end and select.select([controlling_side], [], [], 60.0)[0]:
         try:
-            piece = os.read(ours, 4096).decode()
+            piece = os.read(controlling_side, 4096).decode()
         except OSError:  # the command has closed its end of the terminal
             break
         shown += piece
         if "[y/N]" in shown and not answered:
-            os.write(ours, f"{typed_answer}\n".encode())
+            os.write(controlling_side, f"{typed_answer}\n".encode())
             answered = True
-    os.close(ours)
+    os.close(controlling_side)
     return process.wait(20.0), shown
 
 

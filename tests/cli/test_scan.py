@@ -148,11 +148,11 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
     bench.receive(SimFrame(EXTENDED_FLAG | 3 << 24 | 0xFD02, bytes(8)))
     bench.advance(20_000_000)
     before = [node.mode for node in bench.nodes]
-    fed = [node.watchdog_fed_ns for node in bench.nodes]
+    watchdog_feed_times = [node.watchdog_fed_ns for node in bench.nodes]
     for question in requests_without_answers():
         bench.receive(SimFrame(*question))
     assert [node.mode for node in bench.nodes] == before
-    assert [node.watchdog_fed_ns for node in bench.nodes] == fed
+    assert [node.watchdog_fed_ns for node in bench.nodes] == watchdog_feed_times
     assert [motor.servo.torque for motor in bench.motors] == [0.0, 0.0]
 
 
@@ -236,8 +236,8 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
     ids=str,
 )
 def test_two_drives_with_one_number_are_found(drive_spec):
-    (alone,) = scan_bench(drive_spec)[0].found_nodes
-    assert (alone.twins, TWO_DRIVES_WARNING in alone.notes) == (False, False)
+    (only_node,) = scan_bench(drive_spec)[0].found_nodes
+    assert (only_node.twins, TWO_DRIVES_WARNING in only_node.notes) == (False, False)
     (drive,) = scan_bench(drive_spec, fault_command="twin")[0].found_nodes
     assert (drive.twins, drive.notes[0]) == (True, TWO_DRIVES_WARNING)
 

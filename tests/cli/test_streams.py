@@ -28,10 +28,10 @@ def run_in_shell(redirections, command_words=VERSION_COMMAND, **environment):
     Return the exit code, the output and the errors of the command.
     """
     command = ["sh", "-c", f'exec "$0" "$@" {redirections}', *command_words]
-    ran = subprocess.run(
+    result = subprocess.run(
         command, env=BUFFERED_ENVIRONMENT | environment, capture_output=True, text=True, check=False
     )
-    return ran.returncode, ran.stdout, ran.stderr
+    return result.returncode, result.stdout, result.stderr
 
 
 @pytest.mark.parametrize("with_unbuffered_output", ["", "1"])
@@ -50,11 +50,11 @@ def test_output_without_a_reader_is_no_error(cli_verb):
     read, write = os.pipe()
     os.close(read)
     command = (sys.executable, "-m", "handctl.cli", *cli_verb)
-    ran = subprocess.run(
+    result = subprocess.run(
         command, env=BUFFERED_ENVIRONMENT, stdout=write, stderr=subprocess.PIPE, check=False
     )
     os.close(write)
-    assert (ran.returncode, ran.stderr) == (0, b"")
+    assert (result.returncode, result.stderr) == (0, b"")
 
 
 def test_progress_without_a_reader_does_not_end_the_verb(monkeypatch):

@@ -9,8 +9,8 @@ from handctl.cli.main import main
 from handctl.controller.gain_change import DesignCache, gain_change_events
 from handctl.controller.pending_gains import PendingGains
 from handctl.core.gains.gain_bounds import (
-    bounds_after_check,
-    different_values,
+    changed_gain_values,
+    checked_gain_bounds,
     gains_with_values,
     values_by_key,
 )
@@ -72,13 +72,13 @@ def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
 
 
 def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
-    assert different_values(Gains(), gains_with_own_force(5.0)) == {
+    assert changed_gain_values(Gains(), gains_with_own_force(5.0)) == {
         FORCE_KEY: (Gains().motion.force_N, 5.0)
     }
-    assert different_values(gains_with_own_force(5.0), Gains()) == {
+    assert changed_gain_values(gains_with_own_force(5.0), Gains()) == {
         FORCE_KEY: (5.0, Gains().motion.force_N)
     }
-    assert different_values(Gains(), gains_with_own_force(Gains().motion.force_N)) == {}
+    assert changed_gain_values(Gains(), gains_with_own_force(Gains().motion.force_N)) == {}
     events = gain_change_events(Gains(), gains_with_own_force(5.0))
     assert [(event.where, event.text) for event in events] == [
         (FORCE_KEY, "5.0"),
@@ -126,7 +126,7 @@ def test_a_wrong_entry_is_refused_in_one_line(
 )
 def test_a_key_that_no_tendon_can_have_is_unknown(gain_key: str) -> None:
     with pytest.raises(ConfigError, match="no such gain"):
-        bounds_after_check(gain_key, 5.0, "test")
+        checked_gain_bounds(gain_key, 5.0, "test")
 
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: HandModel) -> None:

@@ -91,8 +91,8 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     The table showed "none" for the gain and phase margins of the old gains, and no line gave the
     reason.
     """
-    swing = "the plant with 0.5 of the friction swings by 2.3 N held"
-    reasons = {7e-4: f": {swing}"}
+    swing_text = "the plant with 0.5 of the friction swings by 2.3 N held"
+    reasons = {7e-4: f": {swing_text}"}
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.RestTest._simulate",
         lambda self, model: reasons.get(model.gains.motion.position_error_m, ""),
@@ -101,9 +101,9 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     assert main([*command, "--poles-Hz", "2,25", *command_words]) in (0, 1)
     said = capsys.readouterr().out
     if command_words:
-        assert json.loads(said)["not_at_rest_before"] == swing
+        assert json.loads(said)["not_at_rest_before"] == swing_text
         return
-    assert f"before: in simulation the hand does not come to rest: {swing}\n" in said
+    assert f"before: in simulation the hand does not come to rest: {swing_text}\n" in said
     assert "not at rest\u2192" in said
     assert "none" not in said
 
@@ -408,11 +408,11 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
     _replace_identification(monkeypatch, made, {"middle_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 0
     said = capsys.readouterr()
-    kept = coherence > 0.2
+    is_coherent = coherence > 0.2
     found = load_calibration(path, hand).identified["middle_tendon"].names
-    assert found == (names if kept else ("tendon_stiffness",))
-    assert ("tune search" in said.out) == kept
-    assert ("not worth using" in said.err) != kept
+    assert found == (names if is_coherent else ("tendon_stiffness",))
+    assert ("tune search" in said.out) == is_coherent
+    assert ("not worth using" in said.err) != is_coherent
 
 
 @pytest.mark.parametrize("blocked_digits", [(), ("ring",), ("ring", "thumb")])
@@ -435,11 +435,11 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
     assert "no parameters of index are kept: middle is blocked" in said.err
-    kept = load_calibration(path, hand).identified
-    assert kept["index_tendon"].values == (9e4,)
-    assert {name: one.values for name, one in kept.items() if name != "index_tendon"} == {
-        f"{name}_tendon": (8e4,) for name in blocked_digits
-    }
+    stored_parameters = load_calibration(path, hand).identified
+    assert stored_parameters["index_tendon"].values == (9e4,)
+    assert {
+        name: one.values for name, one in stored_parameters.items() if name != "index_tendon"
+    } == {f"{name}_tendon": (8e4,) for name in blocked_digits}
     assert blocked_digits or path.read_bytes() == known
 
 
@@ -628,10 +628,10 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibrati
     )
     plain = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if calibration_file is None else {}
-    wanted = tuple(
+    expected = tuple(
         one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
     )
-    assert ensemble_of_tuned_hand(args, {}, 8) == wanted
+    assert ensemble_of_tuned_hand(args, {}, 8) == expected
 
 
 @pytest.mark.nightly

@@ -13,11 +13,11 @@ from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
 from handctl.core.tick_types import HandMode
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import MoveDigits
+from handctl.programs.requests import MoveDigitsRequest
 from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_simulator
 from handctl.session.calibration import (
     find_calibration,
@@ -63,7 +63,7 @@ class CalibratedBench:
         return calibration
 
     def jog(self, calibration, name):
-        program = JogProgram(MoveDigits.model_validate(MOVE_GOAL), 0.4)
+        program = JogProgram(MoveDigitsRequest.model_validate(MOVE_GOAL), 0.4)
         controller = make_controller(self.plan, program, calibration, True)
         return self.runner(self.plan, controller, self.work_folder / f"{name}.mcap")
 
@@ -73,7 +73,7 @@ def mode_texts(log):
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
-@pytest.mark.parametrize("protocols", [[name] for name in GUARDED_PROTOCOLS], ids="+".join)
+@pytest.mark.parametrize("protocols", [[name] for name in VERIFIABLE_PROTOCOLS], ids="+".join)
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
     work_folder, protocols
 ):

@@ -25,7 +25,7 @@ from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.moteus import codec as moteus
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.drives.signals import CyclicMessage, SignalQuantity, SignalTable
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
@@ -100,7 +100,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         "sensor_node": node,
     }
     hand = hand_from_content(made, "random.toml")
-    hand = hand_with_drives(hand, str(rng.choice(GUARDED_PROTOCOLS)))
+    hand = hand_with_drives(hand, str(rng.choice(VERIFIABLE_PROTOCOLS)))
     servos = _motors_with_position_loop(hand, rng)
     loop: dict[str, object] = {"control": "position"}
     if hand.motor[0].protocol == "moteus":
@@ -134,11 +134,14 @@ def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dic
     """For each kind of digit, yield the moment arms of all its tendons."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
-    each = [
+    closing_arms = [
         dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))
     ]
-    yield each
-    yield [*each, {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)}]
+    yield closing_arms
+    yield [
+        *closing_arms,
+        {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)},
+    ]
 
 
 def _random_digit(
@@ -200,7 +203,7 @@ class RandomHand:
         self.angle = np.zeros(len(hand.joints))
         self.digits = hand.digit_names
         # A drive of such a hand closes its position loop only while its tendon is taut.
-        self.pull = 20.0 if any(motor.holds_position for motor in hand.motor) else 0.0
+        self.pull = 20.0 if any(motor.closes_position_loop for motor in hand.motor) else 0.0
 
     def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
         """Return the frames that arrive in a tick.
@@ -211,8 +214,8 @@ class RandomHand:
         rng, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + rng.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
-        pulls = self.pull + 400.0 * self.position + rng.normal(0.0, 0.5, len(self.tension))
-        self.tension = np.clip(pulls, 0.0, 130.0)
+        pull_tensions = self.pull + 400.0 * self.position + rng.normal(0.0, 0.5, len(self.tension))
+        self.tension = np.clip(pull_tensions, 0.0, 130.0)
         self.angle += rng.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):

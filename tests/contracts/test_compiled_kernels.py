@@ -216,7 +216,7 @@ from handctl.core import state_block as s
 
 @kernel("block", "layout")
 def misses(block, at):
-    return frame_losses.misses_every_second(state_tables(block, at), 0)
+    return frame_losses.misses_every_second_reply(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
 CALL_PROBE_CODE = """
@@ -321,8 +321,8 @@ def test_without_a_writable_cache_each_process_compiles(
         (cache_folder / "handctl").write_text("")
     if cache_kind == "read-only":
         cache_folder.chmod(0o555)
-    result, hit, stored = run_copied_kernel(package_copy, cache_folder)
-    assert (result, hit) == (True, False)
+    result, cache_hits, stored = run_copied_kernel(package_copy, cache_folder)
+    assert (result, cache_hits) == (True, False)
     assert not stored or (cache_kind == "read-only" and os.geteuid() == 0), (
         "root can write into read-only folders"
     )

@@ -52,7 +52,7 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     )
     insert_text(everything, "self._parts = (\n", part)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY / "tests" / "log", REPOSITORY)))
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", READ_TOPIC_CODE],
         env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
         cwd=tmp_path,
@@ -60,8 +60,8 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert ran.returncode == 0, ran.stderr
-    assert json.loads(ran.stdout.splitlines()[-1]) == 120
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout.splitlines()[-1]) == 120
 
 
 def insert_text(file_path: Path, text_before: str, inserted_text: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,
     INDIRECT_FAULT_SIGN,
@@ -81,7 +81,7 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
 
 def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in FAULT_CATALOGUE:
-        for visibility in map(entry.visibility, GUARDED_PROTOCOLS):
+        for visibility in map(entry.visibility, VERIFIABLE_PROTOCOLS):
             verdict, _, why = visibility.partition(": ")
             assert verdict in (VISIBLE_FAULT, INDIRECT_FAULT_SIGN, INVISIBLE_FAULT), entry.id
             assert why or verdict == VISIBLE_FAULT, f"{entry.id}: replaced by what, or lost why?"

@@ -54,7 +54,7 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path
             (frame.can_id, frame.data) for frame in received_frames
         ]
         after = functools.reduce(motor.receive, sent, state)
-        assert after.misread == 0
+        assert after.misread_frame_count == 0
         assert after.phase == functools.reduce(motor.receive, received_frames, state).phase
 
 

@@ -31,10 +31,10 @@ pytestmark = pytest.mark.skipif(
 
 def printed_lines(program_text: str) -> list[str]:
     """Run the text of a Python program, and return the lines that it prints."""
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", program_text], check=True, capture_output=True, text=True
     )
-    return ran.stdout.splitlines()
+    return result.stdout.splitlines()
 
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:

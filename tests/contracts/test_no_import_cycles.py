@@ -38,10 +38,10 @@ def imported_modules(source_text: str, known_modules: set[str]) -> set[str]:
 def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
     """Return the groups of modules that import each other, directly or through other modules."""
     reach = {name: set(targets) for name, targets in import_graph.items()}
-    for middle in import_graph:
+    for middle_module in import_graph:
         for targets in reach.values():
-            if middle in targets:
-                targets |= reach[middle]
+            if middle_module in targets:
+                targets |= reach[middle_module]
     groups = {
         frozenset(other for other in reach[name] if name in reach[other]) for name in import_graph
     }

@@ -95,9 +95,11 @@ def test_the_simulator_names_its_extra_as_well() -> None:
         f"{HIDE_EXTRAS_CODE}from firmware_sim.__main__ import main\n"
         "sys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
     expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
-    assert (ran.returncode, ran.stderr) == (2, expected)
+    assert (result.returncode, result.stderr) == (2, expected)
     assert {EXTRA_BY_MODULE[package] for package in EXTRA_PACKAGES} == {"sim"}
     assert callable(firmware_sim)
 
@@ -107,8 +109,10 @@ def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
         f"{hide_packages_code({'sim'})}from handctl.session.simulate import SimulatorSettings\n"
         "SimulatorSettings('jamia').check_hand_constructible()"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert ran.stderr.splitlines()[-1].endswith(
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.stderr.splitlines()[-1].endswith(
         "the simulated hand needs mujoco: pip install 'handctl[sim]'"
     )
 

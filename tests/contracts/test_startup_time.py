@@ -58,16 +58,20 @@ def run_duration_s(program_text: str) -> float:
 @pytest.mark.alone
 def test_help_answers_at_once() -> None:
     pairs = [(run_duration_s("pass"), run_duration_s(HELP_CODE)) for _ in range(5)]
-    bare, full = (min(column) for column in zip(*pairs, strict=True))
+    bare, full_time_s = (min(column) for column in zip(*pairs, strict=True))
     allowed = max(HELP_LIMIT_S, HELP_LIMIT_INTERPRETERS * bare)
-    assert full <= allowed, f"handctl --help {full:.2f} s, bare interpreter {bare:.3f} s"
+    assert full_time_s <= allowed, (
+        f"handctl --help {full_time_s:.2f} s, bare interpreter {bare:.3f} s"
+    )
 
 
 def test_help_imports_no_heavy_library() -> None:
     code = f"{HELP_CODE}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
-    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert ran.stdout.startswith("usage: handctl")
-    assert ran.stdout.splitlines()[-1] == "loaded:"
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert result.stdout.startswith("usage: handctl")
+    assert result.stdout.splitlines()[-1] == "loaded:"
 
 
 def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
@@ -83,5 +87,7 @@ def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
     code += "print(dlqr(np.eye(1), np.eye(1), np.eye(1), np.eye(1))[0].size)\n"
     code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)\n"
     code += "np.testing.assert_allclose(1.0, 1.0)\nprint(np.f2py.__name__)"
-    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert ran.stdout.splitlines()[-4:] == ["['filterpy.kalman']", "1", "2", "numpy.f2py"]
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert result.stdout.splitlines()[-4:] == ["['filterpy.kalman']", "1", "2", "numpy.f2py"]

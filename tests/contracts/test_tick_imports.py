@@ -57,11 +57,11 @@ print(*sorted(set(sys.modules) - before))
 
 def run_code(program_text: str, hand_name: str) -> list[str]:
     """Run a program in a process of its own, and return the words that it prints."""
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-c", program_text, hand_name], capture_output=True, text=True, check=False
     )
-    assert ran.returncode == 0, ran.stderr
-    return ran.stdout.split()
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
 
 
 @pytest.mark.parametrize("hand", ["jamia", "n_plus_1"])

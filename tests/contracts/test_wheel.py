@@ -72,13 +72,13 @@ class WheelEnvironment:
         }
         program = str(self.folder / "env" / "bin" / program_arguments[0])
         command: Sequence[str] = (program, *program_arguments[1:])
-        ran = subprocess.run(
+        result = subprocess.run(
             command, cwd=self.folder, env=variables, capture_output=True, text=True, check=False
         )
-        assert ran.returncode == exit_code, (
-            f"{program_arguments}: {ran.returncode}\n{ran.stdout}\n{ran.stderr}"
+        assert result.returncode == exit_code, (
+            f"{program_arguments}: {result.returncode}\n{result.stdout}\n{result.stderr}"
         )
-        return ran
+        return result
 
     def install(self, extra_names: str = "") -> None:
         """Install the wheel with extras, in the versions of the lock file."""
@@ -143,8 +143,8 @@ def test_a_controller_needs_one_extra(controller_environment: WheelEnvironment) 
     assert "0 differ" in executed
     controller_environment.run("handctl", "report", str(GOLDEN_LOG), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
-    wanted = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
-    assert wanted == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
+    expected = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
+    assert expected == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
     assert controller_environment.installed_megabytes() <= CONTROLLER_SIZE_MB
 
 

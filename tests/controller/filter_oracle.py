@@ -146,8 +146,12 @@ def covariance_by_doubling(
     """Return the steady-state covariance of a Kalman filter's prediction, by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
-        middle = np.linalg.inv(np.eye(len(A)) + G @ P)
-        A, G, after = A @ middle @ A, G + A @ middle @ G @ A.T, P + A.T @ P @ middle @ A
+        inner_matrix = np.linalg.inv(np.eye(len(A)) + G @ P)
+        A, G, after = (
+            A @ inner_matrix @ A,
+            G + A @ inner_matrix @ G @ A.T,
+            P + A.T @ P @ inner_matrix @ A,
+        )
         if np.abs(after - P).max() <= 1e-14 * np.abs(after).max():
             return after
         P = after

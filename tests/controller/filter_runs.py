@@ -62,11 +62,20 @@ class FilterState(NamedTuple):
     def tendons_in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
         """Return a filter state with given tendon states (7N,) and all tendons in one regime."""
         n = len(x) // STATE_COUNT
-        none = np.zeros(n)
+        zero_vector = np.zeros(n)
         no = (False,) * n
-        usual = np.full(n, 2.0)
+        default_nis = np.full(n, 2.0)
         return FilterState(
-            x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, none, usual, no, usual, none
+            x,
+            (int(regime),) * n,
+            (stopped,) * n,
+            (0,) * n,
+            no,
+            zero_vector,
+            default_nis,
+            no,
+            default_nis,
+            zero_vector,
         )
 
     @staticmethod
@@ -113,11 +122,11 @@ def filter_state_of(state: ControllerState) -> FilterState:
         else state.view(row).copy()
         for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
     }
-    carried = None
+    covariances = None
     if state.run_integer(s.COVARIANCE_PROPAGATED):
-        carried = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
+        covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
-    return FilterState(x, **found, covariance=carried, started=state.started)
+    return FilterState(x, **found, covariance=covariances, started=state.started)
 
 
 def write_readings(state: ControllerState, measured: SensorReadings) -> None:
@@ -162,7 +171,7 @@ def run_filter_tick(
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
     controller_state.set_run_integer(s.MISSED_TICKS, missed_ticks)
-    tick_stages.correct_estimate(
+    tick_stages.correct_tension_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     if controller_state.started:
@@ -251,7 +260,7 @@ def corrected_state(
     """
     controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
-    tick_stages.correct_estimate(
+    tick_stages.correct_tension_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
     return controller_state

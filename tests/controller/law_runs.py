@@ -130,7 +130,7 @@ def run_law_tick(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_run_integer(s.TRIMMED, 1)
+        state.set_run_integer(s.TRIM_ACTIVE, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if law.friction_slider is not None:
@@ -139,7 +139,7 @@ def run_law_tick(
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:
         state.view("limit_held")[...] = held_limit_N
-        state.set_run_integer(s.HOLDING, 1)
+        state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
@@ -148,12 +148,12 @@ def run_law_tick(
 
 def law_state_of(state: ControllerState) -> LawState:
     """Return the state of the control law after a tick."""
-    kept = {
+    block_values = {
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.run_integer(s.TRIMMED) else None
-    held = state.view("limit_held").copy() if state.run_integer(s.HOLDING) else None
-    return LawState(**kept, trim=trim, held=held)
+    trim = state.view("trim").copy() if state.run_integer(s.TRIM_ACTIVE) else None
+    held = state.view("limit_held").copy() if state.run_integer(s.SAFETY_HOLD_ACTIVE) else None
+    return LawState(**block_values, trim=trim, held=held)
 
 
 def law_command_of(state: ControllerState) -> LawCommand:
@@ -169,7 +169,7 @@ def _tension_limits(
     constants: BlockArray,
     constant_places: TablePlaces,
 ) -> np.ndarray:
-    return computed_torque.present_tension_limits(
+    return computed_torque.temporary_tension_limits(
         state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 
@@ -202,11 +202,16 @@ def required_tensions_of(
     """Return the tensions (N,) [N] that moving digits need for a joint motion (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
-    undecided = _required_tensions(
+    unsolved_digits = _required_tensions(
         state.block, state.layout.places, *stage_constants(model), motion
     )
     allocate_bounded_tensions(
-        model, state.layout, controller_of(model).derived.constants, state.block, undecided, motion
+        model,
+        state.layout,
+        controller_of(model).derived.constants,
+        state.block,
+        unsolved_digits,
+        motion,
     )
     return state.view("load")
 

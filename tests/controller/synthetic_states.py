@@ -177,7 +177,7 @@ def _tendon_load_forces(
     constants: BlockArray,
     constant_places: TablePlaces,
 ) -> np.ndarray:
-    return kalman._load_forces(
+    return kalman._resistance_and_pull_forces(
         state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 

@@ -159,14 +159,16 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
         run, ticks = begin_run(peer, task, calibration, run.k, hand)
         errors = list[np.ndarray]()
-        least = list[float]()
+        smallest_tensions = list[float]()
         for _ in ticks:
             assert not [event for event in logged_events_of(run) if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
-                least.append(min(plant.tensions()))
+                smallest_tensions.append(min(plant.tensions()))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0
-        assert min(least) > 0.5 * run.controller.model.floor.min(), "no tendon comes near slack"
+        assert min(smallest_tensions) > 0.5 * run.controller.model.floor.min(), (
+            "no tendon comes near slack"
+        )
 
 
 GRASP_TASK = Task.model_validate(
@@ -233,10 +235,12 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert touched == {"index", "middle", "thumb"}
         assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
         assert height["open"] < -0.05, "the antagonists open the digits"
-        closes = antagonist_model().redundancy.side > 0.0
-        np.testing.assert_allclose(tension["hold"][closes], 40.0, atol=3.0)
+        is_closing = antagonist_model().redundancy.side > 0.0
+        np.testing.assert_allclose(tension["hold"][is_closing], 40.0, atol=3.0)
         np.testing.assert_allclose(
-            tension["hold"][~closes], antagonist_model().redundancy.balance[~closes], atol=2.0
+            tension["hold"][~is_closing],
+            antagonist_model().redundancy.balance[~is_closing],
+            atol=2.0,
         )
 
 

@@ -19,7 +19,7 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     If a digit was touched after a move to 40 deg, its resting motor was reported as stuck.
     """
     state, period = active_state(jamia), jamia.period
-    far = np.full(len(jamia.hand.joints), math.radians(40.0))
+    far_angles = np.full(len(jamia.hand.joints), math.radians(40.0))
 
     def tick(goal: NDArray[np.float64], excursion_error_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
@@ -28,15 +28,15 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
         return state.view("followed").copy()
 
     for t in np.arange(0.0, 1.0, period):
-        tick(far * t, 0.05e-3)
-    resting = tick(far, 0.05e-3)
+        tick(far_angles * t, 0.05e-3)
+    resting = tick(far_angles, 0.05e-3)
     for _ in range(round(rest_s / period)):
-        resting = tick(far, 0.05e-3)
+        resting = tick(far_angles, 0.05e-3)
     for _ in range(round(2.0 / period)):
-        touched = tick(far, 0.4e-3)
+        touched = tick(far_angles, 0.4e-3)
     assert np.abs(touched - resting).max() < 0.5 * STUCK_SENSOR_GOAL_CHANGE_M
     for _ in range(round(0.5 / period)):
-        away = tick(far * 1.2, 0.4e-3)
+        away = tick(far_angles * 1.2, 0.4e-3)
     assert np.abs(away - touched).min() > STUCK_SENSOR_GOAL_CHANGE_M, (
         "a goal that does move is still seen"
     )

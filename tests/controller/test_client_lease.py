@@ -145,10 +145,10 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
         run_with_signs_of_life(client, LEASE_S)
-        middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
+        middle_snapshot, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
         client.wait(2.2 * LEASE_S)
         assert client.tick_outputs[-1].mode >= HandMode.RELAX
-        check_ticks_are_repeated(client.run, middle, at)
+        check_ticks_are_repeated(client.run, middle_snapshot, at)
 
 
 def test_alive_messages_are_requests() -> None:

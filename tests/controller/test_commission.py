@@ -88,9 +88,12 @@ def run_commissioning(
     for k in range(round(60.0 / model.period)):
         walked += step * rng.normal(size=n) if cell_drift_N else 0.0
         i = progress.step - 1
-        pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
+        has_pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
         tension = (
-            tension_by_pull(i if pulled else -1) + CELL_BIAS_N + walked + noise * rng.normal(size=n)
+            tension_by_pull(i if has_pulled else -1)
+            + CELL_BIAS_N
+            + walked
+            + noise * rng.normal(size=n)
         )
         travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
@@ -98,15 +101,17 @@ def run_commissioning(
         if rng.random() < lost_fraction:
             measured = empty_readings(model)
         estimate = slack_hand_estimate(model)
-        if pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
+        if has_pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
             estimate = estimate_under_tension(model, PULL_TENSION_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
-        if pulled and not progress.finished and progress.phase.startswith("pull"):
-            pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP]
-            assert pulls == [
+        if has_pulled and not progress.finished and progress.phase.startswith("pull"):
+            pulling_digits = [
+                d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP
+            ]
+            assert pulling_digits == [
                 next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)
             ]
-            goal = progress.goals[pulls[0]]
+            goal = progress.goals[pulling_digits[0]]
             assert goal.force_limit == PULL_FORCE_LIMIT_N
             assert goal.tension is not None
             assert goal.tension.sum() == goal.tension.max() == PULL_TENSION_N, (
@@ -353,13 +358,13 @@ def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: Contro
     assert commissioning_bench.state.failure.startswith("index_tendon")
     assert "middle_tendon" in commissioning_bench.state.failure
     assert "swapped" in commissioning_bench.state.failure
-    asked = (
+    asked_names = (
         np.array(
             [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
         )
         / commissioning_bench.controller.model.space.spool
     )
-    assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, (
+    assert asked_names.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"
     )
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
+from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, MAX_UNWINDING_FORCE_FRACTION
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
@@ -43,15 +43,18 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: floa
     """
     hand = load_hand("jamia")
     gains = None if torque_gain is None else np.full(len(hand.tendon), torque_gain)
-    beyond = 0
+    rounding_excess_count = 0
     for torque in np.arange(0.3, 1.6, 0.1).round(1).tolist():
         for spool in np.arange(4.0, 9.0, 0.5).tolist():
             motors = [one.model_copy(update={"torque_max_N_m": torque}) for one in hand.motor]
             limit = _torque_limit(hand.model_copy(update={"motor": tuple(motors)}), gains)
-            asked = limit / (spool * 1e-3) * (spool * 1e-3)
-            assert (asked / (1.0 if gains is None else gains) <= torque).all(), (torque, spool)
-            beyond += torque / (spool * 1e-3) * (spool * 1e-3) > torque
-    assert beyond, "there are numbers that come out larger"
+            requested_force = limit / (spool * 1e-3) * (spool * 1e-3)
+            assert (requested_force / (1.0 if gains is None else gains) <= torque).all(), (
+                torque,
+                spool,
+            )
+            rounding_excess_count += torque / (spool * 1e-3) * (spool * 1e-3) > torque
+    assert rounding_excess_count, "there are numbers that come out larger"
 
 
 finite_numbers = st.floats(-1e4, 1e4, allow_nan=False)
@@ -90,7 +93,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(
     law, command = run_law_tick(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
     assert np.isfinite(command.torque).all()
     assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
-    assert (command.torque >= -UNWIND_FRACTION * jamia.torque_limit * (1 + 1e-12)).all()
+    assert (
+        command.torque >= -MAX_UNWINDING_FORCE_FRACTION * jamia.torque_limit * (1 + 1e-12)
+    ).all()
     held = np.array([goal.kind == GoalKind.TENSION for goal in goals])
     assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
     assert (law.integral[~held] == 0.0).all()
@@ -184,16 +189,18 @@ def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
     law = LawState.idle_at_tensions(np.zeros(model.tendon_count))
-    loose = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
+    slack_estimate = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(round(0.1 / model.period)):
-        law, command = run_law_tick(model, law, loose, holding_goals(model, 3.0), k * model.period)
+        law, command = run_law_tick(
+            model, law, slack_estimate, holding_goals(model, 3.0), k * model.period
+        )
     assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
     _, command = run_law_tick(
         model,
         LawState.idle_at_tensions(np.zeros(model.tendon_count)),
-        loose,
+        slack_estimate,
         holding_goals(model, 0.0),
         0.0,
     )
@@ -298,12 +305,12 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
         law, command = run_law_tick(model, LawState.initial_law_state(n), estimate, goals, 0.0)
-        asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
+        requested_force, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
             friction = space.coulomb * np.tanh(v / 2.5e-3)
-            v += dt * (asked - estimate.tension - friction) / space.motor_mass
+            v += dt * (requested_force - estimate.tension - friction) / space.motor_mass
             taken += friction / steps
-        errors.append((law.force - (asked - taken)) / space.coulomb)
+        errors.append((law.force - (requested_force - taken)) / space.coulomb)
         naive.append((taken - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
     assert np.abs(errors).max() < 0.5
     assert np.sqrt(np.mean(np.square(errors))) < 0.2
@@ -318,8 +325,8 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
-        wanted = goals[0].trajectory.motion_at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
-        worst = max(worst, float(np.abs(plant.joint_angles() - wanted).max()))
+        expected = goals[0].trajectory.motion_at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
+        worst = max(worst, float(np.abs(plant.joint_angles() - expected).max()))
         assert (plant.command.tension >= jamia.floor).all()
     assert math.degrees(worst) < 1.0
     assert np.degrees(np.abs(plant.joint_angles() - 1.0)).max() < 0.5, "and stays"
@@ -376,14 +383,16 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     In this test, the tension feedback is also switched off. The control law then commands only the
     feedback of angle and rate.
     """
-    none = {
+    zero_vector = {
         "inertia_share": 0.0,
         "friction_share": 0.0,
         "disturbance_rejection": 0.0,
         "tension_feedback": 0.0,
     }
-    gains = Gains(motion=MotionGains(**none))
-    bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
+    gains = Gains(motion=MotionGains(**zero_vector))
+    bare = replace(
+        model, gains=gains, inverse_dynamics=lambda digit, *way: (0.0,) * digit.joint_count
+    )
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
     _, command = run_law_tick(
@@ -393,10 +402,13 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
     mass = model.space.motor_mass + model.space.load_mass
-    asked = model.floor + mass * (model.motion.stiffness * excursion + model.motion.damping * rate)
+    requested_force = model.floor + mass * (
+        model.motion.stiffness * excursion + model.motion.damping * rate
+    )
     limit = model.torque_limit / model.space.spool
     np.testing.assert_allclose(
-        command.torque / model.space.spool, np.clip(asked, -UNWIND_FRACTION * limit, limit)
+        command.torque / model.space.spool,
+        np.clip(requested_force, -MAX_UNWINDING_FORCE_FRACTION * limit, limit),
     )
 
 
@@ -432,7 +444,7 @@ def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),
     ):
         law, _ = run_law_tick(model, law, estimate, goals, t)
-    later, _ = run_law_tick(model, law, estimate, goals, 0.1 + model.period)
-    assert np.abs((later.planned - law.planned) / law.planned).max() < 0.05, (
+    later_state, _ = run_law_tick(model, law, estimate, goals, 0.1 + model.period)
+    assert np.abs((later_state.planned - law.planned) / law.planned).max() < 0.05, (
         "still the friction of a winding cable"
     )

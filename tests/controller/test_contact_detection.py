@@ -178,12 +178,18 @@ def closing_hand(
     )
     state.view("closing")[...] = 1
     detect_contacts(model, state, unit)
-    each = tip_force_N / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
+    tension_per_tip_force = tip_force_N / (
+        state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+    )
     for name, value in earlier_fields.items():
         state.view(name)[...] = value
     state.view("closing")[closing_digit_count:] = 0
     for _ in range(tick_count):
-        detect_contacts(model, state, unit._replace(external_tension=each[list(model.digit_of)]))
+        detect_contacts(
+            model,
+            state,
+            unit._replace(external_tension=tension_per_tip_force[list(model.digit_of_tendon)]),
+        )
     return state
 
 
@@ -193,8 +199,8 @@ def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) 
     In contact, this estimate rises only to 0.2 N. The contact detection therefore uses the increase
     of the estimate.
     """
-    for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
-        state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
+    for mean_force, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
+        state = closing_hand(jamia, 0.2, felt=0.2, usual=mean_force, drift=np.nan)
         assert state.view("grown")[0] == pytest.approx(counts)
 
 

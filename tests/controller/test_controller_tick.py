@@ -109,7 +109,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
     A frame with a known identifier and an unexpected flag counts as malformed.
     """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
-    misshapen = Frame(0x011 | 1 << 31, bytes(8))
+    misshapen_frame = Frame(0x011 | 1 << 31, bytes(8))
     for before, entry, out in session_bench.tick_history[::7]:
         _, again = session_bench.controller.tick(
             before, entry._replace(frames=(*noise, *entry.frames))
@@ -118,7 +118,7 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
             out._replace(state_hash=b"")
         )
         _, again = session_bench.controller.tick(
-            before, entry._replace(frames=(misshapen, *entry.frames))
+            before, entry._replace(frames=(misshapen_frame, *entry.frames))
         )
         assert (again.frames, again.mode) == (out.frames, out.mode)
 
@@ -142,9 +142,9 @@ def test_the_origin_of_time_does_not_matter() -> None:
         run.tick('{"do": "stop"}')
         run.run_until_mode(HandMode.DONE)
         runs.append(run)
-    early, late = (run.tick_history for run in runs)
-    assert len(early) == len(late)
-    for (_, _, a), (_, _, b) in zip(early, late, strict=True):
+    early_run, late = (run.tick_history for run in runs)
+    assert len(early_run) == len(late)
+    for (_, _, a), (_, _, b) in zip(early_run, late, strict=True):
         assert (a.mode, a.phase, a.action, [e.text for e in a.events]) == (
             b.mode,
             b.phase,
@@ -215,10 +215,10 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run.run(0.5)
     assert run.tick(missed_ticks=1).action == SafetyAction.WARN
     run.run(0.1)
-    stalled = run.controller.derived.limits.stalled_ticks
-    assert run.tick(missed_ticks=stalled - 1).action == SafetyAction.WARN
+    stalled_tick_limit = run.controller.derived.limits.stalled_ticks
+    assert run.tick(missed_ticks=stalled_tick_limit - 1).action == SafetyAction.WARN
     run.run(0.1)
-    out = run.tick(missed_ticks=stalled)
+    out = run.tick(missed_ticks=stalled_tick_limit)
     assert (out.action, out.mode) == (SafetyAction.RELAX, HandMode.RELAX)
     assert "H03" in run.state.failure
 

@@ -38,9 +38,9 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(
         assert isinstance(close.angle_deg, dict)
         assert isinstance(hold.tension_N, dict)
         angle = np.array(close.angle_deg[digit.name])
-        sideways = DigitModel.from_hand(hand, digit.name).sideways_coordinates
-        assert (sideways | ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high))).all()
-        assert (angle[sideways] == 0.0).all()
+        is_sideways = DigitModel.from_hand(hand, digit.name).sideways_coordinates
+        assert (is_sideways | ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high))).all()
+        assert (angle[is_sideways] == 0.0).all()
         limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]
         assert (np.array(hold.tension_N[digit.name]) <= 0.7 * np.array(limits) + 0.1).all()
 

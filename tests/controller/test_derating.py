@@ -151,16 +151,16 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         return after
 
     held = state_of_limited_goals(state, SafetyAction.HOLD, tension)
-    assert held.run_integer(s.HOLDING)
+    assert held.run_integer(s.SAFETY_HOLD_ACTIVE)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
     again = state_of_limited_goals(held, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (tension_limits_of(controller.model, again) <= held.view("limit_held")).all()
     for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
-        assert not state_of_limited_goals(again, action, tension).run_integer(s.HOLDING)
+        assert not state_of_limited_goals(again, action, tension).run_integer(s.SAFETY_HOLD_ACTIVE)
     assert not state_of_limited_goals(
         again, SafetyAction.HOLD, tension, HandMode.RELAX
-    ).run_integer(s.HOLDING)
+    ).run_integer(s.SAFETY_HOLD_ACTIVE)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -172,11 +172,11 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     before, seen = warm_grasp.simulated_hand.truth()["tension"], []
     for _ in range(300):
         out = warm_grasp.run_tick()
-        seen.append((out.action, bool(warm_grasp.state.run_integer(s.HOLDING))))
+        seen.append((out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE))))
         if out.mode != HandMode.ACTIVE:
             break
-    held = [kept for action, kept in seen if action == SafetyAction.HOLD]
+    held = [state_values for action, state_values in seen if action == SafetyAction.HOLD]
     assert held
     assert all(held)
-    assert not any(kept for action, kept in seen if action < SafetyAction.HOLD)
+    assert not any(state_values for action, state_values in seen if action < SafetyAction.HOLD)
     assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(before) + 5.0

@@ -8,7 +8,7 @@ import numpy as np
 
 from handctl.core import tick_stages
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
-from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
+from handctl.core.estimation.take_up import MIN_TAUT_TENSION_N, SLACK_TICKS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.filter_oracle import FILTER_STATE_UNITS
@@ -154,7 +154,7 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
         regimes_of_readings(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6])
         == [{TendonRegime.SLACK}] * 8
     )
-    assert regimes_of_readings(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {TendonRegime.HELD}, (
+    assert regimes_of_readings(model, [MIN_TAUT_TENSION_N + 0.1] * 8)[-1] == {TendonRegime.HELD}, (
         "taut, and the springs hold the digit open"
     )
     assert regimes_of_readings(model, [np.nan] * 20)[-1] == {TendonRegime.SLACK}
@@ -171,7 +171,7 @@ def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
-    taut = [TAUT_ABOVE_N + 1.0] * 30
+    taut = [MIN_TAUT_TENSION_N + 1.0] * 30
     regimes_after_one_low_sample = regimes_of_readings(
         model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]]
     )
@@ -258,8 +258,8 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     """External tension is the part of a tendon's tension that the springs of the digit do not explain."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
-    asked = load_statics(model, x, np.zeros(n)).resistance
-    tension = asked + 10.0
+    requested_force = load_statics(model, x, np.zeros(n)).resistance
+    tension = requested_force + 10.0
     x[:, X] = x[:, S] + tension / model.space.stiffness
     state = state_with_tendons_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
@@ -403,14 +403,14 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
 
 def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, none = (
+    state, zero_vector = (
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         np.zeros(model.tendon_count),
     )
     found = []
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
-        args = (model, state, noiseless_readings(model, x, force), force, none)
+        args = (model, state, noiseless_readings(model, x, force), force, zero_vector)
         after, estimate = run_filter_tick(*args, flags_without_contact(model), friction_state=known)
         assert set(after.regimes) == {TendonRegime.FREE}
         touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)

@@ -149,26 +149,30 @@ def run_monte_carlo(
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
         rows.append((error, estimate.tension_sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
-    kept = rows[tick_count // 10 :]
-    return FilterRun(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
+    evaluated_rows = rows[tick_count // 10 :]
+    return FilterRun(
+        *(np.array([row[i] for row in evaluated_rows]) for i in range(4)), regimes=regimes
+    )
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
 def test_estimator_is_consistent_with_its_own_model(
     frictionless_model: HandModel, regime: TendonRegime
 ) -> None:
-    course = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
-    assert course.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
+    filter_run = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
+    assert filter_run.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
         "the run stayed in its regime"
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
+    ratio = np.sqrt(
+        (filter_run.estimate_error**2).mean() / (filter_run.estimate_sigma**2 - drift).mean()
+    )
     assert 0.9 < ratio < 1.1
-    assert abs(course.nis.mean() - 2.0) < 0.1, "encoder and load cell: two degrees of freedom"
-    scaled = course.innovation / course.innovation.std(axis=0)
+    assert abs(filter_run.nis.mean() - 2.0) < 0.1, "encoder and load cell: two degrees of freedom"
+    scaled = filter_run.innovation / filter_run.innovation.std(axis=0)
     assert abs((scaled[1:] * scaled[:-1]).mean()) < 0.1, "innovations are white"
-    assert (course.estimate_sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
+    assert (filter_run.estimate_sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
 
 
 SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
@@ -189,7 +193,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     The tolerance is the statistical uncertainty of the run.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
-    course = run_monte_carlo(
+    filter_run = run_monte_carlo(
         frictionless_model,
         regime,
         2500,
@@ -198,9 +202,11 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
+    ratio = np.sqrt(
+        (filter_run.estimate_error**2).mean() / (filter_run.estimate_sigma**2 - drift).mean()
+    )
     assert 0.85 < ratio < 1.15
-    assert abs(np.nanmean(course.nis) - 2.0) < 0.15
+    assert abs(np.nanmean(filter_run.nis) - 2.0) < 0.15
 
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
@@ -219,10 +225,12 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
     steady = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]
-    assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), (
+    assert max(sample[0] for sample in sigma) == max(sigma[4][0], sigma[5][0]), (
         "it grows as long as nothing is read"
     )
-    np.testing.assert_allclose([each[1:] for each in sigma], [steady[1:]] * len(sigma), rtol=1e-3)
+    np.testing.assert_allclose(
+        [sample[1:] for sample in sigma], [steady[1:]] * len(sigma), rtol=1e-3
+    )
     np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
 
 
@@ -259,12 +267,12 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         (True, *flags_without_contact(model)[1:]),
     )
-    readings_without_travel, none = (
+    readings_without_travel, zero_vector = (
         empty_readings(model)._replace(tension=force),
         np.zeros(model.tendon_count),
     )
     after, _ = run_filter_tick(
-        model, state, readings_without_travel, force, none, touched, missed_ticks=4
+        model, state, readings_without_travel, force, zero_vector, touched, missed_ticks=4
     )
     first, last = 0, model.tendon_count - 1
     assert (after.regimes[first], after.regimes[last]) == (
@@ -275,7 +283,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
     np.testing.assert_array_equal(after.covariance[first], steady[first])
     state_after_one_tick, _ = run_filter_tick(
-        model, state, readings_without_travel, force, none, touched
+        model, state, readings_without_travel, force, zero_vector, touched
     )
     assert state_after_one_tick.covariance is not None
     tension_variances = [
@@ -291,10 +299,10 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     for covariance in (after.covariance, None):
         here = after._replace(filter_states=x.ravel(), covariance=covariance)
         samples = (
-            noiseless_readings(model, x, force)._replace(travel=x[:, X] + way)
-            for way in (0.0, 1e-7)
+            noiseless_readings(model, x, force)._replace(travel=x[:, X] + travel_step)
+            for travel_step in (0.0, 1e-7)
         )
-        moved = [corrected_state(model, here, each).view("travel") for each in samples]
+        moved = [corrected_state(model, here, sample).view("travel") for sample in samples]
         answers.append(moved[1] - moved[0])
     np.testing.assert_allclose(answers[0][first], answers[1][first], rtol=1e-6)
     assert answers[0][last] > answers[1][last], "and a reading is believed more"
@@ -355,10 +363,16 @@ def test_covariance_grows_over_skipped_ticks(
 ) -> None:
     """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
-    measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
+    measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
     after, _ = run_filter_tick(
-        model, state, measured, force, none, flags_without_contact(model), missed_ticks=missed_ticks
+        model,
+        state,
+        measured,
+        force,
+        zero_vector,
+        flags_without_contact(model),
+        missed_ticks=missed_ticks,
     )
     assert set(after.regimes) == {TendonRegime.FREE}
     F, Q = (design_arrays_by_tendon(model, after.regimes, name) for name in "FQ")

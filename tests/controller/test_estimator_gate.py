@@ -65,13 +65,18 @@ class HandAtConstantTension:
 
 
 def test_single_outlier_is_rejected(model: HandModel) -> None:
-    quiet, hit = HandAtConstantTension(model).settle(), HandAtConstantTension(model).settle()
+    quiet, disturbed_hand = (
+        HandAtConstantTension(model).settle(),
+        HandAtConstantTension(model).settle(),
+    )
     before = quiet.run_sample(HOLD_TENSION_N).tension
-    after = hit.run_sample(HOLD_TENSION_N + 60.0)
+    after = disturbed_hand.run_sample(HOLD_TENSION_N + 60.0)
     np.testing.assert_allclose(after.tension, before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
-        hit.run_sample(HOLD_TENSION_N).tension, quiet.run_sample(HOLD_TENSION_N).tension, atol=0.02
+        disturbed_hand.run_sample(HOLD_TENSION_N).tension,
+        quiet.run_sample(HOLD_TENSION_N).tension,
+        atol=0.02,
     )
 
 
@@ -123,9 +128,9 @@ def slack_state(
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = cell_error_N
-        untouched = (False,) * len(model.digits)
+        no_touches = (False,) * len(model.digits)
         hand.state, estimate = run_filter_tick(
-            model, hand.state, read, np.zeros(n), np.zeros(n), untouched
+            model, hand.state, read, np.zeros(n), np.zeros(n), no_touches
         )
     return estimate
 

@@ -5,24 +5,24 @@ import pytest
 
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.kalman import (
+    MAX_PULL_TO_COME_TO_REST,
+    MAX_PULL_TO_STAY_AT_REST,
+    MAX_STOP_DISTANCE_TO_COME_TO_REST_M,
+    MAX_STOP_DISTANCE_TO_STAY_AT_REST_M,
     SLACK_LENGTH_M,
-    STOP_BAND_REST_M,
-    STOP_BAND_STAY_M,
-    STOP_PULL_REST,
-    STOP_PULL_STAY,
     _is_at_stop,
     _usable_measurements,
 )
 from handctl.core.estimation.take_up import (
-    LIKELY_ABOVE_N,
+    LIKELY_TAUT_ABOVE_N,
+    MIN_TAUT_TENSION_N,
     NEARLY_TAUT_FACTOR,
     NEARLY_TAUT_M,
-    POINTS_AT_ONCE,
-    POINTS_LIKELY,
+    POINTS_OF_CERTAIN_TENSION,
+    POINTS_OF_LIKELY_TENSION,
+    POINTS_OF_POSSIBLE_TENSION,
     POINTS_OF_TAUT,
-    POINTS_POSSIBLE,
-    POSSIBLE_ABOVE_N,
-    TAUT_ABOVE_N,
+    POSSIBLY_TAUT_ABOVE_N,
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
@@ -42,18 +42,18 @@ from tests.controller.synthetic_states import (
 )
 
 SLACK_EVIDENCE_POINTS = (
-    (TAUT_ABOVE_N, POINTS_AT_ONCE),
-    (LIKELY_ABOVE_N, POINTS_LIKELY),
-    (POSSIBLE_ABOVE_N, POINTS_POSSIBLE),
+    (MIN_TAUT_TENSION_N, POINTS_OF_CERTAIN_TENSION),
+    (LIKELY_TAUT_ABOVE_N, POINTS_OF_LIKELY_TENSION),
+    (POSSIBLY_TAUT_ABOVE_N, POINTS_OF_POSSIBLE_TENSION),
 )
 
 
 @pytest.mark.parametrize("was_at_stop", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was_at_stop: bool) -> None:
     band, max_tension = (
-        (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY)
+        (MAX_STOP_DISTANCE_TO_STAY_AT_REST_M, 10.0 * MAX_PULL_TO_STAY_AT_REST)
         if was_at_stop
-        else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
+        else (MAX_STOP_DISTANCE_TO_COME_TO_REST_M, 10.0 * MAX_PULL_TO_COME_TO_REST)
     )
     is_at_stop = uncompiled_function(_is_at_stop)
     assert is_at_stop(was_at_stop, np.nextafter(band, 0.0), np.nextafter(max_tension, 0.0), 10.0)

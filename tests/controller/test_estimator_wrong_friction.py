@@ -12,9 +12,9 @@ from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
 from handctl.core.estimation.kalman import (
     MAX_ADDED_NOISE_S,
+    NOISE_NIS_AVERAGING_TIME_S,
     NOISE_NIS_LIMIT,
     NOISE_NIS_LIMIT_OF_HAND,
-    NOISE_NIS_S,
 )
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -70,13 +70,13 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
 
     The RMSE includes only taut tendons, and only the time while the hand moves.
     """
-    real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATION_START_S
+    real, is_evaluated_time = np.array(run.true_tension), np.array(run.time_s) > EVALUATION_START_S
     raw = np.array(run.measured_tension)
-    kept = later[:, None] & (real > TAUT_TENSION_N) & np.isfinite(raw)
-    assert np.count_nonzero(kept) > 500
+    is_evaluated = is_evaluated_time[:, None] & (real > TAUT_TENSION_N) & np.isfinite(raw)
+    assert np.count_nonzero(is_evaluated) > 500
     estimate, cell = (
-        float(np.sqrt(np.mean(np.square(way - real)[kept])))
-        for way in (np.array(run.estimated_tension), raw)
+        float(np.sqrt(np.mean(np.square(tension_trace - real)[is_evaluated])))
+        for tension_trace in (np.array(run.estimated_tension), raw)
     )
     return estimate, cell
 
@@ -170,18 +170,18 @@ def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     Smaller innovations in all tendons together make it doubt the models of all tendons. A single
     reading causes no doubt.
     """
-    period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
+    period, default_nis, zero_vector = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in (
         (np.array([2 * NOISE_NIS_LIMIT, *[1.5] * 10]), False),
         (np.full(11, NOISE_NIS_LIMIT_OF_HAND + 0.3), True),
     ):
-        recent_nis, wary = usual, none
-        for _ in range(round(5 * NOISE_NIS_S / period)):
+        recent_nis, wary = default_nis, zero_vector
+        for _ in range(round(5 * NOISE_NIS_AVERAGING_TIME_S / period)):
             recent_nis, wary = recent_nis_and_doubt_times(jamia11, recent_nis, wary, odd)
         assert wary[0] == MAX_ADDED_NOISE_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
-    assert not recent_nis_and_doubt_times(jamia11, usual, none, nis)[1][1:].any()
+    assert not recent_nis_and_doubt_times(jamia11, default_nis, zero_vector, nis)[1][1:].any()
 
 
 def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> None:

@@ -62,7 +62,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     ended the run. The step of a hold is as fast as before.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
-    usual = model.gains.tension.rate_N_per_s
+    default_rate = model.gains.tension.rate_N_per_s
     moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
     rates = [
         (stage, {goals[d].rate for d in moving})
@@ -70,5 +70,8 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
         if stage in ("close", "hold")
     ]
     stage_before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
-    assert stage_before_hold == ("close", {usual if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
-    assert all(found == {usual} for stage, found in rates if stage == "hold")
+    assert stage_before_hold == (
+        "close",
+        {default_rate if hand_name == "jamia" else GENTLE_RISE_N_PER_S},
+    )
+    assert all(found == {default_rate} for stage, found in rates if stage == "hold")

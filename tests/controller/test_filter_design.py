@@ -137,10 +137,10 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
     ticks_per_joint_frame = jamia11.hand.sensor_node.joint_decimation
     for blocks in jamia11.filter.blocks:
         for block in blocks:
-            kept = (1.0 - block.K[S, 2]) ** (
+            remaining_fraction = (1.0 - block.K[S, 2]) ** (
                 gains.joint_time_s / (ticks_per_joint_frame * jamia11.period)
             )
-            np.testing.assert_allclose(kept, np.exp(-1.0), rtol=1e-9)
+            np.testing.assert_allclose(remaining_fraction, np.exp(-1.0), rtol=1e-9)
             assert block.K[O, 2] == -block.K[S, 2]
             assert not np.delete(block.K[:, 2], [S, O]).any()
             np.testing.assert_allclose(block.tension_row @ block.K[:, 2], 0.0, atol=1e-9)
@@ -202,13 +202,15 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
     design = FilterDesign(jamia.filter.blocks * 2)
     kinds = [
-        np.array(each)
-        for each in itertools.islice(
+        np.array(kinds_of_tendons)
+        for kinds_of_tendons in itertools.islice(
             itertools.product(range(3), repeat=8), 2 * TRANSITION_CACHE_SIZE
         )
     ]
-    kept = [weakref.ref(design.transition(each.tobytes()).F) for each in kinds]
-    assert sum(F() is not None for F in kept) <= TRANSITION_CACHE_SIZE
+    transition_references = [
+        weakref.ref(design.transition(kinds_of_tendons.tobytes()).F) for kinds_of_tendons in kinds
+    ]
+    assert sum(F() is not None for F in transition_references) <= TRANSITION_CACHE_SIZE
     last = kinds[-1].tobytes()
     assert design.transition(last) is design.transition(last)
 
@@ -238,4 +240,4 @@ def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
     """
     blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]
-    assert len({id(each) for each in blocks.values()}) == 5
+    assert len({id(kinds_of_tendons) for kinds_of_tendons in blocks.values()}) == 5

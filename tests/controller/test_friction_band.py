@@ -54,8 +54,12 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
     """
     turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
-    way = 5.4 / model.space.stiffness[0] / 5e-3
-    assert 0.6 * way - model.period <= ticks * model.period <= way + model.period
+    reversal_duration = 5.4 / model.space.stiffness[0] / 5e-3
+    assert (
+        0.6 * reversal_duration - model.period
+        <= ticks * model.period
+        <= reversal_duration + model.period
+    )
     assert (np.diff(turned, axis=0) <= 0.0).all(), "and never back"
 
 
@@ -80,12 +84,12 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     hand: str, tmp_path: Path
 ) -> None:
     angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
-    moves = [
+    move_phases = [
         {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_DURATION_S}
         for a in angles
     ]
     task = TaskProgram(
-        validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test")
+        validate_content({"schema": 1, "name": "turns", "phase": move_phases}, Task, "test")
     )
     run = run_on_plant(hand, task, None, tmp_path, 4.5)
     starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]

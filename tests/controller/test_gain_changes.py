@@ -16,13 +16,13 @@ from handctl.controller.pending_gains import PendingGains
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core.gains.gain_bounds import (
-    bounds_after_check,
+    checked_gain_bounds,
     gain_bounds,
     gains_with_values,
     values_by_key,
 )
 from handctl.core.gains.gains import Gains, TensionGains
-from handctl.core.gains.motion_design import design_motion, design_piece_count
+from handctl.core.gains.motion_design import control_loop_count, design_motion
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
@@ -131,10 +131,10 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(
     bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
     outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
-    outs += [bench_with_rising_tension.tick() for _ in range(design_piece_count(jamia.space) + 2)]
+    outs += [bench_with_rising_tension.tick() for _ in range(control_loop_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
     at = [i for i, found in enumerate(events) if found]
-    assert at == [design_piece_count(jamia.space) - 1]
+    assert at == [control_loop_count(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert bench_with_rising_tension.state.decisions.gains is not None
     assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 45.0
@@ -184,18 +184,18 @@ def test_a_change_makes_no_step_in_torque(
     bench = noiseless_hand(jamia)
     bench.tick(request_text)
     bench.run(0.1)
-    for _ in range(design_piece_count(jamia.space) - 1):
+    for _ in range(control_loop_count(jamia.space) - 1):
         bench.tick(
             gain_request(gain_by_key)
         ) if bench.state.decisions.pending is None else bench.tick()
     calls = record_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert bench.state.run_integer(s.TRIMMED)
+    assert bench.state.run_integer(s.TRIM_ACTIVE)
     (_, before, _, action, ticks), (other, _, without, *_) = calls
     with_trim = before.copy()
     with_trim.view("trim")[...] = bench.state.view("trim")
-    with_trim.set_run_integer(s.TRIMMED, 1)
+    with_trim.set_run_integer(s.TRIM_ACTIVE, 1)
     other._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
         with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
@@ -227,7 +227,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         bench.tick()
     (own, _, old, *_), (other, _, new, *_) = calls
     assert own is not other
-    assert old.run_integer(s.HOLDING) == new.run_integer(s.HOLDING) == 1
+    assert old.run_integer(s.SAFETY_HOLD_ACTIVE) == new.run_integer(s.SAFETY_HOLD_ACTIVE) == 1
     np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
     limit = old.view("limit_held")
     for state in (old, new):
@@ -240,7 +240,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 def test_the_trim_fades_and_the_goal_is_reached(bench_with_rising_tension: ControllerBench) -> None:
     bench_with_rising_tension.tick(gain_request({"tension.tension_error_N": 1.4}))
     bench_with_rising_tension.run(2.5)
-    assert not bench_with_rising_tension.state.run_integer(s.TRIMMED)
+    assert not bench_with_rising_tension.state.run_integer(s.TRIM_ACTIVE)
     assert not bench_with_rising_tension.state.view("trim").any()
     tension = np.array(
         [out.telemetry.tension for *_, out in bench_with_rising_tension.tick_history[-200:]]
@@ -295,7 +295,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     bench.tick(gain_request({"motion.force_N": 40.0}))
     bench.run(0.1)
     assert bench.state.decisions.gains is not None
-    assert not bench.state.run_integer(s.TRIMMED)
+    assert not bench.state.run_integer(s.TRIM_ACTIVE)
     assert not bench.state.view("trim").any()
 
 
@@ -305,9 +305,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
     assert len(known) > 20
     for key, bound in known.items():
         assert np.isfinite([bound.low, bound.high]).all(), key
-        assert bounds_after_check(key, bound.default, "test") is bound
+        assert checked_gain_bounds(key, bound.default, "test") is bound
         with pytest.raises(ConfigError):
-            bounds_after_check(key, bound.high * 1.01, "test")
+            checked_gain_bounds(key, bound.high * 1.01, "test")
 
 
 @pytest.mark.parametrize("uses_upper_bound", [False, True])
@@ -324,7 +324,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
             value = (
                 bound.high
                 if uses_upper_bound
-                else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
+                else bound.low + (0.01 * bound.default if bound.is_low_excluded else 0.0)
             )
             gains = gains_with_values(
                 Gains(), {key: value if not bound.whole else round(value)}, "test", is_live=True

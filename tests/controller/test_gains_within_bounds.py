@@ -24,7 +24,9 @@ EXTREME_GAINS = {
     "filter.encoder_noise_counts": 1e-200,
 }
 WEIGHT_KEYS = [
-    key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")
+    key
+    for key, bound in gain_bounds().items()
+    if bound.is_low_excluded and not key.startswith("contact")
 ]
 
 

@@ -96,10 +96,10 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
     )
     np.testing.assert_allclose(filtered_goal_of(then), arms * 0.4)
-    standing = then.copy()
-    standing.view("motor_stuck")[...] = 1
-    later = targets_after_command(jamia, standing, 0.4, arms * 0.3)
-    np.testing.assert_array_equal(filtered_goal_of(later), filtered_goal_of(then))
+    goal_at_rest = then.copy()
+    goal_at_rest.view("motor_stuck")[...] = 1
+    later_targets = targets_after_command(jamia, goal_at_rest, 0.4, arms * 0.3)
+    np.testing.assert_array_equal(filtered_goal_of(later_targets), filtered_goal_of(then))
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
@@ -120,8 +120,8 @@ def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
         atol=1e-12,
         err_msg="a leap moved no motor",
     )
-    later = targets_after_command(jamia, resting, 0.4, at_goal)
-    np.testing.assert_array_equal(filtered_goal_of(later), filtered_goal_of(resting))
+    later_targets = targets_after_command(jamia, resting, 0.4, at_goal)
+    np.testing.assert_array_equal(filtered_goal_of(later_targets), filtered_goal_of(resting))
     stuck = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
     assert (filtered_goal_of(stuck) > filtered_goal_of(lagging)).all(), (
         "one that is elsewhere is judged as before"

@@ -19,8 +19,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
 from handctl.programs.task_program import (
+    MAX_TENSION_ABOVE_RELEASE_N,
     RELEASE_TIMEOUT_S,
-    RELEASED_WITHIN_N,
     SETTLE_AFTER_CLOSE_S,
     TaskProgram,
 )
@@ -165,11 +165,11 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
 
 
 def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
-    loose = estimate_under_tension(model, 5.0)
-    loose.is_slack[1] = True
+    slack_estimate = estimate_under_tension(model, 5.0)
+    slack_estimate.is_slack[1] = True
     run = ProgramRun(model)
     while not run.progress.finished:
-        run.tick(loose)
+        run.tick(slack_estimate)
     assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=3 * model.period)
     assert model.hand.tendon_names[1] in run.progress.failure
     assert model.hand.tendon_names[0] not in run.progress.failure
@@ -367,8 +367,8 @@ def test_closing_without_contact_ends_with_a_message(
 ) -> None:
     run = begin_closing(model, taut_estimate)
     took = run.run_until_phase("hold", taut_estimate)
-    way = math.radians(80.0)
-    longest = 15 / 8 * way / math.radians(100.0)
+    distance_rad = math.radians(80.0)
+    longest = 15 / 8 * distance_rad / math.radians(100.0)
     assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
     assert not any(run.progress.contact)
     warnings = [event.text for event in run.events if event.level == "warn"]
@@ -427,8 +427,8 @@ def run_release(
 
 @pytest.mark.parametrize(("tension", "settle_time_s", "expected_duration_s", "is_reported"), [
     (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release phase ends at its timeout
-    (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
-    (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
+    (8.0 + MAX_TENSION_ABOVE_RELEASE_N, 0.1, RELEASE_TIMEOUT_S, True),
+    (7.9 + MAX_TENSION_ABOVE_RELEASE_N, 0.1, 0.1, False),
     (9.0, 12.0, 12.0, False),                  # a longer settling time replaces the timeout
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip

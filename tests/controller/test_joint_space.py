@@ -13,7 +13,7 @@ from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.task import Task, trajectory_from
+from handctl.programs.task import Task, task_from_trajectory_file
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -58,7 +58,7 @@ def test_a_move_of_one_joint_leaves_the_others() -> None:
         ),
         6.0,
     )
-    wanted = {
+    expected = {
         "index_j1": 20.0,
         "index_j2": 30.0,
         "index_j3": 20.0,
@@ -66,7 +66,9 @@ def test_a_move_of_one_joint_leaves_the_others() -> None:
         "thumb_j2": 10.0,
         "ring_j1": 0.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
+    assert {name: angles[name] for name in expected} == pytest.approx(
+        expected, abs=SETTLED_ERROR_DEG
+    )
 
 
 def test_a_trajectory_can_name_single_joints() -> None:
@@ -80,7 +82,7 @@ def test_a_trajectory_can_name_single_joints() -> None:
             "thumb": [0.0, 10.0, 20.0],
         },
     }
-    program = trajectory_from(content, "t")
+    program = task_from_trajectory_file(content, "t")
     wait = {
         **program.phase[0].model_dump(),
         "angle_deg": {"index_j1": 30.0, "index_j2": 20.0},
@@ -89,14 +91,16 @@ def test_a_trajectory_can_name_single_joints() -> None:
     angles = final_joint_angles(
         "jamia11", task_of_phases(*[phase.model_dump() for phase in program.phase], wait), 8.0
     )
-    wanted = {
+    expected = {
         "index_j1": 30.0,
         "index_j2": 20.0,
         "index_j3": 0.0,
         "thumb_j1": 20.0,
         "thumb_j2": 20.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
+    assert {name: angles[name] for name in expected} == pytest.approx(
+        expected, abs=SETTLED_ERROR_DEG
+    )
 
 
 def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
@@ -109,14 +113,14 @@ def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
 def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     times = (0.0, 0.4, 1.0, 1.7)
     points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
-    both = CurveTrajectory.through_points(times, points, 2)
+    curve = CurveTrajectory.through_points(times, points, 2)
     curves = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
-        assert both.motion_at(t) == pytest.approx(
+        assert curve.motion_at(t) == pytest.approx(
             np.hstack([one.motion_at(t) for one in curves]), abs=1e-12
         )
-    assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in curves))
-    assert both.duration == 1.7
+    assert curve.peak_speed() == pytest.approx(max(one.peak_speed() for one in curves))
+    assert curve.duration == 1.7
 
 
 @pytest.mark.parametrize(

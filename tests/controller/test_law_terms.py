@@ -117,8 +117,8 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_run_integer(s.TRIMMED, 1)
-    state.set_run_integer(s.HOLDING, 1)
+    state.set_run_integer(s.TRIM_ACTIVE, 1)
+    state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
     state.mode = HandMode.READY
     tick_stages.compute_motor_torques(
         state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
@@ -216,9 +216,11 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     taut_estimate = slack_estimate._replace(is_slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
+    slack_torque = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
     taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
-    np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
+    np.testing.assert_allclose(
+        (slack_torque - taut) / model.space.spool, model.space.coulomb, rtol=0.02
+    )
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(

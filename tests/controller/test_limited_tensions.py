@@ -8,7 +8,7 @@ gains.
 import numpy as np
 import pytest
 
-from handctl.core.control_law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
+from handctl.core.control_law.computed_torque import MIN_TRIM_N, TRIM_DECAY_TIME_S
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.hand_model import HandModel
 from tests.controller.digit_goals import holding_goals, moving_goals
@@ -37,7 +37,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     expected_limit: float,
 ) -> None:
     n = jamia.tendon_count
-    tension_limits, kept = (
+    tension_limits, hold_limits = (
         None if value is None else np.full(n, value) for value in (temperature_limit, held_limit)
     )
     law, command = run_law_tick(
@@ -47,13 +47,13 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
         tension_limits,
-        kept,
+        hold_limits,
     )
     np.testing.assert_allclose(command.tension, expected_limit)
-    asked = command.torque / jamia.space.spool
-    np.testing.assert_allclose(asked, expected_limit + jamia.space.coulomb)
+    requested_force = command.torque / jamia.space.spool
+    np.testing.assert_allclose(requested_force, expected_limit + jamia.space.coulomb)
     np.testing.assert_allclose(law.setpoint, expected_limit)
-    np.testing.assert_array_equal(law.held, kept)
+    np.testing.assert_array_equal(law.held, hold_limits)
 
 
 def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
@@ -80,7 +80,7 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
     )[1]
-    kept = run_law_tick(
+    limited_command = run_law_tick(
         jamia,
         idle_law_state(jamia),
         estimate_under_tension(jamia, 5.0),
@@ -90,36 +90,38 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
         np.full(n, 6.0),
     )[1]
     assert (free.torque / jamia.space.spool > 6.0 + jamia.space.coulomb).all()
-    np.testing.assert_array_less(kept.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9)
-    np.testing.assert_allclose(kept.q, free.q)
+    np.testing.assert_array_less(
+        limited_command.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9
+    )
+    np.testing.assert_allclose(limited_command.q, free.q)
     assert (np.abs(free.dq) > 0.1).all()
-    assert not kept.dq.any(), "the place on the way is the goal then, its speed is not"
+    assert not limited_command.dq.any(), "the place on the way is the goal then, its speed is not"
 
 
 @pytest.mark.parametrize("held_limit", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
-    asked = (
+    requested_force = (
         holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)
         if held_limit
         else moving_goals(jamia, 0.0, 1.2, 0.2)
     )
     plain = run_law_tick(
-        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
+        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), requested_force, 0.0
     )[1]
     state_with_trim = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     law, command = run_law_tick(
-        jamia, state_with_trim, estimate_under_tension(jamia, 20.0), asked, 0.0
+        jamia, state_with_trim, estimate_under_tension(jamia, 20.0), requested_force, 0.0
     )
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
-    np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
+    np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_DECAY_TIME_S), rtol=1e-3)
     state_with_small_trim = state_with_trim._replace(
         trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2)
     )
     assert (
-        run_law_tick(jamia, state_with_small_trim, estimate_under_tension(jamia, 20.0), asked, 0.0)[
-            0
-        ].trim
+        run_law_tick(
+            jamia, state_with_small_trim, estimate_under_tension(jamia, 20.0), requested_force, 0.0
+        )[0].trim
         is None
     )
 

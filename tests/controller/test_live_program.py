@@ -10,7 +10,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.hand_model import HandModel
 from handctl.programs.live_session import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
-from handctl.programs.requests import HoldTension, MoveDigits, parse_request
+from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest, parse_request
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     empty_readings,
@@ -19,9 +19,9 @@ from tests.controller.synthetic_states import (
 )
 
 
-def goal_of_request(request_text: str) -> MoveDigits | HoldTension:
+def goal_of_request(request_text: str) -> MoveDigitsRequest | HoldTensionRequest:
     request = parse_request(request_text)
-    assert isinstance(request, MoveDigits | HoldTension)
+    assert isinstance(request, MoveDigitsRequest | HoldTensionRequest)
     return request
 
 
@@ -120,13 +120,15 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
 
 
 def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
-    loose, program, t = estimate_under_tension(model, 5.0), LiveProgram(), 0.0
-    loose.is_slack[2] = True
+    slack_estimate, program, t = estimate_under_tension(model, 5.0), LiveProgram(), 0.0
+    slack_estimate.is_slack[2] = True
     progress = program.initial_progress(model)
     while not progress.finished:
         t += model.period
         assert t < 2 * TIGHTEN_TIMEOUT_S
-        progress, events = program.advance(model, progress, loose, empty_readings(model), t)
+        progress, events = program.advance(
+            model, progress, slack_estimate, empty_readings(model), t
+        )
     assert model.hand.tendon_names[2] in progress.failure
     assert [event.level for event in events] == ["error"]
 

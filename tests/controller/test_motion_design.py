@@ -99,25 +99,29 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 
     The cost of a motion is summed over the ticks of the motion.
     """
-    gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
+    gains, force_weight_fraction = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [
-        (gains.motion.position_error_m, gains.motion.speed_error_m_s, full * gains.motion.force_N),
+        (
+            gains.motion.position_error_m,
+            gains.motion.speed_error_m_s,
+            force_weight_fraction * gains.motion.force_N,
+        ),
         (
             gains.tension.tension_error_N,
             gains.tension.speed_error_m_s,
-            full * gains.tension.force_N,
+            force_weight_fraction * gains.tension.force_N,
         ),
     ]
 
     def lqr_cost(
         F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]
     ) -> float:
-        closed = F - G @ K
+        closed_loop = F - G @ K
         stage = np.diag([1 / weight[0] ** 2, 1 / weight[1] ** 2]) + K.T @ K / weight[2] ** 2
         total, power = np.zeros((2, 2)), np.eye(2)
         for _ in range(6000):
             total += power.T @ stage @ power
-            power = closed @ power
+            power = closed_loop @ power
             if np.abs(power).max() < 1e-9:
                 break
         scale = np.diag(weight[:2])
@@ -131,16 +135,16 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
-    usual = design_motion(jamia.space, Gains(), period)
+    default_design = design_motion(jamia.space, Gains(), period)
     design_with_small_position_error = design_motion(
         jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period
     )
-    gentle = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
-    assert (design_with_small_position_error.stiffness > usual.stiffness).all()
-    assert (gentle.stiffness < usual.stiffness).all()
+    gentle_design = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
+    assert (design_with_small_position_error.stiffness > default_design.stiffness).all()
+    assert (gentle_design.stiffness < default_design.stiffness).all()
     design_with_small_tension_error = design_motion(
         jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period
     )
-    assert (design_with_small_tension_error.tension > usual.tension).all()
-    assert (usual.damping > 0).all()
-    assert (usual.tension_speed > 0).all()
+    assert (design_with_small_tension_error.tension > default_design.tension).all()
+    assert (default_design.damping > 0).all()
+    assert (default_design.tension_speed > 0).all()

@@ -66,9 +66,11 @@ def simulate_control_errors(
     """
     model = HandModel.from_hand(assumed_hand, Gains(), RATE_HZ)
     # In a digit with one tendon, only the mean angle of the joints is controlled.
-    along = simulated_hand.own_arms / np.abs(simulated_hand.own_arms).sum(axis=1, keepdims=True)
+    along = simulated_hand.moment_arms_of_own_digit / np.abs(
+        simulated_hand.moment_arms_of_own_digit
+    ).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()
-    external = list[float]()
+    external_tension = list[float]()
     controller = homed_controller(model, TaskProgram(waving_task(assumed_hand)), simulated_hand)
     with SimulatorSettings(simulated_hand, None, seed, homed=True).begin_run(controller) as run:
         run.are_ticks_recorded = False
@@ -81,13 +83,13 @@ def simulate_control_errors(
                         along @ (run.state.view("q_goal") - run.simulated_hand.world.plant.engine.q)
                     )
                 )
-                external.append(run.state.view("external")[0])
+                external_tension.append(run.state.view("external")[0])
         assert run.state.mode == HandMode.DONE
     squares = np.mean(np.square(apart), axis=0)
     return ControlErrors(
         float(np.sqrt(squares[1:].mean())),
         float(np.sqrt(squares[0])),
-        float(np.mean(np.abs(external))),
+        float(np.mean(np.abs(external_tension))),
     )
 
 
@@ -131,10 +133,14 @@ def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
 
 def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:
     hand = mount_on_wrist("jamia11")
-    assert np.array_equal(hand.own_arms + hand.carrier_arms, hand.moment_arms)
+    assert np.array_equal(
+        hand.moment_arms_of_own_digit + hand.moment_arms_of_carrying_digits, hand.moment_arms
+    )
     joints = hand.digit_joints["middle"]
     tendons = hand.digit_tendons["middle"]
-    assert not hand.carrier_arms[:, joints].any()
-    assert np.array_equal(hand.own_arms[tendons, joints], hand.moment_arms[tendons, joints])
-    assert np.count_nonzero(hand.carrier_arms) == hand.moment_arms.shape[0] - 1
+    assert not hand.moment_arms_of_carrying_digits[:, joints].any()
+    assert np.array_equal(
+        hand.moment_arms_of_own_digit[tendons, joints], hand.moment_arms[tendons, joints]
+    )
+    assert np.count_nonzero(hand.moment_arms_of_carrying_digits) == hand.moment_arms.shape[0] - 1
     assert hand.tendons_with_encoders[hand.digit_tendons["wrist"]].all()

@@ -131,7 +131,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, move_count=2) as run:
-        arms = run.controller.model.hand.own_arms
+        arms = run.controller.model.hand.moment_arms_of_own_digit
         plant: Any = run.simulated_hand.world.plant  # type: ignore[attr-defined]
         for _, out in run.run_ticks(8.0):
             if not out.phase.startswith("move"):
@@ -187,7 +187,9 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
             for n, motor in enumerate(hand.motor):
                 if sent_stiffness(run)[n] == 0.0:
                     continue
-                position, velocity, added, kp, kd, limit = moteus_command(commands[motor.node_id])
+                position, velocity, added_torque, kp, kd, limit = moteus_command(
+                    commands[motor.node_id]
+                )
                 assert 0.0 < kp <= 1.0
                 assert 0.0 < kd <= 1.0
                 p, v = (
@@ -197,8 +199,11 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                     motor_direction * (position - motor.zero_rad)
                     + 0.5 * model.period * motor_direction * velocity
                 )
-                ahead = p + run.controller.zero[n] + 0.5 * model.period * v
-                torque = STIFF_KP_N_M_PER_RAD * kp * (target - ahead) + motor_direction * added
+                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
+                torque = (
+                    STIFF_KP_N_M_PER_RAD * kp * (target - predicted_position)
+                    + motor_direction * added_torque
+                )
                 torque += motor.kd_N_m_s_per_rad * kd * (motor_direction * velocity - v)
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
@@ -224,9 +229,9 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                 p, v = (
                     run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
                 )
-                ahead = p + run.controller.zero[n] + 0.5 * model.period * v
+                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
                 torque = (
-                    given.kp * (given.position - ahead)
+                    given.kp * (given.position - predicted_position)
                     + given.kd * (given.velocity - v)
                     + given.torque
                 )
@@ -317,7 +322,7 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
                 assert sent_stiffness(run)[0] == 0.0
         assert blocked
         # A blocked digit presses with up to 30 N more than its motion requires, see
-        # touch.MAX_PRESS_N.
+        # touch.MAX_BLOCKED_EXTRA_TENSION_N.
         assert peak < 60.0, f"{peak} N"
 
 
@@ -511,7 +516,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     steps, loop = servo_resolutions(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
-        rows = wire.servo_reals[wire.servos[n, 0] : wire.servos[n, 1]]
+        rows = wire.servo_signal_reals[wire.servos[n, 0] : wire.servos[n, 1]]
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):
             value = min(loop[f"servo_{name}"][n], steps[f"servo_{key}_max"][n])
             step = steps[f"servo_{key}_step"][n]

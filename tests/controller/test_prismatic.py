@@ -20,7 +20,7 @@ from handctl.hand.kinematics import joint_points
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.live_session import LiveProgram, apply_goal
 from handctl.programs.program import Program
-from handctl.programs.requests import MoveDigits
+from handctl.programs.requests import MoveDigitsRequest
 from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
@@ -86,7 +86,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
 @pytest.mark.parametrize("hand_name", GRIPPER_NAMES)
 def test_inverse_kinematics_finds_postures_of_prismatic_joints(hand_name: str) -> None:
     rng = np.random.default_rng(0)
-    for digit in DigitModel.all_from_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
+    for digit in DigitModel.models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
         low, high = digit.reach
         for _ in range(20):
             theta = rng.uniform(low, high)
@@ -142,7 +142,7 @@ def test_a_live_move_is_refused_in_mm(
 ) -> None:
     model = model_of("parallel_gripper")
     progress = replace(LiveProgram().initial_progress(model), phase="live")
-    request = MoveDigits(do="move", angle_deg={"left": angle_mm}, duration_s=duration_s)
+    request = MoveDigitsRequest(do="move", angle_deg={"left": angle_mm}, duration_s=duration_s)
     after, (event,) = apply_goal(model, progress, request, slack_hand_estimate(model), 0.0)
     assert after.goals == progress.goals
     assert expected_message in event.text

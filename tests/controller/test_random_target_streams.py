@@ -44,9 +44,11 @@ def white_noise_targets(
     times: FloatArray,
 ) -> FloatArray:
     """Return targets of white noise. Some of these targets exceed the limits."""
-    beyond = 0.1 * (highest_targets - lowest_targets)
+    range_excess = 0.1 * (highest_targets - lowest_targets)
     return rng.uniform(
-        lowest_targets - beyond, highest_targets + beyond, (len(times), len(lowest_targets))
+        lowest_targets - range_excess,
+        highest_targets + range_excess,
+        (len(times), len(lowest_targets)),
     )
 
 
@@ -58,8 +60,10 @@ def step_targets(
 ) -> FloatArray:
     """Return targets that step from one limit to the other."""
     hold = int(rng.integers(5, 40))
-    levels = rng.integers(0, 2, (len(times), len(lowest_targets)))[np.arange(len(times)) // hold]
-    return np.where(levels, highest_targets, lowest_targets)
+    level_samples = rng.integers(0, 2, (len(times), len(lowest_targets)))[
+        np.arange(len(times)) // hold
+    ]
+    return np.where(level_samples, highest_targets, lowest_targets)
 
 
 def sine_targets(

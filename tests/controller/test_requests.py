@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from handctl.programs.requests import (
     ArmRequest,
-    ClearRequest,
-    CutRequest,
-    HoldTension,
-    MoveDigits,
+    ClearFaultsRequest,
+    CutTorqueRequest,
+    HoldTensionRequest,
+    MoveDigitsRequest,
     StopRequest,
     events_for_request,
     parse_request,
@@ -25,10 +25,13 @@ from handctl.runtime.mailbox import MAX_REQUEST_BYTES
 VALID_REQUESTS = [
     ('{"do": "arm"}', ArmRequest),
     ('{"do": "stop"}', StopRequest),
-    ('{"do": "cut"}', CutRequest),
-    ('{"do": "clear"}', ClearRequest),
-    ('{"do": "move", "angle_deg": {"index": 30}}', MoveDigits),
-    ('{"do": "hold", "tension_N": {"index": 20.5, "thumb": 0}, "rate_N_per_s": 10}', HoldTension),
+    ('{"do": "cut"}', CutTorqueRequest),
+    ('{"do": "clear"}', ClearFaultsRequest),
+    ('{"do": "move", "angle_deg": {"index": 30}}', MoveDigitsRequest),
+    (
+        '{"do": "hold", "tension_N": {"index": 20.5, "thumb": 0}, "rate_N_per_s": 10}',
+        HoldTensionRequest,
+    ),
 ]
 
 
@@ -41,7 +44,7 @@ def test_numbers_arrive_as_they_were_sent() -> None:
     request = parse_request(
         '{"do": "move", "angle_deg": {"index": 30, "x": -1.5}, "duration_s": 2.5}'
     )
-    assert isinstance(request, MoveDigits)
+    assert isinstance(request, MoveDigitsRequest)
     assert request.angle_deg == {"index": 30.0, "x": -1.5}
     assert request.duration_s == 2.5
 
@@ -120,11 +123,11 @@ def test_nothing_raises_and_every_number_is_finite(request_text: str) -> None:
     request = parse_request(request_text)
     if isinstance(request, str):
         assert request.isprintable()
-    elif isinstance(request, MoveDigits):
+    elif isinstance(request, MoveDigitsRequest):
         assert all(
             math.isfinite(value) for value in (*request.angle_deg.values(), request.duration_s)
         )
-    elif isinstance(request, HoldTension):
+    elif isinstance(request, HoldTensionRequest):
         assert all(
             math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s)
         )

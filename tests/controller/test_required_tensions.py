@@ -28,9 +28,9 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
     In another case, the durations of the digits differ.
     """
     model: HandModel = request.getfixturevalue(hand_name)
-    first, later = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
+    first, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
     motion = joint_motion_at(model, first, 0.1)
-    np.testing.assert_allclose(joint_motion_at(model, later, 2.1), motion, rtol=1e-9)
+    np.testing.assert_allclose(joint_motion_at(model, later_goals, 2.1), motion, rtol=1e-9)
     assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations_s)) > 1)
     assert motion[1].min() > 0.0
 
@@ -41,7 +41,7 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         own = digit.joints
-        torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
+        torque = np.array(model.inverse_dynamics(digit, q[own], dq[own], ddq[own])) @ digit.coupling
         low, high = model.floor[tendons], model.ceiling[tendons]
         found[tendons] = tensions_for_torque(digit.reduced_moment_arms, torque, low, high)[0]
     return found
@@ -75,8 +75,13 @@ def test_the_load_of_each_digit_is_limited_separately(
 
 def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     goals = motion_goals(jamia11, 0.0, (0.5,) * 4)
-    alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
+    goals_of_one_digit = (
+        goals[0],
+        *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]),
+    )
     motion = joint_motion_at(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]
-    both = [required_tensions_of(jamia11, one, motion)[own] for one in (goals, alone)]
-    np.testing.assert_allclose(both[0], both[1], rtol=1e-9)
+    required_tensions = [
+        required_tensions_of(jamia11, one, motion)[own] for one in (goals, goals_of_one_digit)
+    ]
+    np.testing.assert_allclose(required_tensions[0], required_tensions[1], rtol=1e-9)

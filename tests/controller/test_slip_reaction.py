@@ -49,16 +49,16 @@ class GripRun:
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(grip_stiffness, np.full(model.tendon_count, grip_limit))
         self.t = 0.0
-        self.grip = GripState.at_hold_start(model, self.goals, self.resting_estimate, self.t)
+        self.grip = GripState.at_start_of_hold(model, self.goals, self.resting_estimate, self.t)
         self.state = active_state(model)
         detect_contacts(model, self.state, self.resting_estimate)
-        self.state.set_run_integer(s.GRIPPING, 1)
+        self.state.set_run_integer(s.PROGRAM_HOLDS_OBJECT, 1)
         self.events: list[TickEvent] = []
 
     def tick(self, estimate: SyntheticEstimate, duration_s: float) -> None:
         for _ in range(round(duration_s / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_run_number(s.SLIP_JUDGED_FROM, self.grip.ready)
+            self.state.set_run_number(s.SLIP_DETECTION_START, self.grip.ready)
             estimate_with_contacts = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(
@@ -87,7 +87,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
-        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * HOLD_TENSION_N)
+        np.testing.assert_allclose(goal.tension, grip.TENSION_RAISE_FACTOR * HOLD_TENSION_N)
     assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
 
 
@@ -115,9 +115,11 @@ def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> N
     held.tick(held.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
     chance = np.random.default_rng(1)
     for k in range(round(20.0 / model.period)):
-        creep = -0.02e-3 * k * model.period
+        creep_distance = -0.02e-3 * k * model.period
         held.tick(
-            held.estimate_after_winding(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)),
+            held.estimate_after_winding(
+                5 * SLIP_EXCURSION_M + creep_distance + chance.normal(0.0, 3.5e-6)
+            ),
             model.period,
         )
     assert not held.events

@@ -364,5 +364,7 @@ def test_the_log_has_both_tensions_of_each_pair() -> None:
     state = StateTopics(header, TopicRegistry())
     net = np.zeros((1, 17))
     net[0, :3] = 4.0, -30.0, 30.0
-    both = state._pair_tensions(net).reshape(17, 2)
-    np.testing.assert_allclose(both[:4], [[12.0, 8.0], [0.0, 30.0], [30.0, 0.0], [10.0, 10.0]])
+    tendon_tensions = state._pair_tensions(net).reshape(17, 2)
+    np.testing.assert_allclose(
+        tendon_tensions[:4], [[12.0, 8.0], [0.0, 30.0], [30.0, 0.0], [10.0, 10.0]]
+    )

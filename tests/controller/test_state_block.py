@@ -209,8 +209,8 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     at = len(values) // 2
     before, values[at] = values[at].item(), 3
     assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
-    for later in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
-        other.view(later.name)[...] = 3
+    for later_field in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
+        other.view(later_field.name)[...] = 3
     found = state.layout.difference(state.block, other.block)
     assert found is not None
     assert found[0] == field.name
@@ -218,9 +218,9 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
 
 def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerState) -> None:
     one, other = state.copy(), state.copy()
-    for each in (one, other):
-        each.view("tension")[0] = np.nan
-        each.view("sigma")[0] = 0.0
+    for changed_state in (one, other):
+        changed_state.view("tension")[0] = np.nan
+        changed_state.view("sigma")[0] = 0.0
     assert state.layout.difference(one.block, other.block) is None
     other.view("sigma")[0] = -0.0
     found = state.layout.difference(one.block, other.block)
@@ -242,10 +242,12 @@ def random_hand(seed: int) -> HandModel:
     if seed % 3:
         raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
     digits = [digit["name"] for digit in raw["digit"]]
-    kept = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
+    digit_names = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
 
     def is_kept_section(drive_field: str) -> bool:
-        return any(drive_field == digit or drive_field.startswith(f"{digit}_") for digit in kept)
+        return any(
+            drive_field == digit or drive_field.startswith(f"{digit}_") for digit in digit_names
+        )
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
@@ -285,7 +287,7 @@ def packed_constants(
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in (
         "_motor_constants",
-        "_law_constants",
+        "_control_law_constants",
         "_link_constants",
         "_structure_constants",
         "_posture_constants",
@@ -390,8 +392,8 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
         "step": [progress.step + 1], "since": [progress.since + 1e-9], "phase": ["x"], "finished": [True],
         "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *progress.contact[1:])],
         "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
-        "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
-                 grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
+        "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(reference_excursion=np.zeros(4)),
+                 grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(limited=True)],
         "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip

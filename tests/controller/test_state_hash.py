@@ -20,17 +20,17 @@ def hashed_bytes(hashed_value: object) -> bytes:
 
 
 def test_values_of_same_objects_are_taken_over() -> None:
-    asked = list[object]()
+    asked_objects = list[object]()
 
     def bytes_of_recorded_item(item: object) -> bytes:
-        asked.append(item)
+        asked_objects.append(item)
         return hashed_bytes(item)
 
     cache = SequenceCache[object](bytes_of_recorded_item)
     one, two, three = [1], [2], [3]
     assert cache((one, two)) == [b"[1]", b"[2]"]
     assert cache((one, three)) == [b"[1]", b"[3]"]
-    assert asked == [one, two, three]
+    assert asked_objects == [one, two, three]
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -109,7 +109,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
     q = np.concatenate(
         [digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)]
     )
-    tension, developed = (
+    tension, developed_torque = (
         rng.uniform(5.0, 60.0, model.tendon_count),
         rng.uniform(-1.0, 1.0, model.tendon_count),
     )
@@ -120,9 +120,11 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
             arm = tendon.moment_arm_m.get(joint, 0.0)
             passed += q[j] if arm else 0.0
             torque[j] += (
-                arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
+                arm
+                * tension[i]
+                * math.exp(-tendon.friction_coefficient * developed_torque[i] * passed)
             )
-    found = load_statics(model, filter_table_at(model, theta), tension, developed)
+    found = load_statics(model, filter_table_at(model, theta), tension, developed_torque)
     np.testing.assert_allclose(found.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
 
 
@@ -143,13 +145,13 @@ def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel
 def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):
-        q, external = (
+        q, external_tension = (
             rng.uniform(-0.2, 1.8, len(model.hand.joints)),
             rng.normal(size=model.tendon_count) * 20.0,
         )
         torque = static_torque_of(model, q)
         state = active_state(model)
-        state.view("q")[...], state.view("external")[...] = q, external
+        state.view("q")[...], state.view("external")[...] = q, external_tension
         tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
@@ -159,8 +161,8 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
                 rtol=1e-12,
                 atol=1e-15,
             )
-            alone = tip_force(digit, q[digit.joints], external[digit.tendons])
-            assert force[d] == pytest.approx(alone, rel=1e-10, abs=1e-12)
+            tip_force_of_digit = tip_force(digit, q[digit.joints], external_tension[digit.tendons])
+            assert force[d] == pytest.approx(tip_force_of_digit, rel=1e-10, abs=1e-12)
 
 
 def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
@@ -186,6 +188,6 @@ def test_a_tip_force_is_recovered_from_its_tensions(model: HandModel) -> None:
         for force in (0.5, 6.0, 40.0):
             q = digit.coupling @ rng.uniform(0.1, 1.2, digit.coupling.shape[1])
             torque = force * reduced_tip_lever(digit, q)
-            external = np.linalg.lstsq(digit.reduced_moment_arms.T, torque, rcond=None)[0]
-            assert tip_force(digit, q, external) == pytest.approx(force, rel=1e-9)
-            assert tip_force(digit, q, np.zeros(len(external))) == 0.0
+            external_tension = np.linalg.lstsq(digit.reduced_moment_arms.T, torque, rcond=None)[0]
+            assert tip_force(digit, q, external_tension) == pytest.approx(force, rel=1e-9)
+            assert tip_force(digit, q, np.zeros(len(external_tension))) == 0.0

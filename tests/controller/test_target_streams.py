@@ -22,8 +22,8 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_stream_target, parse_target, target_request_text
 from handctl.programs.stream_plans import (
-    continued_move,
     mapping_of_stream,
+    move_that_continues_motion,
     nearest_holdable_posture,
     target_horizon_s,
 )
@@ -219,8 +219,11 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
             angles = [sine_angle(i / 100) + j for j in range(3)]
             client.tick(*([client.target_request(*angles, 10.0)] if i % 5 == 0 else []))
             if i == 50:
-                middle, at = snapshot_bytes(client.run.state), len(client.run.recorded_ticks)
-        check_ticks_are_repeated(client.run, middle, at)
+                middle_snapshot, at = (
+                    snapshot_bytes(client.run.state),
+                    len(client.run.recorded_ticks),
+                )
+        check_ticks_are_repeated(client.run, middle_snapshot, at)
 
 
 def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
@@ -516,8 +519,8 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
                 )
             else:
                 client.tick()
-        swing = np.degrees([out.telemetry.q[0] for out in client.tick_outputs[500:]])
-        assert np.ptp(swing) > 20.0
+        swing_amplitude = np.degrees([out.telemetry.q[0] for out in client.tick_outputs[500:]])
+        assert np.ptp(swing_amplitude) > 20.0
 
 
 def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
@@ -528,11 +531,11 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
-    move = continued_move(reference, np.radians([10.0]), 5.0, reach)
-    way = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
-    assert way[:, 0].max() <= 100.5
-    assert way[0] == pytest.approx([90.0, 300.0, 0.0])
-    assert way[-1] == pytest.approx([10.0, 0.0, 0.0], abs=1e-9)
+    move = move_that_continues_motion(reference, np.radians([10.0]), 5.0, reach)
+    trajectory = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
+    assert trajectory[:, 0].max() <= 100.5
+    assert trajectory[0] == pytest.approx([90.0, 300.0, 0.0])
+    assert trajectory[-1] == pytest.approx([10.0, 0.0, 0.0], abs=1e-9)
 
 
 def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
@@ -614,7 +617,7 @@ def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)
-    assert where.driven.all()
+    assert where.is_streamed.all()
     angles = np.linspace(10.0, 30.0, len(names))
     q = np.degrees(model.coupling @ where.matrix @ angles)
     for digit in model.digits:
@@ -622,7 +625,7 @@ def test_joint_angles_become_coordinates(model: HandModel) -> None:
         nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, part, rcond=None)[0]
         np.testing.assert_allclose(q[digit.joints], nearest, atol=1e-9)
     one = mapping_of_stream(model, "joint", (names[1],))
-    assert one.driven.sum() == 1, "the other joints of the digit stay"
+    assert one.is_streamed.sum() == 1, "the other joints of the digit stay"
 
 
 def test_moves_of_single_joints(jamia: HandModel, jamia11: HandModel) -> None:
@@ -749,17 +752,17 @@ PUSH_FORCE_N = 1.5
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
     """A constant push on the last link opens a soft digit further than a stiff digit."""
     yield_by_softness = {}
-    for softness in (None, 0.2):
+    for stiffness_N_m_per_rad in (None, 0.2):
         with live_client(jamia) as client:
             client.send_command("move", angle_deg={"index": 40.0})
             client.wait(1.2)
-            client.open_stream(stiffness_N_m_per_rad=softness)
+            client.open_stream(stiffness_N_m_per_rad=stiffness_N_m_per_rad)
             client.stream_motion(lambda t: 40.0, 0.4)
             start = true_angle(client.run)
             engine = client.run.simulated_hand.world.plant.engine
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
-            yield_by_softness[softness] = start - true_angle(client.run)
+            yield_by_softness[stiffness_N_m_per_rad] = start - true_angle(client.run)
             assert client.tick_outputs[-1].mode == HandMode.ACTIVE
     assert yield_by_softness[0.2] > 1.5 * yield_by_softness[None] > 0.0, yield_by_softness
 
@@ -774,8 +777,8 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
     digit = jamia11.digits[0]
     floor = jamia11.floor[digit.tendons]
     for angles in ([0.0, 25.0, 0.0], [0.0, 0.0, 40.0], [30.0, 30.0, 30.0], [5.0, 60.0, 60.0]):
-        wanted = np.radians(angles)
-        held = nearest_holdable_posture(digit, wanted, floor)
+        expected = np.radians(angles)
+        held = nearest_holdable_posture(digit, expected, floor)
         tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ held))
         assert (tension >= floor).all(), angles
     even_angles = np.radians([30.0, 30.0, 30.0])
@@ -807,9 +810,9 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.run.state.decisions.stream is None
         client.wait(3.0)
         assert client.tick_outputs[-1].phase == "hold", "longer than the task's 0.2 s"
-        middle = snapshot_bytes(client.run.state)
+        middle_snapshot = snapshot_bytes(client.run.state)
         assert (
-            restore_state(client.run.controller.derived.layout, middle).digest()
+            restore_state(client.run.controller.derived.layout, middle_snapshot).digest()
             == client.run.state.digest()
         )
         assert client.send_command("release") == "release after hold"

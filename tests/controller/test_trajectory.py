@@ -52,12 +52,12 @@ def test_trajectory_derivatives_match_differences(
         time_fraction * duration_s,
     )
     before, now, after = move.motion_at(t - h), move.motion_at(t), move.motion_at(t + h)
-    way = np.abs(end_angles - start_angles).max() + 1e-9
+    distance_rad = np.abs(end_angles - start_angles).max() + 1e-9
     np.testing.assert_allclose(
-        now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration_s
+        now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * distance_rad / duration_s
     )
     np.testing.assert_allclose(
-        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration_s**2
+        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * distance_rad / duration_s**2
     )
 
 
@@ -66,15 +66,17 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
     start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float
 ) -> None:
     move = MinimumJerk(start_angles, end_angles, duration_s)
-    course = [move.motion_at(t) for t in np.linspace(0.0, duration_s, 101)]
+    position_samples = [move.motion_at(t) for t in np.linspace(0.0, duration_s, 101)]
     low, high = (
         np.minimum(start_angles, end_angles) - 1e-12,
         np.maximum(start_angles, end_angles) + 1e-12,
     )
-    assert all(((low <= p) & (p <= high)).all() for p, _, _ in course)
-    steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end_angles - start_angles)
+    assert all(((low <= p) & (p <= high)).all() for p, _, _ in position_samples)
+    steps = np.diff([p for p, _, _ in position_samples], axis=0) * np.sign(
+        end_angles - start_angles
+    )
     assert (steps >= -1e-12).all(), "straight there"
-    speed = np.abs([v for _, v, _ in course]).max(axis=0)
+    speed = np.abs([v for _, v, _ in position_samples]).max(axis=0)
     np.testing.assert_allclose(
         speed,
         PEAK_SPEED_RATIO * np.abs(end_angles - start_angles) / duration_s,
@@ -123,8 +125,8 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
     )
     curve = CurveTrajectory.through_points(when, points, 2)
     assert curve.duration == when[-1]
-    for t, point in zip(when, points, strict=True):
-        np.testing.assert_allclose(curve.motion_at(t)[0], [point, point], atol=1e-9)
+    for t, waypoint in zip(when, points, strict=True):
+        np.testing.assert_allclose(curve.motion_at(t)[0], [waypoint, waypoint], atol=1e-9)
     for t in (-1.0, 0.0, when[-1], when[-1] + 1.0):
         np.testing.assert_allclose(curve.motion_at(t)[1], 0.0, atol=1e-9)
     for t in (-1.0, when[-1] + 1.0):
@@ -169,4 +171,4 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
         CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.1), 1),
         CurveTrajectory.through_points((0.0, 1.0), (0.0, 1.0), 3),
     ]
-    assert len({plain_bytes(way) for way in ways}) == len(ways)
+    assert len({plain_bytes(distance_rad) for distance_rad in ways}) == len(ways)

@@ -41,8 +41,8 @@ def test_velocity_and_acceleration_are_the_derivatives() -> None:
             curve.motion_at(t + d) for d in (-h, 0.0, h)
         )
         assert (after - before) / (2 * h) == pytest.approx(speed, abs=1e-6)
-        faster, slower = curve.motion_at(t + h)[1], curve.motion_at(t - h)[1]
-        assert (faster - slower) / (2 * h) == pytest.approx(acceleration, abs=1e-3)
+        velocity_after, velocity_before = curve.motion_at(t + h)[1], curve.motion_at(t - h)[1]
+        assert (velocity_after - velocity_before) / (2 * h) == pytest.approx(acceleration, abs=1e-3)
 
 
 def test_peak_speed_is_the_largest_on_the_way() -> None:

@@ -6,10 +6,14 @@ An event reports the contact. The digit then presses on the object with a bounde
 import numpy as np
 import pytest
 
-from handctl.core.estimation.blocked_digits import BLOCKED_ABOVE_N, FREE_BELOW_N, MAX_PRESS_N
+from handctl.core.estimation.blocked_digits import (
+    MAX_BLOCKED_EXTRA_TENSION_N,
+    MAX_UNBLOCKED_TENSION_N,
+    MIN_BLOCKED_TENSION_N,
+)
 from handctl.core.hand_model import HandModel
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import MoveDigits
+from handctl.programs.requests import MoveDigitsRequest
 from tests.controller.law_runs import temperatures_for_limits, tension_limits_of
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic_states import (
@@ -40,11 +44,11 @@ def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> 
             )
         return state.view("blocked")
 
-    assert not blocked_digits_after(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"
-    assert blocked_digits_after(2.0 * BLOCKED_ABOVE_N, lasting).all()
-    assert blocked_digits_after(0.5 * (BLOCKED_ABOVE_N + FREE_BELOW_N), lasting).all(), (
-        "until it is free"
-    )
+    assert not blocked_digits_after(2.0 * MIN_BLOCKED_TENSION_N, 1).any(), "one tick of it"
+    assert blocked_digits_after(2.0 * MIN_BLOCKED_TENSION_N, lasting).all()
+    assert blocked_digits_after(
+        0.5 * (MIN_BLOCKED_TENSION_N + MAX_UNBLOCKED_TENSION_N), lasting
+    ).all(), "until it is free"
     assert not blocked_digits_after(0.0, lasting).any()
 
 
@@ -58,7 +62,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
         model, np.full(model.tendon_count, 60.0)
     )
     limit = tension_limits_of(model, state)
-    np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + MAX_PRESS_N)
+    np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + MAX_BLOCKED_EXTRA_TENSION_N)
     np.testing.assert_allclose(limit[model.digit_tendons[1].start :], 60.0)
 
 
@@ -70,7 +74,7 @@ def run_against_palm(
 
     In this run, the index finger moves towards 100 degrees, but touches the palm on the way.
     """
-    move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
+    move = JogProgram(MoveDigitsRequest(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(
         request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0
     )

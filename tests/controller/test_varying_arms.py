@@ -86,7 +86,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
-            here = digit.at_angles(q[digit.joints])
+            here = digit.with_moment_arms_at(q[digit.joints])
             block = np.ix_(
                 range(*digit.joints.indices(len(q))),
                 range(*digit.tendons.indices(model.tendon_count)),
@@ -176,12 +176,12 @@ def test_arms_by_angle_track_better_than_constant_arms(hand_name: str, seed: int
     excursions as R q.
     """
     hand = hand_with_varying_arms(hand_name, 0.3, with_joint_encoders=False)
-    constant = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
+    constant_hand = hand_with_varying_arms(hand_name, 0.0, with_joint_encoders=False)
     error_with_varying_arms = tracking_error_deg(
         HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed
     )
     error_with_mean_arms = tracking_error_deg(
-        HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed
+        HandModel.from_hand(constant_hand, Gains(), RATE_HZ), hand, seed
     )
     assert error_with_varying_arms < 1.0
     assert error_with_mean_arms > 3.0 * error_with_varying_arms

@@ -14,7 +14,7 @@ import pytest
 
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.hand_model import BLIND_SIGMAS, HandModel
+from handctl.core.hand_model import MARGIN_SIGMAS_WITHOUT_CELL, HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
@@ -205,7 +205,7 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     controller = homed_controller(bare, TaskProgram(CYLINDER_TASK))
     assert controller.derived.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
     assert controller.derived.limits.tension_trip[1] == file.tendon[1].tension_trip_N
-    assert margin[0] == BLIND_SIGMAS * bare.filter.held_sigma[0]
+    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare.filter.held_tension_sigma[0]
 
 
 def test_a_hand_without_sensors_sends_no_sync() -> None:

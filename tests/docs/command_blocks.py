@@ -93,15 +93,17 @@ def run_blocks(
                 start_in_background_shell(replace_socketcan_buses(block.text), others, words)
                 continue
             script = f"set -e\n{replace_socketcan_buses(block.text)}"
-            ran = subprocess.run(
+            result = subprocess.run(
                 ["bash", "-c", script],
                 capture_output=True,
                 timeout=BLOCK_TIMEOUT_S,
                 check=False,
                 **words,
             )
-            assert ran.returncode == 0, f"{block.text}\n{ran.stdout[-1000:]}\n{ran.stderr[-2000:]}"
-            assert "Traceback" not in ran.stderr
+            assert result.returncode == 0, (
+                f"{block.text}\n{result.stdout[-1000:]}\n{result.stderr[-2000:]}"
+            )
+            assert "Traceback" not in result.stderr
     finally:
         for other in others:
             other.terminate()

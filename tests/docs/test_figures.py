@@ -36,9 +36,9 @@ def test_a_figure_is_small_and_used(figure_name: str) -> None:
 
 
 def test_every_figure_in_the_folder_is_used() -> None:
-    unused = [
+    unused_figures = [
         path.name
         for path in FIGURES_FOLDER.iterdir()
         if not any(path.stem in text for text in PAGE_TEXTS)
     ]
-    assert unused == []
+    assert unused_figures == []

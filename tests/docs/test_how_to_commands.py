@@ -104,9 +104,11 @@ def page_cases() -> Iterator[Any]:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", list(page_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
-    asked, answered = ANSWERED_COMMANDS.get(page, ("", ""))
+    question_words, answered = ANSWERED_COMMANDS.get(page, ("", ""))
     parts = [
-        block._replace(text=block.text.replace(asked, answered)) if asked else block
+        block._replace(text=block.text.replace(question_words, answered))
+        if question_words
+        else block
         for block in EXECUTED_BLOCKS[page]
     ]
     run_blocks(parts, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))

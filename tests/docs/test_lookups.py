@@ -95,9 +95,9 @@ def test_the_page_has_these_numbers() -> None:
     right = [(q, str(click_count(page, anchor)), str(word_count_before_answer(page, anchor, answer)))
              for q, (page, anchor, answer) in ANSWER_BY_QUESTION.items()]  # fmt: skip
     assert [row[:2] for row in rows] == [row[:2] for row in right]
-    far = [
+    far_section_lines = [
         row
         for row, found in zip(rows, right, strict=True)
         if abs(int(row[2]) - int(found[2])) > TOLERANCE_WORDS
     ]
-    assert far == []
+    assert far_section_lines == []

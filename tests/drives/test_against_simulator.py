@@ -94,7 +94,7 @@ def test_a_drive_goes_from_silent_to_enabled_and_back(bench: PackagedHandBench) 
     bench.tick(DriveTarget.DISABLE)
     assert [state.phase for state in bench.states] == [DrivePhase.READY] * 4
     assert (bench.sensors.field_number("stale"), bench.sensors.has_malformed_frame) == (0, False)
-    assert [state.misread for state in bench.states] == [0] * 4
+    assert [state.misread_frame_count for state in bench.states] == [0] * 4
 
 
 def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(

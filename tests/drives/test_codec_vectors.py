@@ -156,7 +156,7 @@ def test_register_requests_have_the_bytes_of_the_manual() -> None:
 def test_the_hotter_of_an_odrive_s_two_temperatures_and_one_of_them_if_the_other_has_no_sensor() -> (
     None
 ):
-    assert odrive.decode_hottest(struct.pack("<ff", 31.0, 42.0)) == 42.0
-    assert odrive.decode_hottest(struct.pack("<ff", 31.0, math.nan)) == 31.0
-    assert odrive.decode_hottest(struct.pack("<ff", math.inf, 42.0)) == 42.0
-    assert odrive.decode_hottest(struct.pack("<ff", math.nan, math.nan)) is None
+    assert odrive.decode_highest_temperature(struct.pack("<ff", 31.0, 42.0)) == 42.0
+    assert odrive.decode_highest_temperature(struct.pack("<ff", 31.0, math.nan)) == 31.0
+    assert odrive.decode_highest_temperature(struct.pack("<ff", math.inf, 42.0)) == 42.0
+    assert odrive.decode_highest_temperature(struct.pack("<ff", math.nan, math.nan)) is None

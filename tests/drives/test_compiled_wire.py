@@ -62,20 +62,20 @@ def random_frame(
 ) -> Frame:
     """Return one of the frames of a drive, unchanged or with one random change."""
     frame = random_source.choice(received_frames)._replace(t_ns=t_ns)
-    data, way = bytearray(frame.data), random_source.randrange(12)
-    if way == 0:
+    data, change_kind = bytearray(frame.data), random_source.randrange(12)
+    if change_kind == 0:
         return frame._replace(data=random_source.randbytes(random_source.randrange(65)))
-    if way == 1:
+    if change_kind == 1:
         return frame._replace(data=random_source.randbytes(8))
-    if way == 2:
+    if change_kind == 2:
         return frame._replace(data=bytes(data[:-1]))
-    if way == 3:
+    if change_kind == 3:
         return frame._replace(can_id=frame.can_id | random_source.choice((ERROR_FLAG, REMOTE_FLAG)))
-    if way == 4:
+    if change_kind == 4:
         return frame._replace(flags=frame.flags ^ (FDF | BRS))
-    if way == 5 and data:
+    if change_kind == 5 and data:
         data[0] ^= 1 << random_source.randrange(8)
-    if way == 6 and len(data) == 8:
+    if change_kind == 6 and len(data) == 8:
         data[4 * random_source.randrange(2) :][:4] = b""
         wrong = struct.pack("<f", random_source.choice((math.nan, math.inf, -math.inf, 3.4e38)))
         data = (
@@ -83,7 +83,7 @@ def random_frame(
             if random_source.random() < 0.5
             else bytearray(bytes(data[:4]) + wrong)
         )
-    if way > 7 and len(data) == 8:
+    if change_kind > 7 and len(data) == 8:
         data[1 + random_source.randrange(7)] = random_source.randrange(256)
     return frame._replace(data=bytes(data))
 
@@ -224,8 +224,8 @@ def test_compiled_code_leaves_a_setting_without_answers_to_the_state_machine(nam
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_invalid_torque_is_never_sent(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
-    beyond = math.nextafter(drive.command_limit, math.inf)
-    for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
+    torque_beyond_limit = math.nextafter(drive.command_limit, math.inf)
+    for torque in (math.nan, math.inf, -math.inf, torque_beyond_limit, -torque_beyond_limit):
         wired = WiredDrives([drive], NO_SENSORS)
         wired.store_drive_state(0, state)
         with pytest.raises(ValueError, match="expected at most"):
@@ -263,11 +263,11 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> Non
     command_layouts = sorted(
         (message.length, bool(message.flags)) for message in drive.cyclic_messages.commands
     )
-    asked = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
+    requests = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
     planned = list(drive.frames_per_tick)
     for one in command_layouts:
         planned.remove(one)
-    assert len(planned) == asked
+    assert len(planned) == requests
     assert {message.can_id for message in drive.cyclic_messages.feedback} <= drive.node_ids
     assert {message.can_id for message in drive.cyclic_messages.commands} - {
         0x080

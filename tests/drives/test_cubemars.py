@@ -55,7 +55,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
-    assert [state.misread for state in bench.states] == [0] * 4
+    assert [state.misread_frame_count for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
@@ -251,9 +251,9 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     for torque in (-18.0, -1.0, 0.3, 18.0):
         manager.MIT_controller(1, "AK80-9", 0.0, 0.0, 0.0, 0.0, torque)
         (command,) = drive.torque_frames(torque)
-        ours, theirs = (int.from_bytes(data, "big") for data in (command.data, sent[-1]))
-        assert ours >> 12 & 0xFFFFFF == theirs >> 12 & 0xFFFFFF == 0, "no gains"
-        assert abs((ours & 0xFFF) - (theirs & 0xFFF)) <= 1
+        own_code, other_code = (int.from_bytes(data, "big") for data in (command.data, sent[-1]))
+        assert own_code >> 12 & 0xFFFFFF == other_code >> 12 & 0xFFFFFF == 0, "no gains"
+        assert abs((own_code & 0xFFF) - (other_code & 0xFFF)) <= 1
     bench = DriveBench([drive_spec("mit", 1, "ak80-9")])
     bench.motors[0].theta = 1.25
     (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]

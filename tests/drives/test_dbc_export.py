@@ -126,13 +126,15 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
             signals = [
                 signal for signal in message.signals if signal.quantity == SignalQuantity.TORQUE
             ]
-            same = message.can_id == frame.can_id and message.length == len(frame.data)
+            is_command_frame = message.can_id == frame.can_id and message.length == len(frame.data)
             # A frame that writes a setting may have the identifier and the length of a torque
             # command. Only the first bytes tell the two apart.
             first = min((signal.start for signal in message.signals), default=0) // 8
-            is_big_endian = any(signal.big_endian for signal in message.signals)
-            same = same and (is_big_endian or frame.data[:first] == message.base[:first])
-            if same and signals and message.can_id not in drive.node_ids:
+            is_big_endian = any(signal.is_big_endian for signal in message.signals)
+            is_command_frame = is_command_frame and (
+                is_big_endian or frame.data[:first] == message.base[:first]
+            )
+            if is_command_frame and signals and message.can_id not in drive.node_ids:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7
                 assert decoded_signals["torque"] == pytest.approx(torque, abs=step)

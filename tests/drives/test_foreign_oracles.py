@@ -77,8 +77,8 @@ def test_payloads_are_the_vendors(vendor_dbc: cantools.database.can.Database) ->
 def test_errors_are_the_vendors(vendor_dbc: cantools.database.can.Database, error_bit: int) -> None:
     data = struct.pack("<IBBBB", 1 << error_bit, codec.IDLE, 3, 0, 0)
     known = vendor_dbc.decode_message(f"Axis{ODRIVE_NODE_ID}_Heartbeat", data, decode_choices=False)
-    beat = codec.decode_heartbeat(data)
-    assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == beat
+    heartbeat = codec.decode_heartbeat(data)
+    assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == heartbeat
 
 
 def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
@@ -139,10 +139,12 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
     for step in setup.required_steps(ODRIVE_NODE_ID, 400, 2000, 50, 50):
         entry = foreign[step.number]
         variable = (
-            entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
+            entry
+            if isinstance(entry, canopen.objectdictionary.ODVariable)
+            else entry[step.sub_index]
         )
-        assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))
-        assert variable.default == ours[step.number, step.sub] or step.number == 0x6076
+        assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub_index))
+        assert variable.default == ours[step.number, step.sub_index] or step.number == 0x6076
         assert variable.writable == (
             step.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
         )

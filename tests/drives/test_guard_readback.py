@@ -12,7 +12,7 @@ from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.robstride.node import RobstrideNode
 from handctl.cli.main import main
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 from tests.drives.virtual_bench import VirtualBench, drive_rig_on
 
@@ -109,7 +109,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(
 
 
 def test_every_guarded_protocol_is_tried():
-    assert sorted(GUARDS_BY_PROTOCOL) == sorted(GUARDED_PROTOCOLS)
+    assert sorted(GUARDS_BY_PROTOCOL) == sorted(VERIFIABLE_PROTOCOLS)
 
 
 @pytest.mark.parametrize("protocol", sorted(GUARDS_BY_PROTOCOL))

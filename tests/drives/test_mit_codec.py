@@ -185,10 +185,10 @@ drive_states = st.builds(
             st.integers(0, 10),
         ),
         configured=st.booleans(),
-        enabled_by_other=st.booleans(),
+        enabled_by_other_host=st.booleans(),
         enable_sent=st.booleans(),
         disabling=st.booleans(),
-        disabling_ns=st.integers(0, 10),
+        disable_command_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
     ),
     # Draw only indices of existing settings. Without this limit, hypothesis would generate an index
@@ -267,6 +267,6 @@ def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    wanted = dict(mit_drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
-    assert wanted == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
+    expected = dict(mit_drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
+    assert expected == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

@@ -118,10 +118,10 @@ def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.state_nibble = 0xA
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
-    stale = rig.pending_replies
+    stale_frame = rig.pending_replies
     rig.state, frames = rig.drive.clear(rig.state)
     assert [frame.data for frame in frames] == [b"\xff" * 7 + b"\xfb"]
-    rig.pending_replies = stale + [
+    rig.pending_replies = stale_frame + [
         reply for frame in frames for reply in rig.motor.answer_frame(frame, rig.t_ns)
     ]
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)

@@ -146,7 +146,7 @@ def test_short_replies_and_those_of_another_motor_are_counted_and_not_read(rig: 
     short, other = Frame(0x11, b"\x01" + bytes(5), t_ns=5), Frame(0x11, b"\x12" + bytes(7), t_ns=5)
     for frame in (short, other):
         rig.state = rig.drive.receive(rig.state, frame)
-    assert rig.state.misread == 2
+    assert rig.state.misread_frame_count == 2
     assert (rig.state.phase, rig.state.feedback_count) == (DrivePhase.SILENT, 0)
 
 
@@ -154,8 +154,8 @@ def test_an_open_request_is_repeated_only_after_its_timeout(rig: MotorRig) -> No
     rig.motor.unanswered_registers.add(10)
     for _ in range(50):
         rig.tick(DriveTarget.POLL)
-    asked = [frame for frame in rig.sent_frames if frame.data[2:4] == bytes([0x33, 10])]
-    assert len(asked) == 5, "100 ms, one request in 20 ms"
+    requests = [frame for frame in rig.sent_frames if frame.data[2:4] == bytes([0x33, 10])]
+    assert len(requests) == 5, "100 ms, one request in 20 ms"
 
 
 def test_slow_configuration_is_no_timeout(rig: MotorRig) -> None:

@@ -10,8 +10,8 @@ from handctl.controller.run_setup import make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifier_checks import check_identifiers
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.odrive.discovery import FREE_NUMBERS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
+from handctl.drives.odrive.discovery import UNSHARED_NODE_NUMBERS
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
@@ -79,7 +79,7 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         bench.simulated_hand.close()
 
 
-@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
+@pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Path) -> None:
     has_gear_ratio = protocol in ("odrive", "cia402")
     gear = 4.0 if has_gear_ratio else 1.0
@@ -183,14 +183,14 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
     assert text
     pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
     assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [
-        (a[0], a[-1]) for a in FREE_NUMBERS
+        (a[0], a[-1]) for a in UNSHARED_NODE_NUMBERS
     ]
     options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
     others = [("sensor", make_sensors(load_hand("jamia11")))]
     canopen = [
         make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)
     ]
-    for node in (number for numbers in FREE_NUMBERS for number in numbers):
+    for node in (number for numbers in UNSHARED_NODE_NUMBERS for number in numbers):
         drive = make_drive(motor_on_bench("odrive", node, 0.8, {}), 0)
         check_identifiers([*others, ("odrive", drive)])
         for other in canopen:

@@ -63,7 +63,7 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(motor_direction: int) -> 
     drive = drive_with_loop(direction=motor_direction, zero_rad=0.3, watchdog_ms=50)
     message = drive.cyclic_messages.position
     assert message is not None
-    assert drive.cyclic_messages.moves_target
+    assert drive.cyclic_messages.moves_commanded_position
     table = SignalTable(message._replace(limit=math.inf))
     can_id, data = table.pack_frame(
         1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
@@ -88,7 +88,7 @@ GAINS_PER_RAD = tuple(gain / math.tau for gain in GAIN_BY_ITEM.values())
 def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
     drive = MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}), 0)
     assert drive.cyclic_messages.position is None
-    assert not drive.cyclic_messages.moves_target
+    assert not drive.cyclic_messages.moves_commanded_position
     assert [setting.name for setting in drive.configuration] == [
         "servopos.position_min", "servo.fixed_voltage_mode", "servo.timeout_mode", "servopos.position_max",
     ]  # fmt: skip
@@ -144,7 +144,7 @@ def test_a_restart_is_found_by_two_reads() -> None:
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
-            setting.is_right(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two)
+            setting.is_required_value(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two)
         )
 
 
@@ -157,7 +157,7 @@ def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: in
         setting = MoteusSetting("servo.pid_position.kp", value)
         text = write_request(setting).decode().split()[-1]
         assert "e" not in text
-        assert setting.is_right(float(f"{rounded_to_float32(float(text)):f}"))
+        assert setting.is_required_value(float(f"{rounded_to_float32(float(text)):f}"))
 
 
 VALUES_OUT_OF_RANGE = [
@@ -203,12 +203,12 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first, count = cyclic_frames.encode_commands(
-        block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
-        tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, tables.recheck_ranges,
-        tables.rechecks, 0, 0,
+        block, layout.places, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
+        tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
+        tables.servo_signal_reals, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip
     assert first == len(torque)
-    return [frame.data for frame in Frames.of_rows(out[:count])]
+    return [frame.data for frame in Frames.from_rows(out[:count])]
 
 
 def test_every_signal_has_its_range() -> None:
@@ -228,12 +228,12 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     The repeated read-back of the settings then finds the loss.
     """
     hand = hand_with_position_loop(protocol="moteus")
-    with homed_run(hand, 500.0, seed) as course:
-        advance_to_stage(course, FREE_STAGE)
+    with homed_run(hand, 500.0, seed) as hand_run:
+        advance_to_stage(hand_run, FREE_STAGE)
         motor = hand.motor[seed % 4].name
-        course.simulated_hand.inject(f"forget node={motor}")
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
-        found = {(mark.id, mark.instance) for mark in course.state.latched}
+        hand_run.simulated_hand.inject(f"forget node={motor}")
+        assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
+        found = {(mark.id, mark.instance) for mark in hand_run.state.latched}
         assert found
         assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}
-        assert max(course.simulated_hand.truth()["tension"]) < 60.0
+        assert max(hand_run.simulated_hand.truth()["tension"]) < 60.0

@@ -37,12 +37,12 @@ def test_odrive_05_with_watchdog_passes_all_checks_except_the_readback():
 
 def test_odrive_05_without_watchdog_fails_the_watchdog_check():
     rig = drive_rig_on(VirtualBench("odrive", **OLD_FIRMWARE), "odrive", 0.1, OLD_FIRMWARE)
-    failed = [
+    failed_checks = [
         check.name
         for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05))
         if check.verdict is CheckVerdict.FAILED
     ]
-    assert failed == ["disables itself when the host falls silent, and stays off"]
+    assert failed_checks == ["disables itself when the host falls silent, and stays off"]
 
 
 @pytest.mark.parametrize(
@@ -64,8 +64,8 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     send = virtual_bench.send
     virtual_bench.send = lambda frames: (sent.extend(frames), send(frames))[1]
     rig.run_until(DriveTarget.ENABLE, lambda state: False, 1.0)
-    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE_FLAG}
-    assert asked == {0x09}
+    requests = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE_FLAG}
+    assert requests == {0x09}
     assert rig.state.phase == DrivePhase.ENABLED
 
 
@@ -110,11 +110,14 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
     virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
     virtual_bench.bench.nodes[0].disarm(1 << 24)
     virtual_bench.bench.advance(200_000_000)
-    beat = next(frame for frame in virtual_bench.drain() if frame.can_id & 0x1F == 1)
-    assert message.decode(beat.data, decode_choices=True)["Axis_Error"] == "WATCHDOG_TIMER_EXPIRED"
+    heartbeat = next(frame for frame in virtual_bench.drain() if frame.can_id & 0x1F == 1)
+    assert (
+        message.decode(heartbeat.data, decode_choices=True)["Axis_Error"]
+        == "WATCHDOG_TIMER_EXPIRED"
+    )
 
 
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
     drive = make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, {}), 0)
-    beat = Frame(DRIVE_NODE_ID << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
-    assert drive.receive(drive.initial_state(), beat).phase != DrivePhase.FAULT
+    heartbeat = Frame(DRIVE_NODE_ID << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
+    assert drive.receive(drive.initial_state(), heartbeat).phase != DrivePhase.FAULT

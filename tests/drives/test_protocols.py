@@ -12,12 +12,12 @@ import pytest
 
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.drives.readback import RECHECK_TRIES, RecheckCursor
 from tests.drives.protocol_bench import ProtocolBench, hand_file, servo_torques
 
 
-@pytest.fixture(params=GUARDED_PROTOCOLS)
+@pytest.fixture(params=VERIFIABLE_PROTOCOLS)
 def protocol(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
@@ -43,7 +43,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
-    assert [state.misread for state in bench.states] == [0] * 4
+    assert [state.misread_frame_count for state in bench.states] == [0] * 4
     assert bench.simulated_hand.world.malformed == 0
 
 

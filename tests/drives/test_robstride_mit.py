@@ -58,7 +58,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
-    assert [state.misread for state in bench.states] == [0] * 4
+    assert [state.misread_frame_count for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
@@ -101,9 +101,9 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
         for _ in range(100):
             before = [state.phase for state in bench.states]
             bench.tick(target)
-            reads = [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
-            seen += reads
-            assert not reads or DrivePhase.ENABLED not in before
+            read_requests = [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
+            seen += read_requests
+            assert not read_requests or DrivePhase.ENABLED not in before
         assert {state.phase for state in bench.states} == {phase}
     for _ in range(20):
         bench.tick(DriveTarget.POLL)

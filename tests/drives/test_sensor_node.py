@@ -101,11 +101,11 @@ def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
     counter_nibbles = [counter & 0xF for counter in sync_counters(joint_decimation)]
     n = len(counter_nibbles)
     for age in range(1, 200):
-        same = [
+        is_same_counter = [
             k >= age and counter_nibbles[k] == counter_nibbles[k - age] for k in range(n)
         ]  # in the first ticks, there is no older frame
-        assert sum(same) <= (0 if age < 8 else 0.4 * n), age
-        worst = max(sum(same[k : k + 100]) for k in range(n - 100))
+        assert sum(is_same_counter) <= (0 if age < 8 else 0.4 * n), age
+        worst = max(sum(is_same_counter[k : k + 100]) for k in range(n - 100))
         assert worst < 60, age
 
 
@@ -194,19 +194,19 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
     Two causes are possible: frames changed their order on the bus, or another node sends an old
     frame again.
     """
-    (fresh, *_), (stale, *_) = (
+    (fresh, *_), (stale_frame, *_) = (
         encode_frames(first_id, message_prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
     )
     for frames, stale_now in (
-        ([stale], 1),
-        ([stale, fresh], 1),
-        ([fresh, stale], 2),
-        ([fresh, stale, stale], 2),
+        ([stale_frame], 1),
+        ([stale_frame, fresh], 1),
+        ([fresh, stale_frame], 2),
+        ([fresh, stale_frame, stale_frame], 2),
     ):
         wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
         assert (wired.field_number("stale_now"), wired.field_number("stale")) == (
             stale_now,
-            frames.count(stale),
+            frames.count(stale_frame),
         )
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
     wired.begin_tick_with_sync(tick_with_counter_nibble(node, 4))

@@ -34,7 +34,7 @@ def test_wrong_setting_is_written_and_read_again(lost_writes: int) -> None:
     for number in range(lost_writes):
         cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
         assert (cursor, problem) == (ReadbackCursor(2, writing=True, written=number), "")
-        cursor = cursor.after_write()
+        cursor = cursor.cursor_after_write()
         assert cursor == ReadbackCursor(2, written=number + 1)
         cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send

@@ -48,7 +48,7 @@ def run_drive_with_registers(
 
     Return the final state, and the tick and the register of each request.
     """
-    asked = []
+    requests = []
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
     for k in range(tick_count):
         state, frames = drive.advance(state, k * TICK_NS, DriveTarget.ENABLE, 0.1)
@@ -58,12 +58,12 @@ def run_drive_with_registers(
             answer = feedback
             if frame.can_id == codec.BROADCAST_ID:
                 register = frame.data[3]
-                asked.append((k, register))
+                requests.append((k, register))
                 answer = frame.data[:4] + codec.register_bytes(register, register_values[register])
                 if not motor_is_heard:
                     continue
             state = drive.receive(state, Frame(drive.reply_id, answer, 0, 0, k * TICK_NS + 1000))
-    return state, asked
+    return state, requests
 
 
 CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
@@ -76,12 +76,12 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     The first byte of such a reply may equal the first byte of the feedback of an enabled motor.
     """
     drive, state = enabled_mit_drive(node_id)
-    state, asked = run_drive_with_registers(drive, state, 2001, CORRECT_REGISTERS)
-    assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
-    assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
+    state, requests = run_drive_with_registers(drive, state, 2001, CORRECT_REGISTERS)
+    assert [register for _, register in requests] == [codec.TIMEOUT, codec.TMAX] * 4
+    assert {b - a for (a, _), (b, _) in pairwise(requests)} == {250}
     assert state.phase == DrivePhase.ENABLED
     assert state.feedback_count == 2001
-    assert state.misread == 0
+    assert state.misread_frame_count == 0
 
 
 def test_no_two_of_eleven_motors_ask_in_one_tick():
@@ -96,13 +96,13 @@ def test_no_two_of_eleven_motors_ask_in_one_tick():
 @pytest.mark.parametrize("node_id", [2, 0x12])
 def test_a_lost_register_is_a_mismatch_within_a_second(node_id, changed_registers):
     drive, state = enabled_mit_drive(node_id)
-    state, asked = run_drive_with_registers(
+    state, requests = run_drive_with_registers(
         drive, state, 600, CORRECT_REGISTERS | changed_registers
     )
     assert state.phase == DrivePhase.FAULT
-    assert drive.fault_cause(state.error) == DriveFaultCause.MISMATCH
+    assert drive.fault_cause(state.error) == DriveFaultCause.SETTING_MISMATCH
     assert "while enabled" in state.error_text
-    assert asked[-1][0] <= 500
+    assert requests[-1][0] <= 500
 
 
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
@@ -111,25 +111,25 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
         drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert few.phase == DrivePhase.ENABLED
-    many, asked = run_drive_with_registers(
+    many, requests = run_drive_with_registers(
         drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, motor_is_heard=False
     )
     assert many.phase == DrivePhase.FAULT
     assert "not answered while enabled" in many.error_text
-    assert len(asked) == readback.RECHECK_TRIES - 1
+    assert len(requests) == readback.RECHECK_TRIES - 1
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
-    with homed_run(hand, default_control_rate(hand), seed) as course:
-        advance_to_stage(course, FREE_STAGE)
-        course.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
-        end_s = course.k * course.period_ns * 1e-9 + 1.01
-        assert course.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
-        assert course.k * course.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.instance) for mark in course.state.latched}
+    with homed_run(hand, default_control_rate(hand), seed) as hand_run:
+        advance_to_stage(hand_run, FREE_STAGE)
+        hand_run.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
+        end_s = hand_run.k * hand_run.period_ns * 1e-9 + 1.01
+        assert hand_run.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
+        assert hand_run.k * hand_run.period_ns * 1e-9 <= end_s
+        latched = {(mark.id, mark.instance) for mark in hand_run.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}
 
 
@@ -141,11 +141,11 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     before it reads the settings again.
     """
     hand = hand_with_protocol("jamia", "moteus")
-    with homed_run(hand, default_control_rate(hand), seed) as course:
-        advance_to_stage(course, FREE_STAGE)
+    with homed_run(hand, default_control_rate(hand), seed) as hand_run:
+        advance_to_stage(hand_run, FREE_STAGE)
         motor = hand.motor[seed % 4].name
-        course.simulated_hand.inject(f"forget node={motor}")
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
-        found = {(mark.id, mark.instance) for mark in course.state.latched}
+        hand_run.simulated_hand.inject(f"forget node={motor}")
+        assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
+        found = {(mark.id, mark.instance) for mark in hand_run.state.latched}
         assert found <= {("N12", motor), ("N14", motor)}
         assert found

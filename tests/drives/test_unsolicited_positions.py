@@ -55,7 +55,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
         run.are_ticks_recorded = False
         largest = 0.0
         for _, out in run.run_ticks(4.0):
-            largest = max(largest, float(run.state.tendon[s.SWING_SQUARE].max()))
+            largest = max(largest, float(run.state.tendon[s.MEAN_SQUARE_TENSION_SWING].max()))
             if out.mode == HandMode.RELAX:
                 break
         assert not run.state.failure, "the task ends by itself"

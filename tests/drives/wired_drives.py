@@ -88,9 +88,9 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
-                known.reals, known.recheck_ranges, known.rechecks, at,
-                self.sensors.earliest_answer_ns(self.field_number("t_ns")),
+                self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries,
+                known.signal_integers, known.signal_reals, known.recheck_ranges, known.rechecks, at,
+                self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
@@ -111,11 +111,12 @@ class WiredDrives:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
                 first, count = cyclic_frames.encode_commands(
-                    self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
-                    tables.servo_wholes, tables.servo_reals, tables.recheck_ranges, tables.rechecks, first, 0,
+                    self.block, self.layout.places, out, tables.commands, tables.command_signal_integers,
+                    tables.command_signal_reals, tables.templates, np.asarray(torque, dtype=np.float64),
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    tables.recheck_ranges, tables.rechecks, first, 0,
                 )  # fmt: skip
-                sent += Frames.of_rows(out[:count])
+                sent += Frames.from_rows(out[:count])
             if first >= len(self.drives):
                 return sent
             state, frames = self.drives[first].advance(
@@ -132,13 +133,13 @@ class WiredDrives:
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
         )
         table[s.POSITION : s.POSITION + 4, drive_index] = drive_state[1:5]
-        whole[s.FEEDBACKS, drive_index], whole[s.FEEDBACK_NS, drive_index] = (
+        whole[s.FEEDBACK_COUNT, drive_index], whole[s.FEEDBACK_NS, drive_index] = (
             drive_state.feedback_count,
             drive_state.feedback_t_ns,
         )
         whole[s.RECHECK_STEP : s.RECHECK_TRIES + 1, drive_index] = drive_state.recheck
         whole[s.PHASE, drive_index] = drive_state.phase
-        whole[s.STATUS_EXPECTED, drive_index], whole[s.DUE_NS, drive_index] = (
+        whole[s.STATUS_EXPECTED, drive_index], whole[s.DRIVE_DUE_NS, drive_index] = (
             drive.steady_status(drive_state),
             drive.due_ns(drive_state),
         )
@@ -180,10 +181,10 @@ class WiredDrives:
     def _constants(self) -> tuple[NDArray, NDArray]:
         """Return the block of a hand's constants, in which only those about load-cell frames have values."""
         axes = self.layout.axes
-        kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
+        used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
         layout = CONSTANT_SCHEMA.layout(
             {
-                **kept,
+                **used_axes,
                 "kind": FILTER_DESIGN_COUNT,
                 "element": DESIGN_ELEMENT_COUNT,
                 "place": 1,

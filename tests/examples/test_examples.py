@@ -75,12 +75,12 @@ def grasp_log(tmp_path_factory):
 def run_example(example_name, *example_arguments, stdin_text=""):
     """Run an example program and return its output."""
     command = [sys.executable, str(EXAMPLES_FOLDER / example_name), *example_arguments]
-    ran = subprocess.run(
+    result = subprocess.run(
         command, capture_output=True, text=True, timeout=280, input=stdin_text, check=False
     )
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "Traceback" not in ran.stderr
-    return ran.stdout
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "Traceback" not in result.stderr
+    return result.stdout
 
 
 def numbers_in(printed_text):
@@ -190,8 +190,10 @@ def test_notebook(repeat_time_scale, monkeypatch):
 
 
 def test_push():
-    soft, stiff = (numbers_in(line)[1] for line in run_example("push.py").splitlines())
-    assert 2.0 < soft < stiff - 1.0 < 8.0
+    soft_numbers, stiff_numbers = (
+        numbers_in(line)[1] for line in run_example("push.py").splitlines()
+    )
+    assert 2.0 < soft_numbers < stiff_numbers - 1.0 < 8.0
     check_picture("push.png")
 
 

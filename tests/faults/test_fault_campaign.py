@@ -577,11 +577,13 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
         hand, [protocol], default_control_rate, jobs=2, is_quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
-    failed = {result.scenario: result.problem for result in report.all_results if not result.ok}
+    failed_checks = {
+        result.scenario: result.problem for result in report.all_results if not result.ok
+    }
     known = KNOWN_FAILURES.get((hand, protocol), set())
-    assert {name: why for name, why in failed.items() if name not in known} == {}
+    assert {name: why for name, why in failed_checks.items() if name not in known} == {}
     # A known failure that passes must be removed from the list.
-    assert known & {result.scenario for result in report.all_results} <= failed.keys()
+    assert known & {result.scenario for result in report.all_results} <= failed_checks.keys()
     assert report.false_alarms == {protocol: []}
 
 

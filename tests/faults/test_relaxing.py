@@ -23,14 +23,14 @@ from handctl.campaign.run_stages import (
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SIMULATOR_SEEDS = range(20) if NIGHTLY else range(3)
 HANDS_AND_PROTOCOLS = [
-    (hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED_PROTOCOLS
+    (hand, protocol) for hand in ("jamia", "jamia11") for protocol in VERIFIABLE_PROTOCOLS
 ]
 SAMPLED_CASES = [
     (*one, seed)

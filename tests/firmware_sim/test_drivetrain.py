@@ -117,17 +117,17 @@ def test_the_world_steps_in_blocks_between_events() -> None:
 
     Watchdogs fire at the same times.
     """
-    far, near = (
+    far_result, near_result = (
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
     )
-    far.advance(250_250_000)
+    far_result.advance(250_250_000)
     for k in range(1, 251):
-        near.advance(k * 1_000_000)
-    near.advance(250_250_000)
-    assert far.t_ns == near.t_ns == 250_000_000
-    assert exact_state_texts(far.plant) == exact_state_texts(near.plant)
-    assert [node.wake_ns for bus in far.nodes for node in bus] == [
-        node.wake_ns for bus in near.nodes for node in bus
+        near_result.advance(k * 1_000_000)
+    near_result.advance(250_250_000)
+    assert far_result.t_ns == near_result.t_ns == 250_000_000
+    assert exact_state_texts(far_result.plant) == exact_state_texts(near_result.plant)
+    assert [node.wake_ns for bus in far_result.nodes for node in bus] == [
+        node.wake_ns for bus in near_result.nodes for node in bus
     ]
 
 

@@ -212,6 +212,6 @@ def test_blocks_of_steps_end_at_every_event():
         ]
         return frames, state, [motor.theta.hex() for motor in world.plant.motors.values()]
 
-    far, near = run(2_000_000), run(500_000)
-    assert far == near
-    assert sum(fault["felt"] > 0 for fault in far[1]) == len(FAULT_TEXTS)
+    long_step_result, short_step_result = run(2_000_000), run(500_000)
+    assert long_step_result == short_step_result
+    assert sum(fault["felt"] > 0 for fault in long_step_result[1]) == len(FAULT_TEXTS)

@@ -141,7 +141,7 @@ def record_numbers(record_bytes: bytes) -> list[tuple[int, int]]:
 def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    reader, idle = connect_client(), connect_client()
+    reader, idle_client = connect_client(), connect_client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
     while hub.dropped < 70_000:  # more dropped records than the counter in a record can count
@@ -155,22 +155,22 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
         received += record_numbers(read_all(reader))
     assert received == [(number, 0) for number in range(total)]
 
-    read = read_all(idle)
+    read = read_all(idle_client)
     hub.serve([])  # this call completes a record that was partly sent
-    read += read_all(idle)
+    read += read_all(idle_client)
     rows = record_numbers(read)
     assert rows == [(number, 0) for number in range(len(rows))], (
         "the first records are kept, complete and in order"
     )
     assert len(rows) + hub.dropped == total
     hub.send(frame_record(5, total.to_bytes(4, "little")))
-    assert record_numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
+    assert record_numbers(read_all(idle_client)) == [(total, hub.dropped % 65536)]
 
 
 def test_an_incomplete_record_is_completed_before_the_next(
     hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
-    idle = connect_client()
+    idle_client = connect_client()
     batch = b"".join(frame_record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.write_sockets():
         hub.send(batch)
@@ -179,12 +179,12 @@ def test_an_incomplete_record_is_completed_before_the_next(
     dropped = hub.dropped
     hub.send(frame_record(1, b"while one is half sent"))
     assert hub.dropped == dropped + 1
-    first_part = read_all(idle)
+    first_part = read_all(idle_client)
     assert len(first_part) % RECORD_BYTES
     hub.serve([])
     assert hub.write_sockets() == []
     hub.send(frame_record(0x7FF, b"next"))
-    data = first_part + read_all(idle)
+    data = first_part + read_all(idle_client)
     assert len(data) % RECORD_BYTES == 0
     assert data[-RECORD_BYTES:] == frame_record(0x7FF, b"next", dropped_frames=hub.dropped % 65536)
 

@@ -56,14 +56,14 @@ def test_a_command_is_read_exactly(command_codes: tuple[int, int, int, int], pos
     command = decode_command(
         packed_bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), FRAME_RANGES
     )
-    exact = (
+    exact_value = (
         Fraction(position) * 25 / 65535 - Fraction(25, 2),
         Fraction(v) * 100 / 4095 - 50,
         Fraction(kp) * 500 / 4095,
         Fraction(kd) * 5 / 4095,
         Fraction(torque) * Fraction(8, 5) / 4095 - Fraction(4, 5),
     )
-    assert command == pytest.approx([float(value) for value in exact], abs=1e-12)
+    assert command == pytest.approx([float(value) for value in exact_value], abs=1e-12)
 
 
 def test_feedback_byte_by_byte() -> None:

@@ -94,14 +94,16 @@ def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction:
     drive.send_command(0.05, 0.4, 0.02, kp, kd)
     drive.advance_time(5)
     target = 0.05 + 0.005 * 0.4
-    exact = (
+    exact_value = (
         KP * kp * (target - drive.read_register(1))
         + KD * kd * (0.4 - drive.read_register(2))
         + 0.02
     )
-    assert drive.read_register(3) == pytest.approx(exact, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4)
+    assert drive.read_register(3) == pytest.approx(
+        exact_value, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
+    )
     assert direction * drive.motor.torque == pytest.approx(
-        exact, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
+        exact_value, abs=KP * ENCODER_STEP / TURN_RAD + 1e-4
     )
 
 

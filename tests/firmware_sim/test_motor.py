@@ -24,9 +24,9 @@ def test_constant_torque_gives_constant_acceleration_after_the_current_lag() -> 
     motor = Motor(FRICTIONLESS_SPEC, STEP_S)
     motor.servo.torque, motor.servo.limit = 0.02, 1.0
     spin_motor(motor, 0.5)
-    exact = 0.02 / MOTOR_SPEC.inertia * (0.5 - CURRENT_LAG_S)
-    assert motor.omega == pytest.approx(exact, rel=1e-3)
-    assert motor.theta == pytest.approx(exact * 0.5 / 2, rel=2e-3)
+    exact_value = 0.02 / MOTOR_SPEC.inertia * (0.5 - CURRENT_LAG_S)
+    assert motor.omega == pytest.approx(exact_value, rel=1e-3)
+    assert motor.theta == pytest.approx(exact_value * 0.5 / 2, rel=2e-3)
 
 
 def test_viscous_friction_sets_the_final_speed() -> None:
@@ -61,12 +61,14 @@ def test_friction_stops_a_fast_rotor_without_reversing_it() -> None:
     assert speeds[-1] < 1e-6
     # A rotor with inertia J and initial speed w comes to rest after t = J/b ln(1 + b w / tau_c).
     # tau_c is the Coulomb friction, and b the viscous friction.
-    exact = (
+    exact_value = (
         MOTOR_SPEC.inertia
         / MOTOR_SPEC.viscous
         * math.log(1 + MOTOR_SPEC.viscous * 10.0 / MOTOR_SPEC.coulomb)
     )
-    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP_S == pytest.approx(exact, rel=0.05)
+    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP_S == pytest.approx(
+        exact_value, rel=0.05
+    )
 
 
 def test_the_current_follows_with_its_lag() -> None:
@@ -123,11 +125,11 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(target_speed: float) 
         motor.advance(0.0)
         # The motor current follows the command with a lag.
         t = k * step_s - CURRENT_LAG_S
-        exact = target_speed / omega * math.exp(-decay_rate * t) * math.sin(omega * t)
+        exact_value = target_speed / omega * math.exp(-decay_rate * t) * math.sin(omega * t)
         error = target_speed * k * step_s - motor.theta
         assert servo.position == pytest.approx(target_speed * k * step_s, rel=1e-9)
         if k > 500:
-            largest = max(largest, abs(error - exact))
+            largest = max(largest, abs(error - exact_value))
     assert largest < 0.05 * abs(target_speed) / omega + ENCODER_STEP
     assert abs(target_speed) / omega > 10.0 * ENCODER_STEP
 

@@ -232,12 +232,12 @@ def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
 
     The error of this method is small, and becomes smaller with a smaller time step.
     """
-    exact = closing_hand(monkeypatch, 0.05e-3)
+    exact_value = closing_hand(monkeypatch, 0.05e-3)
     errors = [
-        np.degrees(np.sqrt(((closing_hand(monkeypatch, step) - exact) ** 2).mean()))
+        np.degrees(np.sqrt(((closing_hand(monkeypatch, step) - exact_value) ** 2).mean()))
         for step in (0.5e-3, 0.1e-3)
     ]
-    assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"
+    assert np.degrees(exact_value[-1].min()) > 12.0, "the digit closed"
     assert errors[0] < 0.2
     assert errors[1] < 0.3 * errors[0]
 

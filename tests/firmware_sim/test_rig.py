@@ -98,10 +98,10 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
 
 def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
     rig = LockstepHand("jamia")
-    writes = [
+    write_requests = [
         frame_tuple(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTOR_NODES
     ]
-    rig.step(0, [*writes, *[frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES]])
+    rig.step(0, [*write_requests, *[frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES]])
     for k in range(1, 200):
         step_with_torque(rig, k, 0.1)
     tension = rig.world.plant.tensions()[0]
@@ -219,9 +219,11 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
 
 
 def test_perturbations_change_the_plant_not_the_wire() -> None:
-    soft, stiff = (LockstepHand("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3))
+    soft, stiff_hand = (
+        LockstepHand("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3)
+    )
     angles = []
-    for rig in (soft, stiff):
+    for rig in (soft, stiff_hand):
         close_hand(rig, 100.0, 1.5)
         plant = rig.world.plant
         stretch = 0.005 * plant.motors["index_motor"].theta - 0.003 * sum(plant.engine.q[:3])

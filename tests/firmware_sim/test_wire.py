@@ -69,8 +69,10 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
 
     After every five zeros, there is a stuff bit.
     """
-    zeros = 1 + 11 + 3 + 4 + 15
-    assert ACTUAL_RATES.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
+    zero_bit_count = 1 + 11 + 3 + 4 + 15
+    assert (
+        ACTUAL_RATES.frame_ns(Frame(0, b"")) == (zero_bit_count + zero_bit_count // 5 + 13) * 1000
+    )
     assert ACTUAL_RATES.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
         "at most six stuff bits"
     )
@@ -258,7 +260,9 @@ def test_frames_of_one_usb_frame_arrive_together_and_in_order() -> None:
     latency = AdapterLatency("usb-fs", 3)
     times = [latency.receive(t_ns) for t_ns in range(0, 20_000_000, 130_000)]
     assert times == sorted(times)
-    steps = sorted({later - earlier for earlier, later in pairwise(times)} - {0})
+    steps = sorted(
+        {later_time - earlier_time for earlier_time, later_time in pairwise(times)} - {0}
+    )
     assert steps == pytest.approx([1_000_100] * len(steps), abs=2)
 
 

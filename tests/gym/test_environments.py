@@ -114,11 +114,11 @@ def test_the_reference_can_be_tracked(hand_name: str, reference_span: float | No
         **({} if reference_span is None else {"span": (0.0, reference_span)}),
     )
     seen, _ = env.reset(seed=3)
-    rewards, ended, truncated = [], False, False
-    while not (ended or truncated):
-        seen, reward, ended, truncated, info = env.step(action_towards_reference(env, seen))
+    rewards, ended, is_truncated = [], False, False
+    while not (ended or is_truncated):
+        seen, reward, ended, is_truncated, info = env.step(action_towards_reference(env, seen))
         rewards.append(reward)
-    assert truncated, info
+    assert is_truncated, info
     assert len(rewards) == env.max_steps == 250
     assert np.mean(rewards) > 0.8
     assert info["error_deg"] < 3.0
@@ -129,9 +129,9 @@ def test_the_object_can_be_grasped(hand_name: str) -> None:
     env = make_env(GRASP_ENV, hand=hand_name, **DIAMETER_OPTIONS.get(hand_name, {}))
     for seed in range(3):
         env.reset(seed=seed)
-        total, step, ended, truncated = 0.0, 0, False, False
-        while not (ended or truncated):
-            _, reward, ended, truncated, info = env.step(closing_action(env, step))
+        total, step, ended, is_truncated = 0.0, 0, False, False
+        while not (ended or is_truncated):
+            _, reward, ended, is_truncated, info = env.step(closing_action(env, step))
             total, step = total + reward, step + 1
         assert ended, info
         assert info["is_success"], info
@@ -161,8 +161,8 @@ def test_a_fault_ends_an_episode() -> None:
     env.simulated_run.simulated_hand.inject("snap tendon=index_tendon at=1s")
     ended = False
     while not ended:
-        seen, _, ended, truncated, info = env.step(action_towards_reference(env, seen))
-        assert not truncated
+        seen, _, ended, is_truncated, info = env.step(action_towards_reference(env, seen))
+        assert not is_truncated
     assert re.match("fault T0(1|2b) index_tendon", info["failure"])
     assert info["mode"] == "RELAX"
 
@@ -177,9 +177,9 @@ def test_random_actions_are_limited_and_trip_nothing_on_a_free_hand() -> None:
     for seed in range(20):
         env.reset(seed=seed)
         rng = np.random.default_rng(seed)
-        truncated = False
-        while not truncated:
-            *_, ended, truncated, info = env.step(rng.uniform(-1.0, 1.0, 4).astype(np.float32))
+        is_truncated = False
+        while not is_truncated:
+            *_, ended, is_truncated, info = env.step(rng.uniform(-1.0, 1.0, 4).astype(np.float32))
             assert not ended, (seed, info)
             assert max(env.simulated_run.simulated_hand.truth()["tension"]) < limit
 
@@ -245,8 +245,10 @@ def test_a_wrong_action_is_one_line() -> None:
 
 def test_a_missing_extra_is_one_line_that_names_it() -> None:
     code = "import sys\nsys.modules['gymnasium'] = None\nimport handctl.gym"
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert ran.stderr.splitlines()[-1].endswith(
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert result.stderr.splitlines()[-1].endswith(
         "handctl.gym needs gymnasium: pip install 'handctl[gym]'"
     )
 

@@ -94,10 +94,10 @@ def test_a_path_of_points_gives_postures_without_jumps() -> None:
     low, high = digit.reach
     rows = np.linspace(low, 0.9 * high, 200)
     theta = closest_tip(digit, tip_position(digit, rows[0])).coordinates
-    way = [theta]
+    trajectory = [theta]
     for row in rows[1:]:
-        way.append(closest_tip(digit, tip_position(digit, row), way[-1]).coordinates)
-    assert np.degrees(np.abs(np.diff(way, axis=0))).max() < 3.0
+        trajectory.append(closest_tip(digit, tip_position(digit, row), trajectory[-1]).coordinates)
+    assert np.degrees(np.abs(np.diff(trajectory, axis=0))).max() < 3.0
 
 
 @pytest.mark.parametrize("seed", range(SEED_COUNT))

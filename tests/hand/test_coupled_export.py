@@ -35,8 +35,8 @@ def test_mujoco_keeps_rigidly_coupled_joints_together() -> None:
     model = mujoco.MjModel.from_xml_string(mjcf_text(SHADOW_LIKE))
     assert model.neq == len(DRIVER_BY_COUPLED_JOINT)
     data = mujoco.MjData(model)
-    outer = model.actuator("index_outer").id
-    data.ctrl[outer] = 2.0
+    outer_actuator = model.actuator("index_outer").id
+    data.ctrl[outer_actuator] = 2.0
     for _ in range(400):
         mujoco.mj_step(model, data)
     turned = data.qpos[[model.joint(name).qposadr[0] for name in ("index_j3", "index_j4")]]

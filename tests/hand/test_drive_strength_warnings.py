@@ -10,7 +10,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.hand.tendon_strength import (
-    STRENGTH_MARGIN,
+    MIN_STRENGTH_RATIO,
     largest_safe_force,
     runaway_tension,
     strength_warnings,
@@ -74,12 +74,12 @@ def test_check_warns_of_each_jamia_and_accepts_it(hand_name, capsys):
 def test_the_bound_is_exact(hand_name):
     hand = load_hand(hand_name)
     spool = hand.motor[0].spool_radius_m
-    for strength in (400.0, 900.0):
-        max_force = largest_safe_force(strength)
-        assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(max_force))
+    for breaking_force in (400.0, 900.0):
+        max_force = largest_safe_force(breaking_force)
+        assert breaking_force == pytest.approx(MIN_STRENGTH_RATIO * runaway_tension(max_force))
         for factor, warning_lines in ((0.999, False), (1.001, True)):
             other = hand_with_ratings(
-                hand, peak_torque=factor * max_force * spool, breaking_strength=strength
+                hand, peak_torque=factor * max_force * spool, breaking_strength=breaking_force
             )
             assert (
                 any("torque_peak_N_m" in line for line in strength_warnings(other)) == warning_lines

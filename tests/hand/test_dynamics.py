@@ -45,7 +45,7 @@ def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
         joint = kinds[int(digit.is_prismatic[i])](np.array(digit.axes[i]))
         parent = model.addJoint(parent, joint, place * turned, digit.joint_names[i])
         body = pinocchio.Inertia(
-            digit.masses[i], np.array(digit.coms[i]), np.array(digit.inertias[i])
+            digit.masses[i], np.array(digit.centres_of_mass[i]), np.array(digit.inertias[i])
         )
         model.appendBodyToJoint(parent, body, pinocchio.SE3.Identity())
         place = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
@@ -56,11 +56,11 @@ def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
 
 def joint_rotation(digit: DigitModel, link_index: int) -> np.ndarray:
     """Return the orientation of link i at angle zero, relative to the frame of the link before it."""
-    at_zero = (
+    rotation_at_zero = (
         digit.table[rigid_body.FIXED_ROTATION_ROW : rigid_body.COSINE_ROTATION_ROW, link_index]
         + digit.table[rigid_body.COSINE_ROTATION_ROW : rigid_body.SINE_ROTATION_ROW, link_index]
     )
-    rotation = at_zero.reshape(3, 3)
+    rotation = rotation_at_zero.reshape(3, 3)
     return rotation if link_index else digit.mount_rotation.T @ rotation
 
 
@@ -73,9 +73,12 @@ def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity_m_s2):
         for q, dq, ddq in random_motions(rng, digit.joint_count):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
             assert arrays_agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
-            standing = pinocchio.rnea(model, data, q, np.zeros_like(q), np.zeros_like(q))
+            torque_at_rest = pinocchio.rnea(model, data, q, np.zeros_like(q), np.zeros_like(q))
             assert np.allclose(
-                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=RELATIVE_TOLERANCE * 1e-3
+                dynamics.gravity_torque(digit, q),
+                torque_at_rest,
+                rtol=0,
+                atol=RELATIVE_TOLERANCE * 1e-3,
             )
             upper = np.triu(pinocchio.crba(model, data, q))
             assert arrays_agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
@@ -93,12 +96,12 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity_m_s2)
     data = model.createData()
     digits = [digit.with_gravity(gravity_m_s2) for digit in digits]
     for q, dq, ddq in random_motions(rng, len(hand.joints)):
-        theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+        pinocchio_result = [np.zeros(model.nv) for _ in range(3)]
+        for vector, own_vector in zip(pinocchio_result, (q, dq, ddq), strict=True):
             vector[order] = own_vector
         assert arrays_agree(
             inverse_dynamics_of_hand(digits, q, dq, ddq),
-            pinocchio.rnea(model, data, *theirs)[order],
+            pinocchio.rnea(model, data, *pinocchio_result)[order],
         )
 
 
@@ -112,14 +115,14 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity_m_s2):
     model.dof_armature[:] = np.concatenate([digit.armature for digit in digits])
     data = mujoco.MjData(model)
     digits = [digit.with_gravity(gravity_m_s2) for digit in digits]
-    full = np.zeros((model.nv, model.nv))
+    mass_matrix = np.zeros((model.nv, model.nv))
     for q, dq, ddq in random_motions(rng, model.nv):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
         mujoco.mj_inverse(model, data)
         assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), data.qfrc_inverse)
-        mujoco.mj_fullM(model, data, full)
+        mujoco.mj_fullM(model, data, mass_matrix)
         for digit in digits:
-            block = full[digit.joints, digit.joints]
+            block = mass_matrix[digit.joints, digit.joints]
             assert arrays_agree(dynamics.mass_matrix(digit, q[digit.joints]), block)
 
 
@@ -139,19 +142,23 @@ def test_one_joint_is_a_pendulum(rng):
     thumb["coupling"] = None
     tendon = {**content["tendon"][3], "moment_arm_m": {"thumb_j1": 0.003}}
     node = {**content["sensor_node"], "tendons": ["thumb_tendon"], "joints": []}
-    alone = {
+    joint_values = {
         **content,
         "digit": [thumb],
         "tendon": [tendon],
         "motor": [content["motor"][3]],
         "sensor_node": node,
     }
-    digit = DigitModel.from_hand(Hand.model_validate(alone), "thumb").with_gravity(
+    digit = DigitModel.from_hand(Hand.model_validate(joint_values), "thumb").with_gravity(
         (0.0, -9.81, 0.0)
     )
-    inertia = digit.inertias[0, 2, 2] + digit.masses[0] * digit.coms[0, 0] ** 2 + digit.armature[0]
+    inertia = (
+        digit.inertias[0, 2, 2]
+        + digit.masses[0] * digit.centres_of_mass[0, 0] ** 2
+        + digit.armature[0]
+    )
     for q, dq, ddq in random_motions(rng, 1, 50):
-        weight = digit.masses[0] * digit.coms[0, 0] * 9.81 * np.cos(q)
+        weight = digit.masses[0] * digit.centres_of_mass[0, 0] * 9.81 * np.cos(q)
         assert np.allclose(
             dynamics.inverse_dynamics(digit, q, dq, ddq), inertia * ddq + weight, rtol=1e-12
         )
@@ -230,12 +237,14 @@ def test_energy_is_conserved(digits):
 def test_sums_are_sums_of_their_parts(digits, rng):
     for digit in digits:
         for q, dq, ddq in random_motions(rng, digit.joint_count, 100):
-            rigid = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
+            rigid_body_torque = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
             passive = (
                 np.array(digit.spring_stiffness) * (q + digit.spring_preload)
                 + np.array(digit.joint_damping) * dq
             )
-            assert arrays_agree(dynamics.required_torque(digit, q, dq, ddq), rigid + passive)
+            assert arrays_agree(
+                dynamics.required_torque(digit, q, dq, ddq), rigid_body_torque + passive
+            )
             assert arrays_agree(dynamics.passive_torque(digit, q, dq), passive)
             weight = np.array(dynamics.gravity_torque(digit, q))
             assert np.allclose(
@@ -246,7 +255,7 @@ def test_sums_are_sums_of_their_parts(digits, rng):
             parts = (
                 dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
             )
-            assert arrays_agree(rigid, parts)
+            assert arrays_agree(rigid_body_torque, parts)
 
 
 def test_reduced_dynamics_is_the_projection(digits, rng):
@@ -254,10 +263,10 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
         coupling = digit.coupling
         for theta, dtheta, ddtheta in random_motions(rng, coupling.shape[1], 100):
             mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
-            full = dynamics.required_torque(
+            unprojected_torque = dynamics.required_torque(
                 digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta
             )
-            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
+            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(unprojected_torque))
 
 
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):

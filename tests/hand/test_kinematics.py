@@ -81,10 +81,10 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
                 ).toRotationMatrix()
                 assert np.allclose(turned, place.rotation, atol=1e-13)
             world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            theirs = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)[
-                :3, columns
-            ]
-            assert np.allclose(tip_jacobian(digit, q), theirs, atol=1e-14)
+            pinocchio_result = pinocchio.computeFrameJacobian(
+                model, data, configuration, tip, world
+            )[:3, columns]
+            assert np.allclose(tip_jacobian(digit, q), pinocchio_result, atol=1e-14)
 
 
 def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
@@ -107,7 +107,7 @@ def test_jacobians_are_derivatives(digits, rng):
             ]
             assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-10)
             for link in range(digit.joint_count):
-                middle = [
+                middle_result = [
                     sum(
                         sign * joint_points(digit, q + sign * s)[link : link + 2].mean(axis=0)
                         for sign in (1, -1)
@@ -116,7 +116,7 @@ def test_jacobians_are_derivatives(digits, rng):
                     for s in steps
                 ]
                 jacobian = point_jacobian(digit, q, link, digit.lengths[link] / 2)
-                assert np.allclose(jacobian, np.transpose(middle), atol=1e-10)
+                assert np.allclose(jacobian, np.transpose(middle_result), atol=1e-10)
 
 
 def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):

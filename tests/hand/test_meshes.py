@@ -134,8 +134,8 @@ def hand_with_mesh_keys(hand_name: str, **mesh_keys: object):
 
 def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.stl").mkdir()
-    with (tmp_path / "large.stl").open("wb") as large:
-        large.truncate(17 << 20)
+    with (tmp_path / "large.stl").open("wb") as large_file:
+        large_file.truncate(17 << 20)
     hand = hand_with_mesh_keys("t42", link_mesh=["folder.stl", "large.stl"])
     found = [*mesh_mistakes(hand, tmp_path), *mesh_mistakes(hand, tmp_path / "elsewhere")]
     assert [mistake.what for mistake in found] == 2 * [

@@ -39,17 +39,17 @@ def test_names_and_limits_are_the_hand_s(hand, mjcf_model):
 
 
 def test_tips_masses_and_torques_are_the_model_s(hand, digits, mjcf_model, rng):
-    data, full = mujoco.MjData(mjcf_model), np.zeros((mjcf_model.nv, mjcf_model.nv))
+    data, mass_matrix = mujoco.MjData(mjcf_model), np.zeros((mjcf_model.nv, mjcf_model.nv))
     for _ in range(20):
         data.qpos[:] = q = random_angles(hand, rng)
         data.ctrl[:] = tension = rng.uniform(0.0, [tendon.tension_max_N for tendon in hand.tendon])
         mujoco.mj_forward(mjcf_model, data)
-        mujoco.mj_fullM(mjcf_model, data, full)
+        mujoco.mj_fullM(mjcf_model, data, mass_matrix)
         for digit in digits:
             own = q[digit.joints]
             tip = joint_points(digit, own)[-1]
             assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
-            assert full[digit.joints, digit.joints] == pytest.approx(
+            assert mass_matrix[digit.joints, digit.joints] == pytest.approx(
                 dynamics.mass_matrix(digit, own), rel=1e-9
             )
             spring = -np.array(dynamics.spring_torque(digit, own))

@@ -41,7 +41,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
                 for one in step * np.eye(digit.joint_count)
             ]
             np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
-            assert digit.at_angles(q).has_varying_arm
+            assert digit.with_moment_arms_at(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
             found = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
             np.testing.assert_allclose(found, theta, atol=1e-9)
@@ -49,18 +49,22 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
 
 @pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
 def test_a_polynomial_of_one_coefficient_is_a_constant_arm(hand_name: str) -> None:
-    constant = load_hand(hand_name)
+    constant_hand = load_hand(hand_name)
     hand = hand_with_varying_arms(hand_name, 0.0)
-    np.testing.assert_allclose(hand.moment_arms, constant.moment_arms, rtol=1e-12)
+    np.testing.assert_allclose(hand.moment_arms, constant_hand.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for one in hand.digit_names:
         digit = DigitModel.from_hand(hand, one)
-        same = DigitModel.from_hand(constant, one)
+        constant_model = DigitModel.from_hand(constant_hand, one)
         np.testing.assert_allclose(
-            excursions(digit, q[digit.joints]), excursions(same, q[digit.joints]), rtol=1e-12
+            excursions(digit, q[digit.joints]),
+            excursions(constant_model, q[digit.joints]),
+            rtol=1e-12,
         )
         np.testing.assert_allclose(
-            digit.at_angles(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9
+            digit.with_moment_arms_at(q[digit.joints]).torque_to_tension,
+            constant_model.torque_to_tension,
+            rtol=1e-9,
         )
 
 

@@ -88,9 +88,12 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
         for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
             assert arrays_agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
-            standing = pinocchio.computeGeneralizedGravity(model, data, q)
+            torque_at_rest = pinocchio.computeGeneralizedGravity(model, data, q)
             assert np.allclose(
-                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=RELATIVE_TOLERANCE * 1e-3
+                dynamics.gravity_torque(digit, q),
+                torque_at_rest,
+                rtol=0,
+                atol=RELATIVE_TOLERANCE * 1e-3,
             )
             upper = np.triu(pinocchio.crba(model, data, q))
             assert arrays_agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
@@ -116,11 +119,11 @@ def inverse_by_mujoco(model, q, dq, ddq):
     """Return inverse dynamics and mass matrix of a MuJoCo model without constraints, damping and springs."""
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data, mass_matrix = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
     mujoco.mj_inverse(model, data)
-    mujoco.mj_fullM(model, data, full)
-    return np.array(data.qfrc_inverse), full
+    mujoco.mj_fullM(model, data, mass_matrix)
+    return np.array(data.qfrc_inverse), mass_matrix
 
 
 def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
@@ -137,11 +140,11 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
         for q, dq, ddq in random_motions(rng, model.nv, 10):
-            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
-            assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), theirs)
+            pinocchio_result, mass_matrix = inverse_by_mujoco(model, q, dq, ddq)
+            assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), pinocchio_result)
             for digit in digits:
                 own = digit.joints
-                assert arrays_agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
+                assert arrays_agree(dynamics.mass_matrix(digit, q[own]), mass_matrix[own, own])
 
 
 def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
@@ -151,15 +154,15 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
     for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
-        theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+        pinocchio_result = [np.zeros(model.nv) for _ in range(3)]
+        for vector, own_vector in zip(pinocchio_result, (q, dq, ddq), strict=True):
             vector[order] = own_vector
         armature = np.concatenate([digit.armature for digit in digits]) * ddq
         assert arrays_agree(
             inverse_dynamics_of_hand(digits, q, dq, ddq) - armature,
-            pinocchio.rnea(model, data, *theirs)[order],
+            pinocchio.rnea(model, data, *pinocchio_result)[order],
         )
-        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        pinocchio.framesForwardKinematics(model, data, pinocchio_result[0])
         for digit in digits:
             for transform in link_transforms(digit, q[digit.joints]):
                 place = data.oMf[model.getFrameId(transform.frame)]
@@ -234,12 +237,12 @@ def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
         side = forward_kinematics(digit, q).rotation[:, 1]
         assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
         for link in range(digit.joint_count):
-            middle = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
+            middle_result = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
             normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
             lever = rigid_body.tip_levers(
                 digit.table, digit.parent, q, link, 0.5 * digit.lengths[link]
             )
-            assert np.allclose(lever, normal @ middle, atol=1e-14)
+            assert np.allclose(lever, normal @ middle_result, atol=1e-14)
 
 
 @pytest.fixture(
@@ -265,11 +268,11 @@ def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandLinkTree
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
-    carried = [
+    carried_digit_counts = [
         sum(digit.mount_on is not None for digit in random_hand_tree_of(seed).digit)
         for seed in RANDOM_CHAIN_SEEDS
     ]
-    assert max(carried) >= 3
+    assert max(carried_digit_counts) >= 3
     is_on_carried_digit = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
         for hand in map(random_hand_tree_of, RANDOM_CHAIN_SEEDS)
@@ -286,9 +289,9 @@ def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_pat
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
         for q, dq, ddq in random_motions(rng, model.nv, 10):
-            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
-            assert arrays_agree(whole.inverse_dynamics(q, dq, ddq), theirs)
-            assert arrays_agree(whole.mass_matrix(q), full)
+            pinocchio_result, mass_matrix = inverse_by_mujoco(model, q, dq, ddq)
+            assert arrays_agree(whole.inverse_dynamics(q, dq, ddq), pinocchio_result)
+            assert arrays_agree(whole.mass_matrix(q), mass_matrix)
 
 
 def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
@@ -298,18 +301,20 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
     for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
-        theirs = [np.zeros(model.nv) for _ in range(3)]
-        for vector, own_vector in zip(theirs, (q, dq, ddq), strict=True):
+        pinocchio_result = [np.zeros(model.nv) for _ in range(3)]
+        for vector, own_vector in zip(pinocchio_result, (q, dq, ddq), strict=True):
             vector[order] = own_vector
         armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
         assert arrays_agree(
             whole.inverse_dynamics(q, dq, ddq) - armature,
-            pinocchio.rnea(model, data, *theirs)[order],
+            pinocchio.rnea(model, data, *pinocchio_result)[order],
         )
-        standing = pinocchio.computeGeneralizedGravity(model, data, theirs[0])[order]
+        torque_at_rest = pinocchio.computeGeneralizedGravity(model, data, pinocchio_result[0])[
+            order
+        ]
         springs = whole.stiffness * (q + whole.preload)
-        assert np.allclose(whole.static_torque(q) - springs, standing, rtol=0.0, atol=1e-12)
-        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        assert np.allclose(whole.static_torque(q) - springs, torque_at_rest, rtol=0.0, atol=1e-12)
+        pinocchio.framesForwardKinematics(model, data, pinocchio_result[0])
         for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
             place = data.oMf[model.getFrameId(f"{digit.name}_tip")]
             assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
@@ -346,5 +351,5 @@ def test_each_number_of_a_table_matters(rng):
         table = digit.table.copy()
         table[row, 1] *= 1.001
         wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)
-        unused = table[row, 1] == 0.0
-        assert unused != (not arrays_agree(wrong, right)), row
+        is_unused = table[row, 1] == 0.0
+        assert is_unused != (not arrays_agree(wrong, right)), row

@@ -19,9 +19,11 @@ from handctl.hand.tendons import (
 TENDON_ELASTICITIES = [
     TendonElasticity.from_tendon(load_hand("jamia").tendon[0]),
     TendonElasticity(
-        stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0
+        stiffness=1e5, stiffness_beyond_knee=3e5, knee=200.0, knee_width=3e-4, damping=30.0
     ),
-    TendonElasticity(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
+    TendonElasticity(
+        stiffness=7e4, stiffness_beyond_knee=7e2, knee=50.0, knee_width=1e-5, damping=0.0
+    ),
 ]
 for_each_elasticity = pytest.mark.parametrize(
     "law", TENDON_ELASTICITIES, ids=["softening", "hardening", "nearly plastic"]
@@ -43,7 +45,7 @@ def test_the_knee_is_smooth(law):
             rel_tol=1.1 * h / law.knee_width * 4,
         )
     assert math.isclose(law.elastic_tension(at), law.knee, rel_tol=1e-12)
-    assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond, rel_tol=1e-9)
+    assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond_knee, rel_tol=1e-9)
 
 
 @for_each_elasticity
@@ -119,8 +121,8 @@ def test_work_of_tendons_is_work_of_joints(digits, rng):
 
 def test_flexing_a_joint_winds_its_tendon(digits):
     for digit in digits:
-        closes = digit.moment_arms.sum(axis=1) > 0.0
-        assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == closes).all(), (
+        is_closing = digit.moment_arms.sum(axis=1) > 0.0
+        assert ((excursions(digit, np.full(digit.joint_count, 0.5)) > 0.0) == is_closing).all(), (
             "the spool of an extensor unwinds"
         )
 

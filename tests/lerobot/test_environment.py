@@ -35,10 +35,10 @@ def run_pip(lerobot_python: str, *pip_arguments: str) -> None:
         "--quiet",
         *pip_arguments,
     ]
-    ran = subprocess.run(
+    result = subprocess.run(
         command, capture_output=True, text=True, timeout=INSTALL_TIMEOUT_S, check=False
     )
-    assert ran.returncode == 0, ran.stderr[-2000:]
+    assert result.returncode == 0, result.stderr[-2000:]
 
 
 def link_ffmpeg(lerobot_python: str, link_folder: Path) -> str:
@@ -87,7 +87,7 @@ def test_everything_passes_with_the_real_lerobot(lerobot_python: str, tmp_path: 
     }
     environment["LD_LIBRARY_PATH"] = link_ffmpeg(lerobot_python, tmp_path / "ffmpeg")
     command = [lerobot_python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/lerobot"]
-    ran = subprocess.run(
+    result = subprocess.run(
         command,
         cwd=REPOSITORY_ROOT,
         env=environment,
@@ -96,7 +96,7 @@ def test_everything_passes_with_the_real_lerobot(lerobot_python: str, tmp_path: 
         timeout=TESTS_TIMEOUT_S,
         check=False,
     )
-    assert ran.returncode == 0, ran.stdout[-3000:]
-    count = re.search(r"(\d+) passed", ran.stdout)
+    assert result.returncode == 0, result.stdout[-3000:]
+    count = re.search(r"(\d+) passed", result.stdout)
     assert count is not None
-    assert int(count[1]) >= MIN_PASSED_TESTS, ran.stdout[-500:]
+    assert int(count[1]) >= MIN_PASSED_TESTS, result.stdout[-500:]

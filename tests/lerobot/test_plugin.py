@@ -122,9 +122,9 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
         f"--teleop_time_s={seconds}",
     ]  # fmt: skip
     command = [sys.executable, "-m", "lerobot.scripts.lerobot_teleoperate", *words]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
-    assert ran.returncode == 0, ran.stderr[-2000:]
-    with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
+    result = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    assert result.returncode == 0, result.stderr[-2000:]
+    with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader_log:
         # The test ignores warnings. A busy machine causes, for example, warnings about late frames
         # and late actions.
         assert not [
@@ -136,4 +136,4 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(robot_options, wor
         # In this test, the leader hand closes its fingers on an object. All coupled joints of a
         # finger of the follower hand get the same angle. This common angle is the one nearest to
         # the angles of these joints in the leader hand.
-        assert 20.0 < goal < np.degrees(leader.field("q").max()) + 1.0
+        assert 20.0 < goal < np.degrees(leader_log.field("q").max()) + 1.0

@@ -31,9 +31,9 @@ EPISODE_COUNT = 2
 def run_script(script_name: str, *script_arguments: str) -> "subprocess.CompletedProcess[str]":
     """Run a script of LeRobot, and return its exit code and output."""
     command = [sys.executable, "-m", f"lerobot.scripts.lerobot_{script_name}", *script_arguments]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
-    assert ran.returncode == 0, ran.stderr[-3000:]
-    return ran
+    result = subprocess.run(command, capture_output=True, text=True, timeout=400, check=False)
+    assert result.returncode == 0, result.stderr[-3000:]
+    return result
 
 
 def fault_texts(run_log: RunLog) -> list[str]:
@@ -96,10 +96,10 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
     assert highest == pytest.approx(expected, abs=2.0)
 
     words = [word.replace("run.mcap", "again.mcap") for word in robot_options]
-    ran = run_handctl(
+    result = run_handctl(
         "run", "--hand", "jamia", "--bus", LOCAL_BUS, "--dataset", "data", "--speed", "200", *words
     )
-    assert ran.returncode == 0, ran.stderr
+    assert result.returncode == 0, result.stderr
     with RunLog(Path("again.mcap")) as log:
         assert not fault_texts(log)
         playback = np.array([change.name for change in log.phases])

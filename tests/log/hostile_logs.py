@@ -47,7 +47,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
     many = (message + other) * (MAX_CHUNK_BYTES // 62)
-    zeros = bytes(MAX_CHUNK_BYTES)
+    zero_bytes = bytes(MAX_CHUNK_BYTES)
     channels = b"".join(
         struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)
     )
@@ -58,7 +58,7 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
         + b"\xff\xff\xff\x7f"
     )
     compressed_bomb = _chunk_record(
-        "zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros)
+        "zstd", zstandard.compress(zero_bytes), len(zero_bytes), zlib.crc32(zero_bytes)
     )
     text = struct.pack("<I", 2**32 - 1)
     return {
@@ -69,14 +69,14 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
             small_log, _chunk_record("zstd", _compressed_zeros(1 << 30), 1 << 30)
         ),
         "lz4 of more than it says": _log_with_chunks(
-            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), 1000)
+            small_log, _chunk_record("lz4", lz4.frame.compress(zero_bytes), 1000)
         ),
         "lz4 of less than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(b"x"), 1000)
         ),
         "many bombs": _log_with_chunks(small_log, compressed_bomb * 300),
         "zeros as records": _log_with_chunks(
-            small_log, _chunk_record("lz4", lz4.frame.compress(zeros), len(zeros))
+            small_log, _chunk_record("lz4", lz4.frame.compress(zero_bytes), len(zero_bytes))
         ),
         "a million messages": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(many), len(many))

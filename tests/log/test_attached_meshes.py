@@ -60,8 +60,8 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
 
 def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:
     write_meshes(tmp_path)
-    with (tmp_path / "m.stl").open("r+b") as large:
-        large.truncate(MAX_MESH_BYTES)
+    with (tmp_path / "m.stl").open("r+b") as large_file:
+        large_file.truncate(MAX_MESH_BYTES)
     attachments, left_out = mesh_attachments(hand_with_meshes("t42"), tmp_path)
     assert not attachments
     assert left_out == [

@@ -155,7 +155,9 @@ def test_several_logs_become_episodes_of_one_dataset(
     )
     assert table["index"].to_list() == list(range(frames))
     assert len(tasks) == info["total_tasks"] == len({episode["tasks"][0] for episode in episodes})
-    alone = polars.read_parquet(exported_dataset / "data" / "chunk-000" / "file-000.parquet")
+    single_log_table = polars.read_parquet(
+        exported_dataset / "data" / "chunk-000" / "file-000.parquet"
+    )
     for episode in episodes:
         part = table[episode["dataset_from_index"] : episode["dataset_to_index"]]
         assert set(part["episode_index"]) == {episode["episode_index"]}
@@ -164,9 +166,9 @@ def test_several_logs_become_episodes_of_one_dataset(
         assert episode["stats/action/mean"] == pytest.approx(
             part["action"].to_numpy().mean(axis=0), abs=1e-4
         )
-    middle = table.filter(polars.col("episode_index") == 1)
+    middle_table = table.filter(polars.col("episode_index") == 1)
     for name in ("observation.state", "action", "timestamp", "next.done"):
-        assert middle[name].to_list() == alone[name].to_list()
+        assert middle_table[name].to_list() == single_log_table[name].to_list()
 
 
 def test_a_log_of_another_hand_is_no_episode(golden_log: RunLog, tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(varied_log: Path
         assert [(one.k, one.event) for one in log.events] == expected
         assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
         before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
-        assert [gap.last_before for gap in log.gaps] == before
+        assert [gap.last_tick_before for gap in log.gaps] == before
         assert len(before) == 7
         assert int(log.end["missed"]) == 21
 

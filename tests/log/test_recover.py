@@ -76,7 +76,7 @@ def _chunk_starts(path: Path) -> dict[int, int]:
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):
             log._chunks = scan.chunks[:n]
-            log.__dict__.pop("_index", None)
+            log.__dict__.pop("_chunk_index", None)
             ticks[n] = len(log)
     return ticks
 
@@ -154,12 +154,12 @@ def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) ->
 
 def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:
     raw, scan = bytearray(small_log.read_bytes()), _scan_log(small_log)
-    hit = scan.chunks[4]
-    raw[hit.data_offset + 50] ^= 0xFF
+    damaged_chunk = scan.chunks[4]
+    raw[damaged_chunk.data_offset + 50] ^= 0xFF
     recovery, out = _recover_bytes(bytes(raw), tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
     assert recovery.chunks == len(scan.chunks) - 1
-    assert recovery.lost_ranges[0] == (hit.offset, hit.end)
+    assert recovery.lost_ranges[0] == (damaged_chunk.offset, damaged_chunk.end)
     with RunLog(out) as log:
         assert len(log.gaps) == 1
         assert len(list(log.ticks())) == len(log)

@@ -143,10 +143,10 @@ def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Pa
     first, second = (path.read_bytes() for path in paths)
     assert first != second
     wall = synthetic_run.synthetic_header(rate_hz=500)
-    same = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
-    for path in same:
+    other_paths = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
+    for path in other_paths:
         synthetic_run.write_synthetic_run(path, wall, 1.0)
-    assert same[0].read_bytes() == same[1].read_bytes()
+    assert other_paths[0].read_bytes() == other_paths[1].read_bytes()
 
 
 def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
@@ -232,7 +232,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         "names": ["index_j1", "thumb_j1"],
         "rate_Hz": 100.0,
     }
-    asked = {
+    target_requests = {
         0: (json.dumps(opening),),
         2: (
             StreamTarget("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
@@ -247,7 +247,8 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         ),
     }
     ticks = [
-        (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)
+        (tick_in._replace(requests=target_requests.get(i, ())), out)
+        for i, (tick_in, out) in enumerate(ticks)
     ]
     topics = messages_by_topic(
         _write_log(

@@ -11,7 +11,7 @@ from handctl.hand import dynamics
 from handctl.paper.model import equations
 
 EQUATION_TERMS = [
-    term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.correct
+    term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.correct_form
     for term in equations.TORQUE_TERMS_1
 ]
 HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
@@ -30,7 +30,7 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
         exists = i < digit.joint_count
         states |= {
             f"L{i + 1}": digit.lengths[i] if exists else 0.0,
-            f"d{i + 1}": digit.coms[i, 0] if exists else 0.0,
+            f"d{i + 1}": digit.centres_of_mass[i, 0] if exists else 0.0,
             f"m{i + 1}": digit.masses[i] if exists else 0.0,
             f"I{i + 1}": digit.inertias[i, 2, 2] if exists else 0.0,
             f"th{i + 1}": sum(q[: i + 1]),

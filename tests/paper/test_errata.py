@@ -56,7 +56,9 @@ def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
 
 
 def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
-    return sp.expand(sp.expand_trig(sum(symbolic_expression(term.correct.text) for term in terms)))
+    return sp.expand(
+        sp.expand_trig(sum(symbolic_expression(term.correct_form.text) for term in terms))
+    )
 
 
 def test_corrected_energies_are_those_of_three_links() -> None:
@@ -101,7 +103,7 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     }
     for i in (0, 1):
         states |= {f"I{i + 1}": thumb.inertias[i, 2, 2], f"m{i + 1}": thumb.masses[i]}
-        states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.coms[i, 0]}
+        states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.centres_of_mass[i, 0]}
     for _ in range(20):
         theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
         for k in (0, 1):
@@ -111,8 +113,8 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
                 f"ddth{k + 1}": acceleration[k],
             }
         handctl_torques = [
-            sum(term.correct.evaluate(states) for term in terms)
-            for terms in equations.TORQUE_TERMS[:2]
+            sum(term.correct_form.evaluate(states) for term in equation_terms)
+            for equation_terms in equations.TORQUE_TERMS[:2]
         ]
         q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
         tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
@@ -123,17 +125,22 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
 
 @pytest.mark.parametrize("errata_item", lagrange.term_items(), ids=lambda item: item.id)
 def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> None:
-    terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
-    term = next(term for term in terms if term.id == errata_item.id)
-    same = [
-        sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.correct.text)) == 0
+    equation_terms = [
+        *equations.KINETIC_TERMS,
+        *equations.POTENTIAL_TERMS,
+        *sum(equations.TORQUE_TERMS, ()),
+    ]
+    term = next(term for term in equation_terms if term.id == errata_item.id)
+    is_reading_equal = [
+        sp.simplify(symbolic_expression(reading.text) - symbolic_expression(term.correct_form.text))
+        == 0
         for reading in term.readings
     ]
     expected = (
         ErrataVerdict.EQUAL
-        if all(same)
+        if all(is_reading_equal)
         else ErrataVerdict.WRONG
-        if not any(same)
+        if not any(is_reading_equal)
         else ErrataVerdict.UNDECIDABLE
     )
     assert errata_item.verdict == expected
@@ -145,9 +152,13 @@ def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> No
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
     def matrix(which: str) -> sp.Matrix:
         rows = []
-        for terms in equations.TORQUE_TERMS:
-            torque = sum(symbolic_expression(getattr(term, which)[0].text if which == "readings" else term.correct.text)
-                         for term in terms)  # fmt: skip
+        for equation_terms in equations.TORQUE_TERMS:
+            torque = sum(
+                symbolic_expression(
+                    term.readings[0].text if which == "readings" else term.correct_form.text
+                )
+                for term in equation_terms
+            )
             rows.append([sp.diff(torque, DERIVATIVE_SYMBOLS[f"ddth{k}"]) for k in (1, 2, 3)])
         return sp.Matrix(rows)
 
@@ -239,7 +250,7 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
     """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
-    held = 9.81 * float(np.array(digit.masses) @ (base + digit.coms[:, 0]))
+    held = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
     found = {item.id: item for item in sections.page_items(None)}
     assert found["eq10.static"].computed == pytest.approx(held, rel=1e-9)
 

@@ -118,7 +118,7 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     )
     assert time.monotonic() - start_s < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
-    kept = {
+    stored_values = {
         item.id: item.computed
         for item in sections.page_items(experiments.load_results(RESULTS_FILE))
     }
@@ -127,7 +127,7 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     ]
     assert len(payloads) == 9
     assert all(
-        item["computed"] == pytest.approx(kept[item["id"]], rel=0.25) for item in payloads
+        item["computed"] == pytest.approx(stored_values[item["id"]], rel=0.25) for item in payloads
     ), "the page is stale"
     assert all(0.5 < item["computed"] < 3.0 for item in payloads)
     along = [item for item in payloads if item["id"].startswith("payload.z")]

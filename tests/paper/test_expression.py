@@ -14,7 +14,11 @@ EQUATION_TERMS = [
     *sum(equations.TORQUE_TERMS, ()),
 ]
 FORMULA_TEXTS = sorted(
-    {expression.text for term in EQUATION_TERMS for expression in (*term.readings, term.correct)}
+    {
+        expression.text
+        for term in EQUATION_TERMS
+        for expression in (*term.readings, term.correct_form)
+    }
 )
 
 
@@ -22,17 +26,17 @@ FORMULA_TEXTS = sorted(
 def test_values_equal_those_of_sympy(formula_text: str) -> None:
     states, expression = random_states(), Expression(formula_text)
     names = sorted(expression.names)
-    theirs = sympy.lambdify(
+    sympy_function = sympy.lambdify(
         [sympy.Symbol(name) for name in names], sympy.sympify(formula_text), "numpy"
     )
     assert expression.evaluate(states) == pytest.approx(
-        theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12
+        sympy_function(*(states[name] for name in names)), rel=1e-12, abs=1e-12
     )
 
 
 @pytest.mark.parametrize("equation_term", EQUATION_TERMS, ids=lambda term: term.id)
 def test_right_terms_are_energies_or_torques(equation_term: equations.EquationTerm) -> None:
-    assert equation_term.correct.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
+    assert equation_term.correct_form.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
 
 
 @pytest.mark.parametrize("formula_text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])

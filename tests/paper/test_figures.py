@@ -59,7 +59,7 @@ def test_svg_is_the_same_each_time_and_names_no_place(
 
 def test_units_and_printed_values_are_in_the_figures(figures_folder: Path) -> None:
     """The test reads the texts from the comments of the SVG, because matplotlib draws the texts as paths."""
-    wanted = {
+    expected = {
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],
         "fig4-statics": ["55F", "25F", "10F", "T = 18.33F"],
@@ -80,7 +80,7 @@ def test_units_and_printed_values_are_in_the_figures(figures_folder: Path) -> No
         ],
         "fig8-payload": ["payload [kg]", "0.915 kg", "1.835 kg"],
     }
-    for name, texts in wanted.items():
+    for name, texts in expected.items():
         drawn = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
         for text in texts:
             assert text in drawn, (name, text)
@@ -95,7 +95,7 @@ def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:
     for name, reach in (("index", 55.0), ("thumb", 25.0)):
         tips = kinematics.reachable_tips(name, 25)
         assert np.linalg.norm(tips, axis=1).max() == pytest.approx(reach)
-        for point in kinematics.fingertip_path(name, np.radians(np.linspace(0.0, 100.0, 11))):
-            assert np.linalg.norm(tips - point, axis=1).min() < 2.0
+        for path_point in kinematics.fingertip_path(name, np.radians(np.linspace(0.0, 100.0, 11))):
+            assert np.linalg.norm(tips - path_point, axis=1).min() < 2.0
     first = kinematics.fingertip_path("index", np.array([0.0, np.pi / 2]))
     assert first == pytest.approx(np.array([[55.0, 0.0], [-15.0, 20.0]]), abs=1e-9)

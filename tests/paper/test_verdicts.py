@@ -25,8 +25,8 @@ EXACT_VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10*
 
 
 def rounded_digits(exact_value: Fraction, decimal_places: int, rounding_mode: str) -> str:
-    exact = Decimal(exact_value.numerator) / Decimal(exact_value.denominator)
-    return str(exact.quantize(Decimal(1).scaleb(-decimal_places), rounding=rounding_mode))
+    exact_decimal = Decimal(exact_value.numerator) / Decimal(exact_value.denominator)
+    return str(exact_decimal.quantize(Decimal(1).scaleb(-decimal_places), rounding=rounding_mode))
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_verdict_of_readings_and_contradictions() -> None:
     [
         (0.915, ErrataVerdict.EQUAL),
         (0.9152, ErrataVerdict.ROUNDED),
-        (1.3, ErrataVerdict.BOUND),
+        (1.3, ErrataVerdict.LOWER_BOUND),
         (0.8, ErrataVerdict.WRONG),
     ],
 )

@@ -17,7 +17,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
 from handctl.replay.log_check import check_log
-from handctl.replay.log_damage import first_damage
+from handctl.replay.log_damage import describe_first_damage
 
 
 @pytest.fixture
@@ -50,14 +50,14 @@ def _change_message(
     for chunk in scan.chunks:
         content = file.chunk_content(chunk)
         for one in iter_messages(content, chunk.end - chunk.data_offset, frozenset([names[topic]])):
-            hit = [
+            matching_rows = [
                 i for i, sequence in enumerate(one.sequence().tolist()) if sequence == tick_index
             ]
-            if hit:
+            if matching_rows:
                 changed_content = bytearray(content)
-                changed_content[one.start + hit[0] * one.records.shape[1] + 31 + byte_offset] ^= (
-                    0x10
-                )
+                changed_content[
+                    one.start + matching_rows[0] * one.records.shape[1] + 31 + byte_offset
+                ] ^= 0x10
                 _put_chunk(log_path, scan, chunk, bytes(changed_content), with_fitting_checksum)
                 return
     raise AssertionError("no such message")
@@ -93,9 +93,9 @@ def _put_chunk(
 def test_a_changed_byte_is_named_by_its_tick(
     log_copy: Path, topic: str, byte_offset: int, with_fitting_checksum: bool
 ) -> None:
-    assert first_damage(log_copy) == ""
+    assert describe_first_damage(log_copy) == ""
     _change_message(log_copy, topic, 321, byte_offset, with_fitting_checksum)
-    assert first_damage(log_copy).startswith("tick 321 was changed after it was written")
+    assert describe_first_damage(log_copy).startswith("tick 321 was changed after it was written")
     if with_fitting_checksum:
         with RunLog(log_copy) as opened:
             (line,) = [line for line in check_log(opened) if "chain" in line]
@@ -104,7 +104,7 @@ def test_a_changed_byte_is_named_by_its_tick(
 
 def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log_copy: Path) -> None:
     _change_message(log_copy, "/joint_states", 321, 300, False)
-    message = first_damage(log_copy)
+    message = describe_first_damage(log_copy)
     assert "its ticks are intact" in message
     first, last = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
     assert first <= 321 <= last

@@ -89,11 +89,11 @@ def sine_dataset(exported_dataset: Path) -> np.ndarray:
 
 
 def test_the_curve_passes_through_the_actions(exported_dataset: Path) -> None:
-    wanted = sine_dataset(exported_dataset)
+    expected = sine_dataset(exported_dataset)
     recording = find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)
-    rows = np.rint(np.arange(len(wanted)) / 200.0 / PERIOD_S).astype(int)
-    exact = np.abs(rows * PERIOD_S - np.arange(len(wanted)) / 200.0) < 1e-9
-    np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
+    rows = np.rint(np.arange(len(expected)) / 200.0 / PERIOD_S).astype(int)
+    exact_value = np.abs(rows * PERIOD_S - np.arange(len(expected)) / 200.0) < 1e-9
+    np.testing.assert_allclose(recording.q[rows[exact_value]], expected[exact_value], atol=1e-6)
     np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
     slope = np.diff(recording.q, axis=0) / PERIOD_S
     np.testing.assert_allclose(

@@ -121,10 +121,10 @@ def test_unknown_differences_are_not_printed() -> None:
     If the second run is ahead of the first, the delay is not printed as "-10 ms behind".
     """
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
-    ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
-    known_difference = ahead | {"delay_s": -1e-6}
+    unknown_difference = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
+    known_difference = unknown_difference | {"delay_s": -1e-6}
     compared = {
-        "joint_deg": {"j1": unknown, "j2": ahead},
+        "joint_deg": {"j1": unknown, "j2": unknown_difference},
         "tendon_N": {"slack": unknown, "rope": known_difference},
     }
     assert list(difference_lines(compared)) == [

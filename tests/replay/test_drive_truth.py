@@ -50,8 +50,8 @@ class RunAndRepeat:
         )
         return (
             t_ns / 1e9,
-            first.columns_at(list(truth_columns), t_ns + int(recorded_start * 1e9)),
-            second.columns_at(list(truth_columns), t_ns + start),
+            first.interpolated_columns(list(truth_columns), t_ns + int(recorded_start * 1e9)),
+            second.interpolated_columns(list(truth_columns), t_ns + start),
         )
 
     def at_rest(self) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program
-from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.replay import controller_rebuild as rebuilding
 from handctl.replay.controller_rebuild import logged_gains, rebuild_controller
 from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
@@ -63,7 +63,7 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(
         None,
     )
     assert is_within_tolerance(result, 0.0)
-    assert result.times_real_time > 0
+    assert result.real_time_factor > 0
 
 
 @pytest.mark.parametrize("log_name", GOLDEN_LOG_NAMES)
@@ -147,8 +147,8 @@ def make_calibration(hand_name: str) -> Calibration:
     [
         LiveProgram(),
         CommissionProgram(),
-        JogProgram(MoveDigits(do="move", angle_deg={"index": 0.1}, duration_s=1 / 3), 0.7),
-        JogProgram(HoldTension(do="hold", tension_N={"thumb": 7.7}), 1.1),
+        JogProgram(MoveDigitsRequest(do="move", angle_deg={"index": 0.1}, duration_s=1 / 3), 0.7),
+        JogProgram(HoldTensionRequest(do="hold", tension_N={"thumb": 7.7}), 1.1),
     ],
     ids=["live", "commission", "jog angle", "jog tension"],
 )
@@ -220,11 +220,11 @@ def test_other_gains_give_other_commands_and_a_figure(
 ) -> None:
     with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)
-        stiff = gains.model_copy(
+        stiff_gains = gains.model_copy(
             update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})}
         )
         commands = CommandCollector()
-        execute_log(log, stiff, commands.add_tick)
+        execute_log(log, stiff_gains, commands.add_tick)
         ticks = commands.comparable_ticks(log)
         change = command_change(log, commands, ticks)
         assert commands.motor_torques.shape == log.field("motor_torque_goal").shape

@@ -16,7 +16,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import HoldTension
+from handctl.programs.requests import HoldTensionRequest
 from handctl.replay.execute import execute_log
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan
@@ -78,7 +78,7 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = RunPlan(hand, Gains(), 500.0, ())
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": 0.8}, homed=True)
-    program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
+    program = JogProgram(HoldTensionRequest(do="hold", tension_N={"index": 8.0}), 0.5)
     with simulator.lockstep_clock(plan.period_ns) as clock:
         run_lockstep(
             plan,
@@ -108,7 +108,7 @@ def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) ->
     """
     hand = load_hand("jamia")
     plan = RunPlan(hand, Gains(), 500.0, ())
-    program = JogProgram(HoldTension(do="hold", tension_N={"index": 75.0}), 2.0)
+    program = JogProgram(HoldTensionRequest(do="hold", tension_N={"index": 75.0}), 2.0)
     controller = make_controller(plan, program, identified_calibration(hand, torque_gain), True)
     tension = list[float]()
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": torque_gain}, homed=True)

@@ -59,12 +59,12 @@ def write_long_log(log_path: Path) -> None:
     Frames are lost during the whole run, and a motor stops sending at the end.
     """
     chance = random.Random(7)
-    moves = [
+    move_phases = [
         MOVE_PHASE.format(n=n, angle=chance.uniform(2.0, 60.0))
         for n in range(int((DURATION_S - 4) / 2))
     ]
     task = log_path.with_suffix(".task.toml")
-    task.write_text(short_runs.SHORT_GRASP_TASK + "".join(moves))
+    task.write_text(short_runs.SHORT_GRASP_TASK + "".join(move_phases))
     ticks = range(400, int(DURATION_S * RATE_HZ), 1999)
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}

@@ -173,8 +173,8 @@ def test_values_that_the_controller_refuses_are_refused_by_every_replay(
 ) -> None:
     header, ticks = grasp_ticks
     setup = json.loads(header.attachments["setup.json"])
-    far = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
-    bad = replace(header, attachments=header.attachments | {"setup.json": far})
+    far_setup = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
+    bad = replace(header, attachments=header.attachments | {"setup.json": far_setup})
     path = write_ticks(tmp_path / "bad.mcap", bad, ticks)
     (tmp_path / "limits.toml").write_text("schema = 1\n")
     with warnings.catch_warnings():

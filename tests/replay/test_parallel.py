@@ -18,7 +18,7 @@ from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
 from handctl.core.plain_values import plain_bytes
 from handctl.core.tick_types import HandMode, TickIn, TickOut
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
@@ -89,12 +89,15 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
                 state.digest(),
                 snapshot_bytes(state),
             )
-            other, same = controller.tick(again, logged.tick_in)
+            other, restored_output = controller.tick(again, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
-            assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
+            assert (restored_output.state_hash, other.digest()) == (
+                out.state_hash,
+                logged.state_hash,
+            )
 
 
-@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
+@pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()
@@ -120,9 +123,9 @@ def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
 def test_three_processes_find_no_difference_where_one_finds_none(
     execute_both_ways: ExecuteBothWays,
 ) -> None:
-    one, three = execute_both_ways()
-    assert execution_findings(three) == execution_findings(one)
-    assert (one.differing_ticks, three.differing_ticks) == (0, 0)
+    one, three_processes = execute_both_ways()
+    assert execution_findings(three_processes) == execution_findings(one)
+    assert (one.differing_ticks, three_processes.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("first_wrong_tick", [150, 199, 200, 201, 330])
@@ -130,9 +133,9 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, first_wrong_tick: int
 ) -> None:
     """The test changes the field in the part of each process in turn, and at a border between two parts."""
-    one, three = execute_both_ways(change_state_at_tick("travel", first_wrong_tick))
+    one, three_processes = execute_both_ways(change_state_at_tick("travel", first_wrong_tick))
     assert one.first_difference is not None
-    assert execution_findings(three) == execution_findings(one)
+    assert execution_findings(three_processes) == execution_findings(one)
 
 
 def test_the_first_field_of_the_state_that_differs_is_named(

@@ -144,9 +144,9 @@ def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     positions = _mark_positions(times, limits)
     assert positions[0] is not None
     assert positions[7] is None, "outside of the axis"
-    kept = [position for position in positions if position]
-    assert len(kept) >= 7
-    for i, (left, height) in enumerate(kept):
+    shown_positions = [position for position in positions if position]
+    assert len(shown_positions) >= 7
+    for i, (left, height) in enumerate(shown_positions):
         assert limits[0] <= left <= limits[1] - width + 1e-9
-        for other, other_height in kept[:i]:
+        for other, other_height in shown_positions[:i]:
             assert height != other_height or abs(left - other) >= width

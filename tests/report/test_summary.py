@@ -155,9 +155,9 @@ def test_slack_tendons_do_not_count() -> None:
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
     (window,) = hold_windows(log_of_hold(ramp_ticks=20), JAMIA_HAND)
     assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
-    none = log_of_hold()
-    none.fields["contact"][:] = 0.0
-    assert not np.any(hold_windows(none, JAMIA_HAND)), "without a hold there are no windows"
+    empty_log = log_of_hold()
+    empty_log.fields["contact"][:] = 0.0
+    assert not np.any(hold_windows(empty_log, JAMIA_HAND)), "without a hold there are no windows"
     log_with_two_holds = GeneratedRunLog(
         JAMIA_HAND, 400, {0: "hold", 150: "move", 200: "hold firmly"}
     )

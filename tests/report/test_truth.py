@@ -93,13 +93,15 @@ def test_values_are_interpolated_between_rows_and_nan_outside() -> None:
     truth = zero_truth(JAMIA_HAND, 10, offset_ns=2**61)
     set_truth_column(truth, "object/x", np.arange(10.0))
     t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
-    np.testing.assert_allclose(truth.column_at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
-    assert truth.columns_at(["object/x", "object/y"], t_ns).shape == (5, 2)
+    np.testing.assert_allclose(
+        truth.interpolated_column("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan]
+    )
+    assert truth.interpolated_columns(["object/x", "object/y"], t_ns).shape == (5, 2)
 
 
 def test_a_column_that_is_not_there_is_named() -> None:
     with pytest.raises(LogError, match="no column 'tension/pinky'"):
-        zero_truth(JAMIA_HAND, 3).column_at("tension/pinky", np.array([0]))
+        zero_truth(JAMIA_HAND, 3).interpolated_column("tension/pinky", np.array([0]))
 
 
 def test_the_header_is_kept(tmp_path: Path) -> None:

@@ -125,11 +125,11 @@ class KillVerdict(NamedTuple):
         tick.
         """
         on_bus = self.run.bus_sync_counts
-        in_log = self.run.log_sync_counts
+        is_in_log = self.run.log_sync_counts
         return (
             not self.run.warning
-            and len(on_bus) - len(in_log) in (0, 1)
-            and on_bus.startswith(in_log)
+            and len(on_bus) - len(is_in_log) in (0, 1)
+            and on_bus.startswith(is_in_log)
         )
 
 
@@ -396,14 +396,15 @@ def disturb_in_batches(
 
 def summary_of_kills(verdicts: list[KillVerdict]) -> str:
     """Summarise the runs of killed or stopped controllers in one line of text."""
-    safe = sum(run.torque_ended_in_time for run in verdicts)
+    safe_run_count = sum(run.torque_ended_in_time for run in verdicts)
     complete = sum(run.has_complete_log for run in verdicts)
     pulled = sum(run.was_taut for run in verdicts)
     driven = sum(run.made_torque for run in verdicts)
     latest = max(run.max_torque_off_ms for run in verdicts)
     tension = max(run.remaining_tension_N for run in verdicts)
     return (
-        f"{len(verdicts)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
+        f"{len(verdicts)} controllers: {safe_run_count} times without torque in time, "
+        f"at most {latest:.1f} ms after the signal; "
         f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
         f"at most {tension:.1f} N left 0.3 s later"
     )

@@ -40,7 +40,7 @@ async def use_hand_as_client(*connect_options):
                 stream.send([30.0 + 10.0 * np.sin(2 * np.pi * i / 50)])
                 await stream.sleep()
             status = stream.status
-        ticks, swing = await seen
+        ticks, swing_amplitude = await seen
         moving = asyncio.create_task(hand.move(index=80.0, duration_s=20.0))
         await hand.wait_for(phase="live")
         await asyncio.sleep(1.0)
@@ -51,7 +51,7 @@ async def use_hand_as_client(*connect_options):
         await asyncio.sleep(1.0)
         at = hand.observe().q_deg[:3].mean()
     counting_task.cancel()
-    return hand.result, status, ticks, swing, at
+    return hand.result, status, ticks, swing_amplitude, at
 
 
 async def observe_hand(hand):
@@ -74,12 +74,12 @@ def test_a_program_moves_a_hand_with_asyncio(
     work_folder, hand_truth_file, calibration_options, scale_options
 ):
     options = ("--calibration", "c.toml", "--log", "live.mcap", *scale_options)
-    result, status, ticks, swing, at = asyncio.run(use_hand_as_client(*options))
+    result, status, ticks, swing_amplitude, at = asyncio.run(use_hand_as_client(*options))
     assert result["failure"] == ""
     assert status.accepted > 45
     assert (status.refused, status.clipped) == (0, 0)
     assert set(np.diff(ticks)) == {1}, "every tick, in order"
-    assert swing > 5.0
+    assert swing_amplitude > 5.0
     assert at < 60.0, "hold ended the move"
     modes_of_complete_log(work_folder / "live.mcap")
 

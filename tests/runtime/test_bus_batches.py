@@ -145,12 +145,12 @@ def test_local_bus_carries_every_batch_both_ways(
 def test_can_socket_carries_every_batch_both_ways(
     udp_bus: tuple[SocketCanBus, socket.socket], batch_name: str
 ) -> None:
-    bus, far = udp_bus
+    bus, far_end = udp_bus
     batch = BATCH_BY_NAME[batch_name]
     assert bus.send(frames_as_records(batch)) == len(batch)
-    assert [far.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
+    assert [far_end.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
     for frame in batch:
-        far.send(kernel_datagram(frame))
+        far_end.send(kernel_datagram(frame))
     got = drain_frames(bus, len(batch))
     assert frame_contents(got) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(got)
@@ -195,10 +195,10 @@ def test_bytes_behind_a_payload_are_ignored(
     got = drain_frames(bus, len(batch))
     assert frame_contents(got) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(got)
-    can, far = udp_bus
+    can, far_end = udp_bus
     for part in (batch[:11], batch[11:22], batch):
         for frame in part:
-            far.send(kernel_datagram(frame, trailing_bytes))
+            far_end.send(kernel_datagram(frame, trailing_bytes))
         got = drain_frames(can, len(part))
         assert frame_contents(got) == [frame[:4] for frame in part]
         assert has_zeros_behind_payloads(got)
@@ -219,15 +219,15 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     )
     assert frame_contents(drain_frames(bus, len(batch))) == [frame[:4] for frame in batch]
     assert bus.take_events() == [("error_frame", "local:x bus off", 20), ("bus_off", "local:x", 1)]
-    can, far = udp_bus
+    can, far_end = udp_bus
     for frame in batch:
-        far.send(kernel_datagram(frame))
-        far.send(kernel_datagram(bus_off_frame))
+        far_end.send(kernel_datagram(frame))
+        far_end.send(kernel_datagram(bus_off_frame))
     assert frame_contents(drain_frames(can, len(batch))) == [frame[:4] for frame in batch]
     events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
     assert can.take_events() == events
     link.sendall(frame_record(bus_off_frame.can_id, bus_off_frame.data))
-    far.send(kernel_datagram(bus_off_frame))
+    far_end.send(kernel_datagram(bus_off_frame))
     time.sleep(0.05)
     assert len(bus.drain()) == len(can.drain()) == 0
     assert bus.take_events()
@@ -269,13 +269,13 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 def test_the_kernels_stamps_become_the_runs_time(
     udp_bus: tuple[SocketCanBus, socket.socket], time_scale: float
 ) -> None:
-    bus, far = udp_bus
+    bus, far_end = udp_bus
     bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
         before = time.monotonic_ns()
         for number in range(11):
-            far.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
+            far_end.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
         after = time.monotonic_ns()
         stamps = [frame.t_ns for frame in drain_frames(bus, 11)]
         slack = 5_000_000

@@ -126,58 +126,62 @@ def test_filters_are_applied(handctl_bus: Bus) -> None:
     filters: list[can.typechecking.CanFilter] = [
         {"can_id": 0x10, "can_mask": 0x7F0, "extended": False}
     ]
-    with can.Bus("tools", interface="local", can_filters=filters, ignore_config=True) as theirs:
+    with can.Bus(
+        "tools", interface="local", can_filters=filters, ignore_config=True
+    ) as python_can_bus:
         handctl_bus.send([Frame(number, b"") for number in range(0x40)])
-        received = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
+        received = [
+            message.arbitration_id for message in iter(lambda: python_can_bus.recv(0.2), None)
+        ]
     assert received == list(range(0x10, 0x20))
 
 
 def test_a_receive_timeout_is_respected(handctl_bus: Bus) -> None:
-    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+    with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
         start = time.monotonic()
-        assert theirs.recv(0) is None
-        assert theirs.recv(0.1) is None
+        assert python_can_bus.recv(0) is None
+        assert python_can_bus.recv(0.1) is None
         assert 0.1 <= time.monotonic() - start < 5.0
 
 
 def test_own_messages_are_received_on_request(handctl_bus: Bus) -> None:
     with can.Bus(
         "tools", interface="local", receive_own_messages=True, ignore_config=True
-    ) as theirs:
+    ) as python_can_bus:
         sent = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
-        theirs.send(sent)
-        back = theirs.recv(5.0)
+        python_can_bus.send(sent)
+        back = python_can_bus.recv(5.0)
     assert back is not None
     assert back.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
 
 
 def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
-    with can.Bus("tools", interface="local", fd=False, ignore_config=True) as theirs:
+    with can.Bus("tools", interface="local", fd=False, ignore_config=True) as python_can_bus:
         with pytest.raises(can.CanOperationError, match="without fd"):
-            theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
+            python_can_bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
         handctl_bus.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
-        received = theirs.recv(5.0)
+        received = python_can_bus.recv(5.0)
         while (
             received is not None and received.arbitration_id < 0x6F1
         ):  # skip the frames of an earlier client
-            received = theirs.recv(5.0)
+            received = python_can_bus.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
 
 
 def test_stamps_are_wall_clock_time(handctl_bus: Bus) -> None:
-    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+    with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
         before = time.time()
         handctl_bus.send([Frame(1, b"")])
-        received = theirs.recv(5.0)
+        received = python_can_bus.recv(5.0)
     assert received is not None
     assert before - 0.02 <= received.timestamp <= time.time() + 0.02
 
 
 def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
     reader = can.BufferedReader()
-    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
-        notifier = can.Notifier(theirs, [reader], timeout=0.05)
+    with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
+        notifier = can.Notifier(python_can_bus, [reader], timeout=0.05)
         handctl_bus.send([Frame(number, b"") for number in range(20)])
         received = [reader.get_message(5.0) for _ in range(20)]
         notifier.stop()
@@ -200,8 +204,8 @@ def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus)
             await asyncio.sleep(0.005)
         notifier.stop()
 
-    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
-        asyncio.run(receive_messages(theirs))
+    with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
+        asyncio.run(receive_messages(python_can_bus))
     assert received == list(range(20))
 
 
@@ -239,9 +243,9 @@ def scripted_bus(
 ) -> Iterator[tuple[can.BusABC, socket.socket]]:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(tmp_path))
     scripted_hub = ScriptedHub(tmp_path, "x")
-    with can.Bus("x", interface="local", ignore_config=True) as theirs:
+    with can.Bus("x", interface="local", ignore_config=True) as python_can_bus:
         link = scripted_hub.accept_client()
-        yield theirs, link
+        yield python_can_bus, link
         link.close()
     scripted_hub.close()
 
@@ -254,28 +258,28 @@ def fill_send_buffer(virtual_bus: can.BusABC, message: can.Message) -> None:
 def test_sending_waits_for_room_until_the_timeout(
     scripted_bus: tuple[can.BusABC, socket.socket],
 ) -> None:
-    theirs, link = scripted_bus
+    python_can_bus, link = scripted_bus
     message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
     with pytest.raises(can.CanOperationError, match="no more frames"):
-        fill_send_buffer(theirs, message)
+        fill_send_buffer(python_can_bus, message)
     start = time.monotonic()
     with pytest.raises(can.CanOperationError, match="no more frames"):
-        theirs.send(message, timeout=0.1)
+        python_can_bus.send(message, timeout=0.1)
     assert 0.1 <= time.monotonic() - start < 5.0
     link.recv(1 << 20)
-    theirs.send(message, timeout=5.0)
+    python_can_bus.send(message, timeout=5.0)
 
 
 def test_a_lost_hub_ends_reading_and_sending(
     scripted_bus: tuple[can.BusABC, socket.socket],
 ) -> None:
-    theirs, link = scripted_bus
+    python_can_bus, link = scripted_bus
     link.send(frame_record(9, b"last"))
     link.close()
-    last = theirs.recv(5.0)
+    last = python_can_bus.recv(5.0)
     assert last is not None
     assert last.arbitration_id == 9
     with pytest.raises(can.CanOperationError, match="gone"):
-        theirs.recv(5.0)
+        python_can_bus.recv(5.0)
     with pytest.raises(can.CanOperationError, match="gone"):
-        theirs.send(can.Message(arbitration_id=1), timeout=5.0)
+        python_can_bus.send(can.Message(arbitration_id=1), timeout=5.0)

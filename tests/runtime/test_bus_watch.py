@@ -136,10 +136,10 @@ def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
     place.rig.inject("saturate cell=index_tendon")
     for _ in range(3):
         watch.run_tick()
-    saturated = [
+    saturated_lines = [
         is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()
     ]
-    assert saturated == [True, False, False, False]
+    assert saturated_lines == [True, False, False, False]
 
 
 @pytest.mark.parametrize("missed_ticks", [0, 1, 50])
@@ -149,18 +149,18 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     for _ in range(120):
         watch.run_tick()
     wait = place.wait
-    waited = []
+    waiting_times = []
 
     def stall_at_first_wait(k):
-        waited.append(k)
-        late = missed_ticks if len(waited) == 1 else 0
+        waiting_times.append(k)
+        late = missed_ticks if len(waiting_times) == 1 else 0
         wait(k + late)
         return late * PERIOD_NS + 7
 
     place.wait = stall_at_first_wait
     for _ in range(3):
         watch.run_tick()
-    assert waited == [120, 121 + missed_ticks, 122 + missed_ticks]
+    assert waiting_times == [120, 121 + missed_ticks, 122 + missed_ticks]
     assert watch.k == 123 + missed_ticks
     assert watch.silent_motors() == []
 

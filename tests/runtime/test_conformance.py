@@ -11,7 +11,7 @@ import pytest
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, check_fault_has_effect
 from firmware_sim.hand_description import SimulatorError
 from handctl.drives.contract import DriveTarget
-from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.runtime.diagnostics.conformance import (
     CheckVerdict,
     ConformanceCheck,
@@ -66,7 +66,7 @@ def read_defect_table() -> list[tuple[str, str, str]]:
     ]
 
 
-@pytest.fixture(params=GUARDED_PROTOCOLS)
+@pytest.fixture(params=VERIFIABLE_PROTOCOLS)
 def protocol(request):
     return request.param
 
@@ -109,7 +109,7 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
     monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
     found, place, rig = check_results(protocol)
     assert failed_checks(found) == []
-    assert (unchecked_results(found) == []) is (protocol in GUARDED_PROTOCOLS)
+    assert (unchecked_results(found) == []) is (protocol in VERIFIABLE_PROTOCOLS)
     assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
     assert rig.confirm_disabled(0.05)
 
@@ -274,7 +274,7 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
     assert found[FAILED_CHECK["watchdog"]].verdict is CheckVerdict.PASSED
 
 
-@pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(GUARDED_PROTOCOLS)))
+@pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(VERIFIABLE_PROTOCOLS)))
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
     """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
     place = VirtualBench(protocol)

@@ -258,7 +258,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
 @pytest.mark.parametrize("drive_mode", [DriveMode.TORQUE, DriveMode.POSITION, DriveMode.VELOCITY])
 def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_s, missed_ticks):
     """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
-    ramps = []
+    ramp_samples = []
     for stall in (0, missed_ticks):
         place, rig, _ = bench_of("mit", drive_mode)
         commands = stall_host(place, rig, stall_time_s, stall)
@@ -267,8 +267,8 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
             limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4
         )
         assert jog_drive(rig, goal).failure == ""
-        ramps.append(commands)
-    whole, ramp = ramps
+        ramp_samples.append(commands)
+    whole, ramp = ramp_samples
     gaps = [after - before for (before, _), (after, _) in pairwise(ramp)]
     assert min(gaps) == PERIOD_NS, "no two commands in one period"
     assert max(gaps) == (missed_ticks + 1) * PERIOD_NS

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handctl.runtime.buses.interface_setup import rate_difference, wrong_rate_text
+from handctl.runtime.buses.interface_setup import bit_rate_mismatch_text, wrong_bit_rate_text
 from handctl.runtime.buses.link_state import parse_link
 
 
@@ -46,10 +46,10 @@ def test_a_bit_rate_other_than_the_hand_files_is_reported(
 ) -> None:
     link = parse_link(ip_output(nominal_bit_rate, data_bit_rate))
     assert link
-    line = rate_difference("can0", link, 1_000_000, required_bit_rate)
+    line = bit_rate_mismatch_text("can0", link, 1_000_000, required_bit_rate)
     assert expected_message in line
     assert bool(line) == bool(expected_message)
 
 
 def test_a_missing_interface_has_no_wrong_rate() -> None:
-    assert wrong_rate_text("no-such-if", 1_000_000, None) == ""
+    assert wrong_bit_rate_text("no-such-if", 1_000_000, None) == ""

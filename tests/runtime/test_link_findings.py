@@ -8,7 +8,7 @@ import json
 import pytest
 
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
-from handctl.runtime.buses.interface_setup import set_up_commands
+from handctl.runtime.buses.interface_setup import interface_setup_commands
 from handctl.runtime.buses.link_state import parse_link
 from handctl.runtime.diagnostics.link_findings import (
     adapter_findings,
@@ -96,7 +96,7 @@ def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     finding demanded ``restart-ms``.
     """
     (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
-    commands = set_up_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
+    commands = interface_setup_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
     assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
     assert "restart-ms 100" in finding.fix
 

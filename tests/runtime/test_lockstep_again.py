@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
@@ -29,7 +29,7 @@ PROTOCOL_CASES = [
         for name in sorted(PROTOCOL_ENTRIES)
         if name != "cia402"
     ),
-    *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED_PROTOCOLS),
+    *(pytest.param(name, [], marks=pytest.mark.nightly) for name in VERIFIABLE_PROTOCOLS),
 ]
 
 

@@ -151,7 +151,7 @@ def test_a_watchdog_stops_the_signs_of_life(work_folder):
     The next call starts the signs of life again.
     """
     box = Mailbox("local:beats")
-    beats = Heartbeat("local:beats", "one", 0.01, 0.15)
+    heartbeat_sender = Heartbeat("local:beats", "one", 0.01, 0.15)
 
     def count(seconds):
         end, number = time.monotonic() + seconds, 0
@@ -164,9 +164,9 @@ def test_a_watchdog_stops_the_signs_of_life(work_folder):
         assert count(0.1) > 0
         count(0.3)
         assert count(0.2) == 0
-        beats.note_call()
+        heartbeat_sender.note_call()
         assert count(0.1) > 0
     finally:
-        beats.end()
+        heartbeat_sender.end()
         box.close()
-    assert not beats._thread.is_alive()
+    assert not heartbeat_sender._thread.is_alive()

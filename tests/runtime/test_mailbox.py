@@ -76,9 +76,9 @@ def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
             out.sendto(data, str(box.path))
-    long_text, empty, binary = box.read_requests()
+    long_text, empty_datagram, binary = box.read_requests()
     assert long_text == "x" * MAX_REQUEST_BYTES
-    assert empty == ""
+    assert empty_datagram == ""
     binary.encode()
     box.close()
 

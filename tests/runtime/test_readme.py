@@ -40,11 +40,11 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(
     )
     (work_folder / "example.py").write_text(program)
     wait_until_ready(simulator)
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )
-    assert ran.returncode == 0, ran.stderr[-2000:]
-    forces, log = ran.stdout.splitlines()
+    assert result.returncode == 0, result.stderr[-2000:]
+    forces, log = result.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4
     modes_of_complete_log(work_folder / log)
 

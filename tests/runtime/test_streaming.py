@@ -244,8 +244,8 @@ def test_the_programs_of_the_page_run(work_folder, started_processes, scale_opti
     started_processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_TIMEOUT_S)[0]
     (work_folder / "example.py").write_text(programs[example])
-    ran = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
     )
-    assert ran.returncode == 0, ran.stderr[-2000:]
-    assert ran.stdout
+    assert result.returncode == 0, result.stderr[-2000:]
+    assert result.stdout

@@ -336,8 +336,8 @@ CASE_BY_FAULT = {
     True),
     "N11b": FaultCase(drive_error(5, DriveFaultCause.UNKNOWN), drive_error(5, DriveFaultCause.OTHER), "m5", 1, CUT,
                       True, True),
-    "N12": FaultCase(drive_error(6, DriveFaultCause.MISMATCH), drive_error(6, DriveFaultCause.OTHER), "m6", 1, CUT,
-                     True, True),
+    "N12": FaultCase(drive_error(6, DriveFaultCause.SETTING_MISMATCH), drive_error(6, DriveFaultCause.OTHER),
+                     "m6", 1, CUT, True, True),
     "N13": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 3, RELAX, True, True),
     "N14": FaultCase(
         filtered_residuals(COMMAND_DIFFERENCE, m0=15.1),
@@ -394,7 +394,10 @@ OTHER_INPUTS_BY_FAULT = {
     "N04": [stuck_joint(0, 11.0), stuck_motor(5, -0.6e-3)],
     "N05a": [state_rows(joint_jump={0: 0.4})],
     "N05b": [state_rows(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
-    "N11": [drive_error(4, DriveFaultCause.HOT), drive_error(4, DriveFaultCause.LOST)],
+    "N11": [
+        drive_error(4, DriveFaultCause.HOT),
+        drive_error(4, DriveFaultCause.COMMUNICATION_LOST),
+    ],
     "T06": [
         measured_tensions(t0=-5.0),
         measured_tensions(t0=300.0),

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.core.detectors.node_faults import ROW_OF_CAUSE
 from handctl.drives.contract import DriveFaultCause
-from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import CatalogueRow, Fault
 from handctl.safety.faults.markdown import (
     catalogue_markdown,
@@ -29,7 +29,7 @@ def test_causes_of_a_drive_s_error() -> None:
     tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
         drive_error(1, DriveFaultCause.HOT, 11),
-        drive_error(2, DriveFaultCause.LOST, 12),
+        drive_error(2, DriveFaultCause.COMMUNICATION_LOST, 12),
     )
     assert monitor_at_rest().tick(tick_input.state_rows)["N11"] == {
         "m0": 9.0,
@@ -44,7 +44,7 @@ def test_causes_of_a_drive_s_error() -> None:
     assert rows[DriveFaultCause.DROPPED_OUT] == "N01"
     assert rows[DriveFaultCause.WATCHDOG] == "N08"
     assert rows[DriveFaultCause.VOLTAGE] == "N10"
-    assert rows[DriveFaultCause.MISMATCH] == "N12"
+    assert rows[DriveFaultCause.SETTING_MISMATCH] == "N12"
     assert rows[DriveFaultCause.UNKNOWN] == "N11b"
 
 
@@ -94,7 +94,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 ])  # fmt: skip
 def test_catalogue_row_has_all_columns(catalogue_row: CatalogueRow, last_columns: str) -> None:
     head, line, row = catalogue_markdown((catalogue_row,)).splitlines()
-    protocols = [PROTOCOL_TRAITS[name].title for name in GUARDED_PROTOCOLS]
+    protocols = [PROTOCOL_TRAITS[name].title for name in VERIFIABLE_PROTOCOLS]
     assert (
         head
         == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"

@@ -303,7 +303,7 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
     In this test, interpreted code debounces the fault.
     """
     case, monitor, seen = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
-    kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
+    rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
     for tick_input in [
         case.input_below_limit,
         *[case.input_with_fault] * (case.debounce_ticks + 1),
@@ -312,9 +312,9 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
         rows, before = reset_for_input(monitor, tick_input), monitor.view("fault_ticks").copy()
         monitor.tick(rows)
         monitor.set_rows({"fault_ticks": before})
-        monitor.found_values[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = (
-            math.nan
-        )
+        monitor.found_values[
+            [row for row in range(len(DETECTOR_ROWS)) if row not in rows_of_fault]
+        ] = math.nan
         demanded = call_interpreted(
             compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )

@@ -128,19 +128,21 @@ def test_lost_replies_are_counted_per_window():
     )
 
 
-@pytest.mark.parametrize(("reply_pattern", "misses_every_second"), [
+@pytest.mark.parametrize(("reply_pattern", "misses_every_second_reply"), [
     ("01" * 10, True), ("10" * 10, True), ("01" * 9 + "11", False), ("01" * 9 + "00", True), ("0" * 20, False),
     ("1" * 20, False), ("1" + "01" * 10, True), ("0011" * 5, False), ("01" * 7 + "000000", True),
     ("01" * 6 + "00000000", False), ("1" + "01" * 6 + "0000000", True), ("11" + "01" * 8 + "00", True),
     ("11" + "01" * 7 + "1100", False), ("1110" + "01" * 8, False),
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
-def test_missing_every_second_tick_is_detected(reply_pattern, misses_every_second):
+def test_missing_every_second_tick_is_detected(reply_pattern, misses_every_second_reply):
     assert (
         call_interpreted(
-            frame_losses.misses_every_second, LossWindows(loss_bits(reply_pattern)).state_tables, 0
+            frame_losses.misses_every_second_reply,
+            LossWindows(loss_bits(reply_pattern)).state_tables,
+            0,
         )
-        is misses_every_second
+        is misses_every_second_reply
     )
 
 
@@ -270,7 +272,7 @@ def test_tick_without_measurements_changes_nothing():
 
 def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     positions, dropped = ScreenedPositions([0.125] * 2, accepted=[0.0, 0.0]), []
-    for both in [
+    for position_pair in [
         (1.0, 0.0),
         (NAN, 0.0),
         (1.0, NAN),
@@ -279,7 +281,7 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
         (1.5, 2.0),
         (0.1, 0.0),
     ]:
-        positions.screen_positions(list(both))
+        positions.screen_positions(list(position_pair))
         dropped.append(positions.field_values("dropped"))
     assert [int(a) for a, _ in dropped] == [1, 1, 2, 2, 0, 1, 0]
     assert [int(b) for _, b in dropped] == [0, 0, 0, 0, 0, 1, 0]
@@ -329,10 +331,10 @@ def add_reading(
         "residual": {TENSION: tension},
     }
     monitor.tick(rows)
-    anchor = monitor.view("motor_anchor")[:, 0].tolist()
+    anchor_values = monitor.view("motor_anchor")[:, 0].tolist()
     away = [
         call_interpreted(stuck_sensors.motion_since_reading, *pair)
-        for pair in zip((goal_travel, tension), anchor, strict=True)
+        for pair in zip((goal_travel, tension), anchor_values, strict=True)
     ]
     return int(monitor.view("motor_stuck")[0]), *away
 

@@ -139,9 +139,11 @@ def test_without_torque_all_history_but_the_counts_is_reset():
     assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
         first, end = {
-            "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
-            "joint": (s.JOINT_FIRST, s.JOINT_END), "joint_int": (s.JOINT_INT_FIRST, s.JOINT_INT_END),
-            "run_int": (s.RUN_INT_FIRST, s.RUN_INT_END),
+            "tendon": (s.MONITOR_TENDON_FIRST_ROW, s.MONITOR_TENDON_END_ROW),
+            "tendon_int": (s.MONITOR_TENDON_INT_FIRST_ROW, s.MONITOR_TENDON_INT_END_ROW),
+            "joint": (s.MONITOR_JOINT_FIRST_ROW, s.MONITOR_JOINT_END_ROW),
+            "joint_int": (s.MONITOR_JOINT_INT_FIRST_ROW, s.MONITOR_JOINT_INT_END_ROW),
+            "run_int": (s.MONITOR_RUN_INT_FIRST_ROW, s.MONITOR_RUN_INT_END_ROW),
         }.get(field.table, (0, 0))  # fmt: skip
         if first <= field.first < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)
@@ -626,7 +628,7 @@ def test_refused_goals_are_reported_in_their_tick():
 
 def test_thresholds_follow_from_the_hand():
     assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
-    assert residuals.GAIN_FRACTION == 0.1
+    assert residuals.TORQUE_CONSTANT_TOLERANCE == 0.1
     assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from handctl.core.detectors import stuck_sensors, tendon_slip
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
-from handctl.core.detectors.tendon_slip import DEG_PER_RAD, SETTLE_S
+from handctl.core.detectors.tendon_slip import DEG_PER_RAD, MIN_TAUT_DURATION_S
 from handctl.safety.faults.node import (
     STUCK_SENSOR_GOAL_CHANGE_M,
     STUCK_SENSOR_JOINT_CHANGE_DEG,
@@ -93,7 +93,10 @@ def test_the_taut_time_does_not_change_between_slack_and_taut(
 def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
     monitor: SyntheticMonitor,
 ) -> None:
-    for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
+    for since, settled in (
+        (MIN_TAUT_DURATION_S, False),
+        (np.nextafter(MIN_TAUT_DURATION_S, 1.0), True),
+    ):
         now = measurements_at_rest(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
         monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
         begin, slipped = monitor.field_values("slip_from"), monitor.field_values("slip")
@@ -140,10 +143,10 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
           "pushed": [STUCK_CELL_FORCE_RANGE_N, 9.0],
           "turned": [STUCK_SENSOR_JOINT_CHANGE_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
     assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
-    beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
+    pairs_beyond_limits = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
     all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
-    assert stuck_names(monitor, stuck_ticks, 20.0, beyond) == all_names
-    assert stuck_names(monitor, stuck_ticks - 1, 20.0, beyond) == all_names | {
+    assert stuck_names(monitor, stuck_ticks, 20.0, pairs_beyond_limits) == all_names
+    assert stuck_names(monitor, stuck_ticks - 1, 20.0, pairs_beyond_limits) == all_names | {
         "motor": [],
         "joint": [],
     }

@@ -147,12 +147,14 @@ def test_a_grasping_hand_relaxes(
     fault_command: str, expected_faults: set[str], duration_s: float, seed: int
 ) -> None:
     hand = hand_with_protocol("jamia", "mit")
-    with homed_run(hand, default_control_rate(hand), seed) as course:
-        advance_to_stage(course, GRASP_STAGE)
+    with homed_run(hand, default_control_rate(hand), seed) as hand_run:
+        advance_to_stage(hand_run, GRASP_STAGE)
         which = seed % 4
-        course.simulated_hand.inject(
+        hand_run.simulated_hand.inject(
             fault_command.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s)
-        assert {mark.id for mark in course.state.latched} <= expected_faults
-        assert course.simulated_hand.fault_states()[0]["felt"]
+        assert hand_run.run_until(
+            lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s
+        )
+        assert {mark.id for mark in hand_run.state.latched} <= expected_faults
+        assert hand_run.simulated_hand.fault_states()[0]["felt"]

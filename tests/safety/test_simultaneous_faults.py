@@ -53,8 +53,8 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
     first_fault_id: str, second_fault_id: str
 ) -> None:
     a, b = CASE_BY_FAULT[first_fault_id], CASE_BY_FAULT[second_fault_id]
-    both = merge_inputs(a.input_with_fault, b.input_with_fault)
-    monitor, verdicts = check_ticks(*[both] * max(a.debounce_ticks, b.debounce_ticks))
+    merged_input = merge_inputs(a.input_with_fault, b.input_with_fault)
+    monitor, verdicts = check_ticks(*[merged_input] * max(a.debounce_ticks, b.debounce_ticks))
     assert verdicts[-1].action >= max(a.action, b.action)
     reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
     assert {(first_fault_id, a.faulty_part), (second_fault_id, b.faulty_part)} <= reported

@@ -156,7 +156,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """
     random = np.random.default_rng(seed)
     commanded, made = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
-    obeyed, stalled_tick_count = commanded[0].copy(), 0
+    obeyed_commands, stalled_tick_count = commanded[0].copy(), 0
     for k in range(1, COMMAND_TICKS):
         stalled_tick_count = (
             stalled_tick_count - 1
@@ -166,7 +166,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
         if stalled_tick_count:
             commanded[k:] += random.choice((-2.0, 2.0))
         else:
-            made[k], obeyed = obeyed, commanded[k].copy()
+            made[k], obeyed_commands = obeyed_commands, commanded[k].copy()
     return commanded, rounded_to_counts(made)
 
 

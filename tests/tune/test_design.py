@@ -64,23 +64,27 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
         hand.model_copy(update={"digit": (heavy_digit, right)}), packaged_gains("t42"), 500.0
     )
     plants = (PlantFactors(),)
-    both = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
-    assert both.gains.tendon == ()
+    gain_design = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
+    assert gain_design.gains.tendon == ()
     found = design_gains(model, plants)
     assert found.worst_margins_after.are_sufficient
     (light_tendon_gains,) = found.gains.tendon
     assert light_tendon_gains.name == "right_flexor"
-    assert light_tendon_gains.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
-    assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
+    assert light_tendon_gains.motion_force_N == pytest.approx(
+        gain_design.gains.motion.force_N, rel=0.1
+    )
+    assert found.gains.motion.force_N < 0.5 * gain_design.gains.motion.force_N
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
     shared = found.gains.model_copy(update={"tendon": ()})
     assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * stiffness_of_motion_loop(
         model, found.gains
     )
-    same = model_with_gains(model, found.as_weights())
+    redesigned_model = model_with_gains(model, found.as_weights())
     assert np.allclose(
-        same.motion.stiffness, model_with_gains(model, found.gains).motion.stiffness, rtol=1e-6
+        redesigned_model.motion.stiffness,
+        model_with_gains(model, found.gains).motion.stiffness,
+        rtol=1e-6,
     )
 
 
@@ -110,9 +114,11 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
         }
     )
     assert not keeps_required_margins(model_with_gains(jamia, gains_with_more_authority), plants)
-    same = model_with_gains(jamia, found.as_weights())
+    redesigned_model = model_with_gains(jamia, found.as_weights())
     assert np.allclose(
-        same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6
+        redesigned_model.motion.stiffness,
+        model_with_gains(jamia, found.gains).motion.stiffness,
+        rtol=1e-6,
     )
 
 

@@ -326,16 +326,16 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
     new = identified_parameters(motor_inertia=2e-4, torque_gain=0.9).model_copy(
         update={"log": ("b.mcap",)}
     )
-    both = IdentifiedParameters.model_validate(new.beside(old).model_dump())
-    assert dict(zip(both.names, both.values, strict=True)) == {
+    merged_parameters = IdentifiedParameters.model_validate(new.merged_with_older(old).model_dump())
+    assert dict(zip(merged_parameters.names, merged_parameters.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip
-    assert both.covariance == (
+    assert merged_parameters.covariance == (
         (1e-6, 0, 0, 0),
         (0, 1e-6, 0, 0),
         (0, 0, 4.0, 0.25),
         (0, 0, 0.25, 9.0),
     )
-    assert both.log == ("b.mcap", "a.mcap")
-    assert new.beside(None) is new
-    assert both.beside(old) is both
+    assert merged_parameters.log == ("b.mcap", "a.mcap")
+    assert new.merged_with_older(None) is new
+    assert merged_parameters.merged_with_older(old) is merged_parameters

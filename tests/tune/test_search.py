@@ -336,12 +336,14 @@ def test_only_good_trials_are_chosen() -> None:
 
     first = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front_trial = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
-    short, failed = (
+    short, failed_trial = (
         trial(3, 0.1, 0.1, 0.1, 60.0, 0.1),
         trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
     )
     dominated_trial = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = SearchResult.from_trials((first, best, front_trial, short, failed, dominated_trial))
+    found = SearchResult.from_trials(
+        (first, best, front_trial, short, failed_trial, dominated_trial)
+    )
     assert found.best == best
     assert found.pareto_front == (1, 2)
     assert found.relative_cost(first) == pytest.approx(1.0)

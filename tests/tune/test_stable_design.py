@@ -287,8 +287,8 @@ def test_closing_spool_pairs_are_not_reported_as_torn_tendons() -> None:
     step test therefore ended with this fault.
     """
     model = HandModel.from_hand(load_hand("orca_like"), Gains(), RATE_BY_HAND_HZ["orca_like"])
-    swing = simulate_swing(model.hand, model, {}, 0)
-    assert swing.failure == ""
+    swing_amplitude = simulate_swing(model.hand, model, {}, 0)
+    assert swing_amplitude.failure == ""
 
 
 @pytest.mark.parametrize("hand_name", EVERY_RUN_HANDS)

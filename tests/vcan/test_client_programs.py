@@ -96,15 +96,15 @@ def _install(environment: Path, program: ClientProgram) -> None:
     for words in (program.requirements, ("--no-deps", program.package)):
         if not words:
             continue
-        ran = subprocess.run(
+        result = subprocess.run(
             [*pip, "install", "--quiet", *words],
             capture_output=True,
             text=True,
             timeout=INSTALL_TIMEOUT_S,
             check=False,
         )
-        if ran.returncode:
-            pytest.skip(f"pip cannot install {program.package}: {_reason_of_pip(ran.stderr)}")
+        if result.returncode:
+            pytest.skip(f"pip cannot install {program.package}: {_reason_of_pip(result.stderr)}")
     ready.write_text(requirements, encoding="utf-8")
 
 
@@ -129,14 +129,14 @@ def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def _client_variables(client_python: Path) -> dict[str, str]:
     """Return the variables that the client needs. The package odrive loads libusb by its file name."""
     code = "import libusb_package; print(libusb_package.get_library_path())"
-    ran = subprocess.run(
+    result = subprocess.run(
         [str(client_python), "-c", code], capture_output=True, text=True, check=False
     )
-    if ran.returncode:
+    if result.returncode:
         return {}
     link = client_python.parent / "libusb-1.0.so.0"
     link.unlink(missing_ok=True)
-    link.symlink_to(ran.stdout.strip())
+    link.symlink_to(result.stdout.strip())
     return {"LD_LIBRARY_PATH": str(link.parent)}
 
 
@@ -161,9 +161,9 @@ def test_a_client_of_another_author_passes_all_its_checks(name: str, client_pyth
         output.append,
     )
     passed = [line for line in output if line.startswith(PASSED_WORD)]
-    failed = [line for line in output if line.startswith(FAILED_WORD)]
+    failed_checks = [line for line in output if line.startswith(FAILED_WORD)]
     print(f"{name}: {len(passed)} of {program.check_count} checks passed")
     text = "\n".join(output[-40:])
-    assert failed == []
+    assert failed_checks == []
     assert status == 0, text
     assert len(passed) == program.check_count, text

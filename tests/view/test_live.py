@@ -121,5 +121,7 @@ def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
 
 def test_the_controllers_process_imports_nothing_of_the_viewer() -> None:
     code = "import sys, handctl.view.live_view; print(sorted({'rerun', 'pyarrow', 'numpy'} & set(sys.modules)))"
-    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert ran.stdout.strip() == "[]"
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert result.stdout.strip() == "[]"

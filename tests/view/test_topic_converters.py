@@ -187,12 +187,16 @@ def _frame_position(
     transform_by_frame: dict[str, tuple[str, np.ndarray, np.ndarray]], frame_name: str
 ) -> np.ndarray:
     """Return the origin of a frame in the coordinates of the palm, using the chain of transforms."""
-    point = np.zeros(3)
+    frame_position = np.zeros(3)
     while frame_name != "palm":
         frame_name, translation, (x, y, z, w) = transform_by_frame[frame_name]
         axis = np.array([x, y, z])
-        point = point + 2 * np.cross(axis, np.cross(axis, point) + w * point) + translation
-    return point
+        frame_position = (
+            frame_position
+            + 2 * np.cross(axis, np.cross(axis, frame_position) + w * frame_position)
+            + translation
+        )
+    return frame_position
 
 
 def test_every_visual_shape_is_solid_and_in_its_digits_colour(

@@ -88,13 +88,13 @@ def grasp_frames(folder: Path) -> list[Any]:
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     starts = {change.name: change.t_ns for change in log.phases}
     times = np.arange(starts["preshape"], int(log.t_ns[-1]), int(1e9 / RATE_HZ)) + offset
-    joints = truth.columns_at([f"q/{joint}" for joint in log.header.joints], times)
-    pose = truth.columns_at(
+    joints = truth.interpolated_columns([f"q/{joint}" for joint in log.header.joints], times)
+    pose = truth.interpolated_columns(
         [f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times
     )
-    sunk = truth.column_at("support", times)
+    sunk = truth.interpolated_column("support", times)
     force = {
-        name: truth.columns_at([f"contact_force/{name}/{axis}" for axis in "xyz"], times)
+        name: truth.interpolated_columns([f"contact_force/{name}/{axis}" for axis in "xyz"], times)
         for name in DIGIT_COLOURS
     }
     top = float(data.mocap_pos[0, 2])

@@ -81,11 +81,11 @@ def save_still(hand_file: str) -> None:
     hold = next(change.t_ns for change in log.phases if change.name == "hold")
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     time_ns = np.array([hold + offset + round(HOLD_DELAY_S * 1e9)])
-    joints = truth.columns_at([f"q/{joint}" for joint in log.header.joints], time_ns)[0]
+    joints = truth.interpolated_columns([f"q/{joint}" for joint in log.header.joints], time_ns)[0]
     parts = ("x", "y", "z", "qw", "qx", "qy", "qz")
     data.qpos[: len(joints)] = joints
-    data.qpos[len(joints) :] = truth.columns_at([f"object/{part}" for part in parts], time_ns)[0]
-    data.mocap_pos[0, 2] -= truth.column_at("support", time_ns)[0]
+    data.qpos[len(joints) :] = truth.interpolated_columns([f"object/{part}" for part in parts], time_ns)[0]
+    data.mocap_pos[0, 2] -= truth.interpolated_column("support", time_ns)[0]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
     with mujoco.Renderer(model, PICTURE_SIZE_PX[1], PICTURE_SIZE_PX[0]) as renderer:

@@ -35,7 +35,7 @@ def estimate_plot(folder: Path) -> Any:
     """Plot raw load cell, estimated tension with its uncertainty, and true tension, in motion and at contact."""
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
-    true = truth.column_at("tension/index_tendon", log.t_ns + offset)
+    true = truth.interpolated_column("tension/index_tendon", log.t_ns + offset)
     raw, mean, sigma = (
         log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma")
     )
@@ -181,14 +181,14 @@ def replay_plot(folder: Path) -> Any:
     figure = new_figure(8.6, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True)
     part = (log.times >= start) & (log.times <= end)
-    later = (again.t >= first) & (again.t <= first + end - start)
+    is_compared_time = (again.t >= first) & (again.t <= first + end - start)
     joints = {"index": slice(0, 3), "thumb": slice(9, 11)}
     for n, name in ((0, "index"), (3, "thumb")):
         before = np.degrees(log.field("q")[part, joints[name]].mean(axis=1))
-        after = np.degrees(again.values["q"][later, joints[name]].mean(axis=1))
+        after = np.degrees(again.values["q"][is_compared_time, joints[name]].mean(axis=1))
         for axes, old, new in (
             (top, before, after),
-            (bottom, log.field("tension")[part, n], again.values["tension"][later, n]),
+            (bottom, log.field("tension")[part, n], again.values["tension"][is_compared_time, n]),
         ):
             axes.plot(
                 *thinned_curves(log.times[part] - start, old),
@@ -198,7 +198,7 @@ def replay_plot(folder: Path) -> Any:
                 label=f"{name}, recorded",
             )
             axes.plot(
-                *thinned_curves(again.t[later] - first, new),
+                *thinned_curves(again.t[is_compared_time] - first, new),
                 color=DIGIT_COLOURS[name],
                 linewidth=1.0,
                 label=f"{name}, replayed",

@@ -21,12 +21,12 @@ def main() -> int:
         "--check", action="store_true", help="write nothing, and return 1 if a page is stale"
     )
     if parser.parse_args().check:
-        stale = [*stale_pages(REPOSITORY_ROOT)]
+        outdated_pages = [*stale_pages(REPOSITORY_ROOT)]
         if SCHEMA_FILE.read_text("utf-8") != hand_schema_text():
-            stale.append(str(SCHEMA_FILE.relative_to(REPOSITORY_ROOT)))
-        for page in stale:
+            outdated_pages.append(str(SCHEMA_FILE.relative_to(REPOSITORY_ROOT)))
+        for page in outdated_pages:
             print(f"{page}: stale; run python -m tools.reference", file=sys.stderr)
-        return 1 if stale else 0
+        return 1 if outdated_pages else 0
     for page in written_pages(REPOSITORY_ROOT):
         print(page)
     if SCHEMA_FILE.read_text("utf-8") != hand_schema_text():

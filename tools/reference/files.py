@@ -136,14 +136,14 @@ def value_text(annotation: Any) -> str:
 
 def _list_text(arguments: list[Any]) -> str:
     """Return the valid values of a tuple in words."""
-    inner = value_text(arguments[0])
-    if inner == "a table":
+    inner_definition = value_text(arguments[0])
+    if inner_definition == "a table":
         return "tables"
     count = "" if Ellipsis in arguments else f"{len(arguments)} values, "
     return (
-        f"a list of lists, {inner}"
+        f"a list of lists, {inner_definition}"
         if get_origin(arguments[0]) is tuple
-        else f"a list, {count}each {inner}"
+        else f"a list, {count}each {inner_definition}"
     )
 
 
@@ -164,7 +164,9 @@ def gains_sections() -> str:
         model = Gains.model_fields[section].annotation
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
         live = "during a run" if keys[0].live else "before a run only"
-        rows = ((quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.why)) for b in keys)
+        rows = (
+            (quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.meaning)) for b in keys
+        )
         parts += [
             f"## `[{section}]`",
             f"{prose_markdown(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
@@ -178,7 +180,12 @@ def gains_sections() -> str:
     for field, shared in SHARED_KEYS.items():
         if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
             forces.append(
-                (quoted_code(bound.key), quoted_code(shared), str(bound), prose_markdown(bound.why))
+                (
+                    quoted_code(bound.key),
+                    quoted_code(shared),
+                    str(bound),
+                    prose_markdown(bound.meaning),
+                )
             )
     parts.append(markdown_table(("gain", "default", "bounds", "meaning"), forces))
     return "\n\n".join(parts)

@@ -69,9 +69,9 @@ def _signature_block(function: object) -> str:
     flat = ARRAY_PATTERN.sub("NDArray", flat)
     line = f"{name}{flat} -> {result}"
     if len(line) > 90:
-        inner = flat[1:-1].replace(", ", ",\n    ")
+        inner_definition = flat[1:-1].replace(", ", ",\n    ")
         # A comma inside the brackets of a type does not separate arguments.
-        line = f"{name}(\n    {_rejoin_brackets(inner)},\n) -> {result}"
+        line = f"{name}(\n    {_rejoin_brackets(inner_definition)},\n) -> {result}"
     return f"```python\n{line}\n```"
 
 

@@ -9,7 +9,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.faults.tendon import FORCE_RANGE_ERROR_N, STUCK_CELL_FORCE_RANGE_N
@@ -24,7 +24,7 @@ ODRIVE = "odrive"
 CIA402 = "cia402"
 MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
-ALL_PROTOCOLS = GUARDED_PROTOCOLS
+ALL_PROTOCOLS = VERIFIABLE_PROTOCOLS
 """Drive protocols that the fault matrix covers."""
 ALL_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
 MOVING_STAGES = (FREE_STAGE, GRASP_STAGE)

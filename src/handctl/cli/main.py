@@ -293,7 +293,7 @@ def _run_verb(name: str, command_words: list[str]) -> int:
                 simulator_command,
             )  # this import loads pydantic, which a help text does not need
 
-            raise NoSimulatorError(error.bus, error.why, simulator_command(args)) from None
+            raise NoSimulatorError(error.bus, error.reason, simulator_command(args)) from None
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise
@@ -307,10 +307,10 @@ def _run_verb(name: str, command_words: list[str]) -> int:
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early, so that it imports its modules while this process also imports modules."""
     from handctl.log.write.recorder_start import (
-        recorder_process_ahead,
+        recorder_process_started_in_advance,
     )  # a verb that records no run does not need the module subprocess
 
-    return recorder_process_ahead()
+    return recorder_process_started_in_advance()
 
 
 def _import_verb(name: str) -> Any:

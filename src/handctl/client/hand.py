@@ -24,7 +24,7 @@ from handctl.client.fingertips import Fingertips, FingertipStream
 from handctl.client.heartbeat import BEATS_PER_LEASE, Heartbeat
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
-from handctl.core.tick_types import SHUTTING_DOWN
+from handctl.core.tick_types import SHUTDOWN_MODES
 from handctl.document import validate_content
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.hand.description import Hand
@@ -34,9 +34,9 @@ from handctl.programs.requests import (
     LONGEST_LEASE_S,
     REFUSED_PREFIX,
     SHORTEST_LEASE_S,
-    HoldTension,
-    MoveDigits,
-    OpenStream,
+    HoldTensionRequest,
+    MoveDigitsRequest,
+    OpenStreamRequest,
 )
 from handctl.programs.stream_plans import target_horizon_s
 from handctl.programs.task import HoldPhase
@@ -78,7 +78,7 @@ DEFAULT_LEASE_S = 2.0
 
 This is longer than the delays of the thread that renews the lease, on a busy machine.
 """
-SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
+SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 """Modes of the hand in which the controller follows no goals."""
 RUN_OWNER = "a running handctl run"
 CONFIRMATION_OPTION = "--yes"
@@ -296,7 +296,7 @@ class HandClient:
             "angle_deg": _with_float_numbers(angles),
             **_with_float_numbers({"duration_s": duration_s}),
         }
-        validate_content(goal, MoveDigits, "move")
+        validate_content(goal, MoveDigitsRequest, "move")
         start_s = self._set_goal(goal)
         while wait and self._wait_as_commander() < start_s + goal["duration_s"]:
             pass
@@ -331,7 +331,7 @@ class HandClient:
             "tension_N": _with_float_numbers(tensions),
             **_with_float_numbers({"rate_N_per_s": rate_N_per_s}),
         }
-        validate_content(goal, HoldTension, "hold")
+        validate_content(goal, HoldTensionRequest, "hold")
         self._set_goal(goal)
 
     def stream(
@@ -395,7 +395,7 @@ class HandClient:
             "names": list(everything if names is None else names), "interpolation": interpolation,
             **_with_float_numbers(numbers),
         }  # fmt: skip
-        validate_content(goal, OpenStream, "stream")
+        validate_content(goal, OpenStreamRequest, "stream")
         with ExitStack() as undo:
             sender = TargetSender(self.bus, os.getpid(), number)
             undo.callback(sender.close)

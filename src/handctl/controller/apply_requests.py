@@ -19,7 +19,7 @@ from handctl.controller.target_streams import (
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import (
-    SHUTTING_DOWN,
+    SHUTDOWN_MODES,
     HandMode,
     TickEvent,
 )
@@ -35,18 +35,18 @@ from handctl.programs.program import Program
 from handctl.programs.requests import (
     AliveRequest,
     ArmRequest,
-    ClearRequest,
-    CloseStream,
+    ClearFaultsRequest,
+    CloseStreamRequest,
     CommandBase,
-    CutRequest,
+    CutTorqueRequest,
+    GiveUpCommandRequest,
     GraspRequest,
-    HoldTension,
-    LeaveRequest,
-    MoveDigits,
-    OpenStream,
-    ReleaseGrasp,
+    HoldTensionRequest,
+    MoveDigitsRequest,
+    OpenStreamRequest,
+    ReleaseGraspRequest,
     Request,
-    SetGains,
+    SetGainsRequest,
     StopRequest,
     describe_request,
     is_routine_request,
@@ -86,11 +86,11 @@ def apply_requests(
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
             operator = replace(operator, stop=True)
-        elif isinstance(request, CutRequest):
+        elif isinstance(request, CutTorqueRequest):
             operator = replace(operator, cut=True)
         elif isinstance(request, ArmRequest):
             state.armed = True
-        elif isinstance(request, ClearRequest):
+        elif isinstance(request, ClearFaultsRequest):
             clear_latched_faults(state)
             state.clearing = state.mode in BEFORE_READY
         else:
@@ -102,7 +102,7 @@ def _apply_other_request(
     model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
     """Apply one request: a change of gains, a sign of life from a client, or a motion command."""
-    if isinstance(request, SetGains):
+    if isinstance(request, SetGainsRequest):
         return _set_gains(model, program, state, request)
     if isinstance(request, AliveRequest):
         return renew_lease(state, request.client)
@@ -112,7 +112,7 @@ def _apply_other_request(
 
 
 def _set_gains(
-    model: HandModel, program: Program, state: ControllerState, request: SetGains
+    model: HandModel, program: Program, state: ControllerState, request: SetGainsRequest
 ) -> tuple[TickEvent, ...]:
     """Begin to design the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
@@ -135,30 +135,30 @@ def _apply_command(
         close_stream(model, state)
     state.decide(commander=request.client)
     begin_lease(state, request)
-    if isinstance(request, GraspRequest | ReleaseGrasp):
+    if isinstance(request, GraspRequest | ReleaseGraspRequest):
         return _apply_grasp(model, state, request)
-    if state.progress.task is not None and not isinstance(request, CloseStream):
+    if state.progress.task is not None and not isinstance(request, CloseStreamRequest):
         state.decide(progress=end_task(state.progress))
-    if isinstance(request, MoveDigits | HoldTension):
+    if isinstance(request, MoveDigitsRequest | HoldTensionRequest):
         return _set_goal(model, state, request)
-    if isinstance(request, OpenStream):
+    if isinstance(request, OpenStreamRequest):
         return (open_stream(model, state, request),)
     stream = state.decisions.stream
-    if not isinstance(request, CloseStream):
+    if not isinstance(request, CloseStreamRequest):
         close_stream(model, state)
         state.decide(progress=bring_to_rest(model, state))
     elif stream is not None and stream.name == request.stream:
         close_stream(model, state)
-    if isinstance(request, LeaveRequest):
+    if isinstance(request, GiveUpCommandRequest):
         state.decide(commander=None)
     return ()
 
 
 def _apply_grasp(
-    model: HandModel, state: ControllerState, request: GraspRequest | ReleaseGrasp
+    model: HandModel, state: ControllerState, request: GraspRequest | ReleaseGraspRequest
 ) -> tuple[TickEvent, ...]:
     """Begin a grasp task, or end the hold of the running grasp task."""
-    if isinstance(request, ReleaseGrasp):
+    if isinstance(request, ReleaseGraspRequest):
         progress, events = release_task(state.progress)
     else:
         close_stream(model, state)
@@ -179,7 +179,7 @@ def _refusal_reason(
     A hand that relaxes or is being commissioned must not pull, and only one client may send
     commands.
     """
-    if state.mode in SHUTTING_DOWN:
+    if state.mode in SHUTDOWN_MODES:
         return TickEvent("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
@@ -195,7 +195,7 @@ def _refusal_reason(
 
 
 def _set_goal(
-    model: HandModel, state: ControllerState, request: MoveDigits | HoldTension
+    model: HandModel, state: ControllerState, request: MoveDigitsRequest | HoldTensionRequest
 ) -> tuple[TickEvent, ...]:
     """Set the goal of a request for the digits that the request names.
 

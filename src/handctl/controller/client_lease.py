@@ -13,7 +13,7 @@ from handctl.controller.target_streams import bring_to_rest, close_stream
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
-from handctl.programs.requests import CommandBase, LeaveRequest
+from handctl.programs.requests import CommandBase, GiveUpCommandRequest
 
 RELAX_FACTOR = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
@@ -25,7 +25,7 @@ def begin_lease(state: ControllerState, request: CommandBase) -> None:
     If the command contains no lease, end the present lease.
     """
     lease = None
-    if request.lease_s is not None and not isinstance(request, LeaveRequest):
+    if request.lease_s is not None and not isinstance(request, GiveUpCommandRequest):
         lease = ClientLease(request.client, round(1e9 * request.lease_s), state.run_integer(s.T_NS))
     state.decide(lease=lease)
 

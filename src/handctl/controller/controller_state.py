@@ -135,7 +135,7 @@ def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
         "group": group_count,
         "instance": max(n + 1, joints),
         "run": 1,
-        "servo": n if any(motor.holds_position for motor in model.hand.motor) else 0,
+        "servo": n if any(motor.closes_position_loop for motor in model.hand.motor) else 0,
     })  # fmt: skip
 
 
@@ -150,7 +150,7 @@ def drive_values(
         torque,
         temperature,
         int(tendon_int[s.FEEDBACK_NS, n]),
-        int(tendon_int[s.FEEDBACKS, n]),
+        int(tendon_int[s.FEEDBACK_COUNT, n]),
         RecheckCursor(*tendon_int[s.RECHECK_STEP : s.RECHECK_TRIES + 1, n].tolist()),
     )
 
@@ -244,11 +244,11 @@ class ControllerState:
     @property
     def mode_since(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self.run_number(s.MODE_SINCE)
+        return self.run_number(s.MODE_START_TIME)
 
     @mode_since.setter
     def mode_since(self, t: float) -> None:
-        self.set_run_number(s.MODE_SINCE, t)
+        self.set_run_number(s.MODE_START_TIME, t)
 
     @property
     def goal_time(self) -> float:
@@ -274,11 +274,11 @@ class ControllerState:
     @property
     def clearing(self) -> bool:
         """Return True if the drives are clearing their latched errors before arming."""
-        return bool(self.run_integer(s.CLEARING))
+        return bool(self.run_integer(s.CLEARING_DRIVE_ERRORS))
 
     @clearing.setter
     def clearing(self, is_clearing: bool) -> None:
-        self.set_run_integer(s.CLEARING, is_clearing)
+        self.set_run_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
 
     @property
     def started(self) -> bool:
@@ -303,7 +303,7 @@ class ControllerState:
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return the numbers of SYNC frames sent, tension frames accepted, and answers to an earlier SYNC."""
         return (
-            self.run_integer(s.SYNCS),
+            self.run_integer(s.SYNC_COUNT),
             self.run_integer(s.TENSION_FRAMES),
             self.run_integer(s.STALE_FRAMES),
         )

@@ -11,12 +11,16 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.core.gains.gain_bounds import check_tendon_names, different_values, gains_with_values
+from handctl.core.gains.gain_bounds import (
+    changed_gain_values,
+    check_tendon_names,
+    gains_with_values,
+)
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import (
-    design_from_pieces,
-    design_loop_piece,
-    design_piece_count,
+    combine_loop_designs,
+    control_loop_count,
+    design_control_loop,
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
@@ -72,7 +76,7 @@ class DesignCache:
             return DesignProgress(
                 None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
             )
-        if len(done) >= design_piece_count(model.space):
+        if len(done) >= control_loop_count(model.space):
             return None
         return DesignProgress(replace(pending, step=pending.step + 1))
 
@@ -82,9 +86,9 @@ class DesignCache:
         if gains not in self.controllers:
             old: Any = controller
             model = old.model
-            designed_pieces = self._design_pieces(model, gains, design_piece_count(model.space))
+            designed_pieces = self._design_pieces(model, gains, control_loop_count(model.space))
             designed = replace(
-                model, gains=gains, motion=design_from_pieces(model.space, designed_pieces)
+                model, gains=gains, motion=combine_loop_designs(model.space, designed_pieces)
             )
             self.controllers[gains] = replace(old, model=designed, similar=old.derived)
         made: ControllerT = self.controllers[gains]
@@ -101,7 +105,7 @@ class DesignCache:
             del self.designed_pieces[oldest]
         while len(designed_pieces) < piece_count:
             designed_pieces.append(
-                design_loop_piece(model.space, gains, model.period, len(designed_pieces))
+                design_control_loop(model.space, gains, model.period, len(designed_pieces))
             )
         return designed_pieces
 
@@ -127,7 +131,7 @@ def begin_design(
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
     """Return one event for each gain that has changed, and one last event for the switch to the new gains."""
-    different = different_values(old_gains, new_gains)
+    different = changed_gain_values(old_gains, new_gains)
     changed = tuple(
         TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()
     )

@@ -19,7 +19,7 @@ from handctl.controller.relaxing import (
 )
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
+from handctl.core.tick_types import MODES_BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
 from handctl.drives.contract import (
     Drive,
     DrivePhase,
@@ -201,7 +201,7 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
         return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.operator.stop:
         return _MODE_AFTER_STOP[state.mode], ""
-    return _before_arming(state, inputs) if state.mode in BEFORE_ARMING else None
+    return _before_arming(state, inputs) if state.mode in MODES_BEFORE_ARMING else None
 
 
 def _before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
@@ -372,7 +372,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
         # A drive may report that it is disabled although its motor still pulls.
-        ticks_without_torque = state.run_integer(s.CUT_TICKS) - RELEASE_CHECK_TICKS
+        ticks_without_torque = state.run_integer(s.TICKS_SINCE_CUT) - RELEASE_CHECK_TICKS
         checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if checked else HandMode.DISARM), ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
@@ -415,7 +415,7 @@ def motors_not_confirmed_off(
     run. A drive which reports that it is enabled is always listed.
     """
     in_doubt = motor_names
-    if state.mode in BEFORE_ARMING:
+    if state.mode in MODES_BEFORE_ARMING:
         in_doubt = ()
     elif state.mode == HandMode.DONE:
         in_doubt = state.unconfirmed
@@ -447,5 +447,7 @@ def _motors_possibly_on(
 
     If the run ends before arming, a tendon may have tension although the motor makes no torque.
     """
-    pulling = () if state.mode in BEFORE_ARMING else _pulling_motors(model, state, motor_names)
+    pulling = (
+        () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)
+    )
     return tuple(dict.fromkeys((*motors_not_confirmed_off(state, motor_names), *pulling)))

@@ -51,7 +51,7 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     table = state.tendon
     whole = state.tendon_int
     in_tension_loop = np.array(
-        [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of]
+        [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of_tendon]
     )
     # A spool pair may pull in either direction. So all values are given in the direction of the
     # last command.

@@ -38,7 +38,7 @@ from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.playback import PlaybackProgram, RecordedGoals
 from handctl.programs.program import Program
-from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
@@ -63,7 +63,7 @@ class JogSetup(Document):
     """Set-up of a program that pursues a single goal for a given time."""
 
     program: Literal["jog"] = "jog"
-    request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
+    request: Annotated[MoveDigitsRequest | HoldTensionRequest, Field(discriminator="do")]
     duration_s: float
 
 
@@ -222,13 +222,13 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     Raises:
         ConfigError: the commands cannot carry a position loop.
     """
-    if not motor.holds_position:
+    if not motor.closes_position_loop:
         return
     where = f"motor[{motor.name}]"
     message = drive.cyclic_messages.position
     if message is None:
         right = position_loop_protocols_text()
-        if reason := PROTOCOL_TRAITS[motor.protocol].no_position_loop:
+        if reason := PROTOCOL_TRAITS[motor.protocol].no_position_loop_reason:
             right += f". {reason}"
         raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
     given = {SignalQuantity.STIFFNESS: "kp_N_m_per_rad", SignalQuantity.DAMPING: "kd_N_m_s_per_rad"}

@@ -21,7 +21,12 @@ from handctl.core.control_law.trajectory import (
     StreamedTrajectory,
 )
 from handctl.core.gains.gains import Gains
-from handctl.core.plain_values import BYTES_MARK, from_plain, register_types, to_plain
+from handctl.core.plain_values import (
+    BYTES_MARK,
+    object_from_plain_form,
+    plain_form,
+    register_restorable_types,
+)
 from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
@@ -38,7 +43,7 @@ from handctl.programs.stream_plans import StreamPlan
 from handctl.programs.task import Task
 from handctl.safety.tick_verdict import CountedFault, LatchedFault
 
-register_types(
+register_restorable_types(
     ControllerDecisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind,
     MinimumJerk, BlendTrajectory, CurveTrajectory,
     SampledTrajectory,
@@ -55,7 +60,7 @@ IDENTITY_BYTES = 8
 
 def snapshot_bytes(state: ControllerState) -> bytes:
     """Return the snapshot of a controller's state as bytes."""
-    decisions = json.dumps(to_plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
+    decisions = json.dumps(plain_form(state.decisions), separators=(",", ":"), default=_mark_bytes)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
@@ -81,7 +86,7 @@ def restore_state(layout: BlockLayout, packed_snapshot: bytes) -> ControllerStat
         raise ValueError(f"a snapshot of {len(packed_snapshot)} bytes of another schema or hand")
     block = np.frombuffer(packed_snapshot, np.float64, layout.size, IDENTITY_BYTES).copy()
     try:
-        decisions = from_plain(json.loads(packed_snapshot[end:]))
+        decisions = object_from_plain_form(json.loads(packed_snapshot[end:]))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
     if not isinstance(decisions, ControllerDecisions):

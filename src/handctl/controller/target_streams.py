@@ -11,17 +11,17 @@ from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segme
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickEvent, Vector
 from handctl.programs.program import ProgramProgress, coordinates_by_excursion
-from handctl.programs.requests import OpenStream
+from handctl.programs.requests import OpenStreamRequest
 from handctl.programs.stream_plans import (
     TARGET_UNIT_BY_SPACE,
     StreamPlan,
     StreamStatus,
-    is_plausible,
+    is_target_plausible,
     loop_fractions,
     mapping_of_stream,
     nearest_holdable_posture,
     plan_of_request,
-    progress_at_rest,
+    progress_with_stopped_digits,
     streamed_digits,
     streamed_goals,
     target_tensions,
@@ -51,7 +51,7 @@ def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector,
     return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
-def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
+def open_stream(model: HandModel, state: ControllerState, request: OpenStreamRequest) -> TickEvent:
     """Open a stream.
 
     Until the first target arrives, the digits of the stream keep their present reference.
@@ -61,19 +61,24 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
         return TickEvent("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
     digits = streamed_digits(model, stream)
-    if stream.moves:
+    if stream.is_angle_stream:
         _prepare_motion(model, state, digits)
-    for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
+    for row in (
+        s.ACCEPTED_TARGET_COUNT,
+        s.CLIPPED_TARGET_COUNT,
+        s.LATE_TARGET_COUNT,
+        s.REFUSED_TARGET_COUNT,
+    ):
         state.set_run_integer(row, 0)
     state.set_run_integer(s.STREAM_SEQUENCE, -1)
     state.set_run_integer(s.STREAMING, s.OPEN_STREAM)
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
-    tension = None if stream.moves else present_setpoints(model, state)
+    tension = None if stream.is_angle_stream else present_setpoints(model, state)
     state.decide(stream=stream, progress=streamed_goals(state.progress, digits, tension))
     text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
-    if stream.softness is not None:
+    if stream.joint_stiffness is not None:
         fractions = state.tendon[
             s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]
         ]
@@ -93,7 +98,7 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
-    state.set_run_number(s.STREAM_SINCE, 0.0)
+    state.set_run_number(s.STREAM_SEGMENT_START, 0.0)
     state.set_run_number(s.STREAM_DURATION, 0.0)
 
 
@@ -112,7 +117,7 @@ def bring_to_rest(
     """Return the progress of the program with new goals, by which moving digits come to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = present_setpoints(model, state)
-    return progress_at_rest(
+    return progress_with_stopped_digits(
         state.progress,
         present_references(model, state),
         setpoints,
@@ -144,10 +149,10 @@ def apply_target(
         or (target is not None and target.stream != stream.name)
     ):
         return ()  # the target belongs to another client, or to a stream that has ended
-    if target is None or not is_plausible(stream, target.values):
+    if target is None or not is_target_plausible(stream, target.values):
         right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
         return _count_target(
-            state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
+            state, s.REFUSED_TARGET_COUNT, f"refused: a target that is no target, expected {right}"
         )
     sent_ns = min(target.sent_ns, t_ns)
     running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
@@ -157,21 +162,21 @@ def apply_target(
     ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
-            state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
+            state, s.LATE_TARGET_COUNT, "ignored: a target that is repeated, overtaken or too old"
         )
-    begin = _begin_segment if stream.moves else _begin_tension_ramp
+    begin = _begin_segment if stream.is_angle_stream else _begin_tension_ramp
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
     state.set_run_integer(s.STREAM_SEQUENCE, target.number)
     state.set_run_integer(s.STREAMING, s.RUNNING_STREAM)
-    _count_target(state, s.STREAM_ACCEPTED)
+    _count_target(state, s.ACCEPTED_TARGET_COUNT)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
-        if stream.moves
+        if stream.is_angle_stream
         else "the tension limits"
     )
     return (
-        _count_target(state, s.STREAM_CLIPPED, f"clipped: a target beyond {limit}")
+        _count_target(state, s.CLIPPED_TARGET_COUNT, f"clipped: a target beyond {limit}")
         if clipped
         else ()
     )
@@ -232,11 +237,11 @@ def _begin_segment(
     """
     rows = state.layout.table(state.block, "coordinate")
     where = mapping_of_stream(model, stream.space, stream.names)
-    aim = np.where(where.driven, where.matrix @ target_values, rows[s.STREAM_TARGET])
+    aim = np.where(where.is_streamed, where.matrix @ target_values, rows[s.STREAM_TARGET])
     held = aim
-    if where.held:
+    if where.digits_not_fully_holdable:
         held = np.clip(aim, *model.reach)
-        for d in where.held:
+        for d in where.digits_not_fully_holdable:
             digit = model.digits[d]
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
@@ -280,7 +285,13 @@ def stream_status(state: ControllerState) -> StreamStatus:
         if running
         else math.nan
     )
-    rows = (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED, s.STREAM_LIMITED)
+    rows = (
+        s.ACCEPTED_TARGET_COUNT,
+        s.CLIPPED_TARGET_COUNT,
+        s.LATE_TARGET_COUNT,
+        s.REFUSED_TARGET_COUNT,
+        s.LIMITED_COORDINATE_COUNT,
+    )
     return StreamStatus(
         state.run_integer(s.STREAM_SEQUENCE), age_s, *[state.run_integer(row) for row in rows]
     )

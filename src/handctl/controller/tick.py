@@ -63,7 +63,7 @@ from handctl.drives.frame_records import (
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED_PREFIX, parse_target, without_targets
+from handctl.programs.requests import REFUSED_PREFIX, parse_target, requests_and_stream_targets
 from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
@@ -350,10 +350,10 @@ class Controller:
             block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
         )
         signs = self._receive_frames(
-            state, frames, self.sensors.earliest_answer_ns(last_state.run_integer(s.T_NS))
+            state, frames, self.sensors.earliest_answer_time_ns(last_state.run_integer(s.T_NS))
         )
         tick_stages.observe_tick(block, places, *self.derived.constant_args)
-        tick_stages.correct_estimate(block, places, *self.derived.constant_args)
+        tick_stages.correct_tension_estimate(block, places, *self.derived.constant_args)
         if state.started:
             predict_filter_states(self.model, self.derived.layout, block, missed)
         if tick_stages.conclude_estimate(block, places, *self.derived.constant_args):
@@ -380,11 +380,13 @@ class Controller:
         rows = frames.rows
         entries = tables.entries
         if state.decisions.amplifiers:
-            entries = tables.entries_without(self._groups_not_ready(state.decisions.amplifiers))
+            entries = tables.entries_without_groups(
+                self._groups_not_ready(state.decisions.amplifiers)
+            )
         while True:
             at = cyclic_frames.receive_frames(
                 state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
-                tables.wholes, tables.reals, tables.recheck_ranges, tables.rechecks, at, fresh_ns,
+                tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, fresh_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
@@ -444,7 +446,8 @@ class Controller:
             state.block, self.derived.layout.places, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
-            drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
+            drive.steady_status(drive_state), drive.due_ns(drive_state),
+            int(drive_state.misread_frame_count != before.misread_frame_count),
         )  # fmt: skip
         stripped = drive_state.with_values()  # the numbers of the drive are in the state block
         if stripped != before:
@@ -480,7 +483,7 @@ class Controller:
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
         state.set_run_integer(
-            s.TARED, state.progress.phase != TARE_PHASE
+            s.CELLS_TARED, state.progress.phase != TARE_PHASE
         )  # before a load cell has been tared, it may read any value
         demanded, found = tick_stages.find_faults(
             state.block,
@@ -490,7 +493,7 @@ class Controller:
         )
         new_findings = (
             newly_active_faults(self.derived.limits, found, state.view("fault_ticks"))
-            if state.run_integer(s.NEW_FAULTS)
+            if state.run_integer(s.NEW_FAULT_COUNT)
             else []
         )
         decisions = state.decisions
@@ -551,8 +554,8 @@ class Controller:
             write_goals(self.model, self.derived.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_run_integer(s.GRIPPING, progress.grip is not None)
-        state.set_run_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
+        state.set_run_number(s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0)
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -603,8 +606,8 @@ class Controller:
             other = self.designs.controller(self, pending.gains)
             other._compute_torques(unchanged, action, ticks)
             step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
-            state.tendon[s.TRIM] += step
-            state.set_run_integer(s.TRIMMED, 1)
+            state.tendon[s.TRIM_FORCE] += step
+            state.set_run_integer(s.TRIM_ACTIVE, 1)
         state.decide(gains=pending.gains, pending=None)
         return gain_change.gain_change_events(self.model.gains, pending.gains)
 
@@ -627,7 +630,7 @@ class Controller:
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
-                state.set_run_integer(s.SYNCS, state.run_integer(s.SYNCS) + 1)
+                state.set_run_integer(s.SYNC_COUNT, state.run_integer(s.SYNC_COUNT) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
@@ -636,7 +639,7 @@ class Controller:
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent = join_frames([sent, frames_as_records(setup)])
         return (
-            join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])])
+            join_frames([frames_as_records(self.cut_frames()), Frames.from_rows(out[start:1])])
             if mode == CUT
             else sent
         )
@@ -672,9 +675,10 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first, count = cyclic_frames.encode_commands(
-                    state.block, self.derived.layout.places, frame_words, tables.commands, tables.sent_wholes,
-                    tables.sent_reals, tables.templates, torque, tables.servos, tables.servo_templates,
-                    tables.servo_wholes, tables.servo_reals, tables.recheck_ranges, tables.rechecks, first, count,
+                    state.block, self.derived.layout.places, frame_words, tables.commands,
+                    tables.command_signal_integers, tables.command_signal_reals, tables.templates, torque,
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    tables.recheck_ranges, tables.rechecks, first, count,
                 )  # fmt: skip
             if first >= n:
                 break
@@ -688,10 +692,13 @@ class Controller:
                     send_torque_only(state, first)
             self.store_drive_state(state, first, drive_state)
             if frames:
-                parts += [Frames.of_rows(frame_words[pending_row:count]), frames_as_records(frames)]
+                parts += [
+                    Frames.from_rows(frame_words[pending_row:count]),
+                    frames_as_records(frames),
+                ]
                 pending_row = count
             first += 1
-        rest = Frames.of_rows(frame_words[pending_row:count])
+        rest = Frames.from_rows(frame_words[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
 
 
@@ -731,7 +738,7 @@ class TickInProgress:
             requests: requests of operators and programs, in the order of arrival. The targets among
                 them are applied in the next step.
         """
-        others, self.targets = without_targets(requests) if requests else ((), ())
+        others, self.targets = requests_and_stream_targets(requests) if requests else ((), ())
         self.controller._decide_goals(self, others)
 
     def command(self, targets: tuple[TickRequest, ...]) -> Frames:

@@ -38,17 +38,17 @@ class _DeferredAttribute:
         """Import the module, and call the real function."""
         return self._apply_to_real_object(lambda real: real(*given, **named))
 
-    def _apply_to_real_object(self, use_object: Callable[[Any], Any]) -> Any:
-        """Apply ``use_object`` to the real function or distribution, after the import of its module.
+    def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
+        """Apply ``operation`` to the real function or distribution, after the import of its module.
 
         During its import, filterpy makes one trial call, for which the method returns None.
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
-        return None if isinstance(real, _DeferredAttribute) else use_object(real)
+        return None if isinstance(real, _DeferredAttribute) else operation(real)
 
 
-class _StandIn(ModuleType):
+class _DeferredModule(ModuleType):
     """Stand-in for a module. The first use of a function imports the real module."""
 
     def __getattr__(self, name: str) -> _DeferredAttribute:
@@ -67,10 +67,10 @@ def deferred_imports() -> Iterator[None]:
     replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
     for package, part in places:
-        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandIn(
+        sys.modules[f"{package.__name__}.{part}"] = deferred_module = _DeferredModule(
             f"{package.__name__}.{part}"
         )
-        setattr(package, part, stand_in)
+        setattr(package, part, deferred_module)
     try:
         yield
     finally:
@@ -131,9 +131,9 @@ def import_without_package(name: str) -> ModuleType:
     ]
     if not places:
         raise ModuleNotFoundError(f"No module named {package!r}", name=package)
-    stand_in = ModuleType(package)
-    stand_in.__path__ = list(places[0])
-    sys.modules[package] = stand_in
+    package_stub = ModuleType(package)
+    package_stub.__path__ = list(places[0])
+    sys.modules[package] = package_stub
     try:
         return importlib.import_module(name)
     finally:

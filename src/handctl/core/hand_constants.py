@@ -11,9 +11,9 @@ from handctl.core import constants as h
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
 from handctl.core.control_law.computed_torque import (
+    MAX_UNWINDING_FORCE_FRACTION,
     MOTOR_FRICTION_SPEED_M_S,
-    TRIM_TIME_S,
-    UNWIND_FRACTION,
+    TRIM_DECAY_TIME_S,
 )
 from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
 from handctl.core.deferred_imports import DeferredModule
@@ -70,7 +70,7 @@ class HandConstants:
         self.block: BlockArray = self.layout.initial.copy()
         for part in (
             _motor_constants(model),
-            _law_constants(model),
+            _control_law_constants(model),
             _link_constants(model),
             _structure_constants(model),
             _posture_constants(model),
@@ -97,9 +97,9 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "floor": model.floor,
         "ceiling": model.ceiling,
         "torque_gain": 1.0 if model.torque_gain is None else model.torque_gain,
-        "digit": model.digit_of,
+        "digit": model.digit_of_tendon,
         "side": model.redundancy.side,
-        "open_excursion": model.redundancy.open_excursion,
+        "open_excursion": model.redundancy.excursion_at_lower_limits,
         "excursion_low": model.redundancy.excursion_range[0],
         "excursion_high": model.redundancy.excursion_range[1],
         "relaxed": model.relaxed,
@@ -120,11 +120,13 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         ),
         "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_TIME_CONSTANT_S),
         "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_TIME_CONSTANT_S),
-        "arms_sum": (np.abs(model.hand.own_arms) * model.hand.display_units.scale).sum(axis=1),
+        "arms_sum": (
+            np.abs(model.hand.moment_arms_of_own_digit) * model.hand.display_units.scale
+        ).sum(axis=1),
     }
 
 
-def _law_constants(model: HandModel) -> dict[str, object]:
+def _control_law_constants(model: HandModel) -> dict[str, object]:
     space = model.space
     motion = model.gains.motion
     tension = model.gains.tension
@@ -132,7 +134,7 @@ def _law_constants(model: HandModel) -> dict[str, object]:
     half = 0.5 * model.period / space.motor_mass
     return {
         "limit": limit,
-        "unwind": np.where(model.is_pair, -1.0, -UNWIND_FRACTION) * limit,
+        "unwind": np.where(model.is_pair, -1.0, -MAX_UNWINDING_FORCE_FRACTION) * limit,
         "mass": space.motor_mass + space.load_mass,
         "inertia": motion.inertia_share * space.motor_mass,
         "error_gain": model.motion.stiffness,
@@ -150,7 +152,7 @@ def _law_constants(model: HandModel) -> dict[str, object]:
         "stream_acceleration": math.radians(model.hand.stream.acceleration_deg_s2),
         "stream_hold_ns": round(1e6 * model.hand.stream.hold_after_ms),
         "stream_relax_ns": round(1e6 * model.hand.stream.relax_after_ms),
-        "trim_kept": math.exp(-model.period / TRIM_TIME_S),
+        "trim_kept": math.exp(-model.period / TRIM_DECAY_TIME_S),
         **servo_constants(model),
     }
 
@@ -170,11 +172,11 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     damping = inertia * model.motion.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
-    stiffest = inertia * (MAX_PHASE_RAD / model.period) ** 2
-    kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), stiffest)
+    max_stiffness = inertia * (MAX_PHASE_RAD / model.period) ** 2
+    kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), max_stiffness)
     kd = np.where(np.isnan(kd), damping * np.sqrt(kp / stiffness), kd)
     return {
-        "servo": np.array([motor.holds_position for motor in motors]),
+        "servo": np.array([motor.closes_position_loop for motor in motors]),
         "servo_stiffness": kp,
         "servo_damping": kd,
     }
@@ -198,8 +200,8 @@ def _link_constants(model: HandModel) -> dict[str, object]:
         "preload": np.concatenate([digit.spring_preload for digit in digits]),
         "joint_scale": model.hand.display_units.scale,
         "joint_damping": np.concatenate([digit.joint_damping for digit in digits]),
-        "link": model.tree.table,
-        "parent": model.tree.parent,
+        "link": model.link_tree.table,
+        "parent": model.link_tree.parent,
         "low": np.concatenate([digit.joint_min for digit in digits]),
         "high": np.concatenate([digit.joint_max for digit in digits]),
         "range_sigma": span / math.sqrt(12.0),
@@ -219,9 +221,9 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     return {
         "excursion_to_joints": model.excursion_to_joints,
         "moves": size > MIN_JOINT_MOTION * size.max(initial=0.0),
-        "moment_arms": model.hand.own_arms,
-        "carrier_arms": model.hand.carrier_arms,
-        "hand_passed": bool(model.hand.carrier_arms.any()),
+        "moment_arms": model.hand.moment_arms_of_own_digit,
+        "carrier_arms": model.hand.moment_arms_of_carrying_digits,
+        "hand_passed": bool(model.hand.moment_arms_of_carrying_digits.any()),
         "varying": model.hand.has_varying_arm,
         "digit_varying": [digit.has_varying_arm for digit in digits],
         "hand_varying": bool(model.hand.has_varying_arm.any()),
@@ -241,16 +243,18 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
 def _posture_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
     hand = model.hand
-    arms = model.hand.own_arms
+    arms = model.hand.moment_arms_of_own_digit
     sizes = [digit.joint_count for digit in digits]
     compliance = linalg.block_diag(*(_joint_compliance(digit) for digit in digits))
     spread = linalg.block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
-    fused = bool((compliance.any(axis=1) & read).any())
-    every = 1 if fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
+    are_encoders_fused = bool((compliance.any(axis=1) & read).any())
+    update_ticks = (
+        1 if are_encoders_fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
+    )
     count = np.where(hand.is_prismatic, JOINT_STEP_M, JOINT_STEP_RAD)
     noise = hand.joint_noise**2 + count**2 / 12.0
-    hinge = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
+    hinge_variance = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
         "spread": spread,
@@ -261,25 +265,27 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
             hand.tendons_with_encoders,
-            hinge * (arms**2 * (noise / hinge)).sum(axis=1),
+            hinge_variance * (arms**2 * (noise / hinge_variance)).sum(axis=1),
             (2.0 * model.gains.filter.offset_m) ** 2,
         ),
-        "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
-        "pressed_kept": math.exp(-model.period / posture.CONTACT_FADE_S),
+        "turn_fraction": -math.expm1(-update_ticks * model.period / posture.TURN_SMOOTHING_S),
+        "pressed_kept": math.exp(-model.period / posture.CONTACT_DECAY_TIME_S),
         "null_space": bool(compliance.any()),
-        "joints_fused": fused,
-        "posture_ticks": every,
+        "joints_fused": are_encoders_fused,
+        "posture_ticks": update_ticks,
     }
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
     """Return the turn of joints per torque without a change of excursion, N (N^T K N)^-1 N^T (n, n) [rad/(N m)]."""
-    free = linalg.null_space(digit.moment_arms)
-    if not free.shape[1]:
+    free_motions = linalg.null_space(digit.moment_arms)
+    if not free_motions.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
-    softest = MIN_SPRING_STIFFNESS / digit.joint_units.scale**2
-    stiffness = np.diag(np.maximum(digit.spring_stiffness, softest))
-    return np.asarray(free @ np.linalg.solve(free.T @ stiffness @ free, free.T))
+    min_stiffness = MIN_SPRING_STIFFNESS / digit.joint_units.scale**2
+    stiffness = np.diag(np.maximum(digit.spring_stiffness, min_stiffness))
+    return np.asarray(
+        free_motions @ np.linalg.solve(free_motions.T @ stiffness @ free_motions, free_motions.T)
+    )
 
 
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:

@@ -22,7 +22,7 @@ from handctl.hand.link_tree import HandLinkTree
 
 linalg = DeferredModule("scipy.linalg")
 
-BLIND_SIGMAS = 2.0
+MARGIN_SIGMAS_WITHOUT_CELL = 2.0
 """Margin of the tension limits of a tendon without load cell, in standard deviations of its estimated tension."""
 InverseDynamics = Callable[[DigitModel, JointValues, JointValues, JointValues], tuple[float, ...]]
 """Inverse dynamics: a function of digit, joint angles, rates and accelerations that returns the joint torques."""
@@ -45,7 +45,7 @@ class HandModel:
         space: constants of the hand along the tendons.
         filter: constant Kalman filter of each tendon.
         motion: feedback gains of the motion loop and the tension loop of each tendon.
-        digit_of: for each tendon, the index of its digit.
+        digit_of_tendon: for each tendon, the index of its digit.
         excursion_to_joints: (J, N) change of each joint angle per excursion of each tendon [rad/m].
         torque_to_tension: (N, J) smallest tensions per torque of each joint [1/m].
         pulleys: (N, J) 1 if a tendon passes the pulley of a joint, 0 if not.
@@ -59,12 +59,12 @@ class HandModel:
             the largest net tension.
         torque_limit: (N,) largest motor torque that the host may command [N m].
         redundancy: directions of the tendons, and tensions that balance each other.
-        tree: tree of all links of the hand.
+        link_tree: tree of all links of the hand.
         blind_margin: (N,) margin by which the tension limits of a tendon without a load cell are
             stricter [N]. The value is 0 for a tendon with a load cell.
         torque_gain: (N,) torque at the spool per commanded torque. None if no run has
             identified it.
-        inverse: function of the inverse dynamics of a digit. Experiments replace it.
+        inverse_dynamics: function of the inverse dynamics of a digit. Experiments replace it.
     """
 
     hand: Hand
@@ -75,7 +75,7 @@ class HandModel:
     digit_tendons: tuple[slice, ...]
     digit_coordinates: tuple[slice, ...]
     reach: Vector
-    digit_of: tuple[int, ...]
+    digit_of_tendon: tuple[int, ...]
     space: TendonSpace
     filter: FilterDesign
     motion: MotionDesign
@@ -89,10 +89,10 @@ class HandModel:
     ceiling: Vector
     torque_limit: Vector
     redundancy: TendonRedundancy
-    tree: HandLinkTree
+    link_tree: HandLinkTree
     blind_margin: Vector
     torque_gain: Vector | None = None
-    inverse: InverseDynamics = required_torque
+    inverse_dynamics: InverseDynamics = required_torque
 
     @staticmethod
     def from_hand(
@@ -110,13 +110,15 @@ class HandModel:
         digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
         tendons = hand.tendon
-        arms = np.abs(hand.own_arms)
+        arms = np.abs(hand.moment_arms_of_own_digit)
         period = 1.0 / rate_hz
-        filters = design_filter(space, gains.filter, period, _joint_period(hand, period))
-        margin = np.where(hand.has_cell, 0.0, BLIND_SIGMAS * filters.held_sigma)
+        filter_design = design_filter(space, gains.filter, period, _joint_period(hand, period))
+        margin = np.where(
+            hand.has_cell, 0.0, MARGIN_SIGMAS_WITHOUT_CELL * filter_design.held_tension_sigma
+        )
         # The margin raises the tension floor only in digits with surplus tendons. In any other
         # digit, a higher tension floor would close the digit.
-        held = np.array(
+        has_surplus_tendons = np.array(
             [
                 len(digit.moment_arms) > digit.coupling.shape[1]
                 for digit in digits
@@ -124,7 +126,7 @@ class HandModel:
             ]
         )
         floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(
-            held, margin, 0.0
+            has_surplus_tendons, margin, 0.0
         )
         ceiling = np.array([tendon.tension_max_N for tendon in tendons]) - margin
         floor = np.where(hand.is_pair, -ceiling, floor)
@@ -137,13 +139,13 @@ class HandModel:
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_coordinates=_coordinate_slices(digits),
             reach=np.concatenate([digit.reach for digit in digits], axis=1),
-            digit_of=tuple(
+            digit_of_tendon=tuple(
                 d
                 for d, one in enumerate(digits)
                 for _ in range(one.tendons.start, one.tendons.stop)
             ),
             space=space,
-            filter=filters,
+            filter=filter_design,
             motion=design_motion(space, gains, 1.0 / rate_hz),
             excursion_to_joints=linalg.block_diag(*(digit.excursion_to_joints for digit in digits)),
             torque_to_tension=linalg.block_diag(*(digit.torque_to_tension for digit in digits)),
@@ -155,7 +157,7 @@ class HandModel:
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
-            tree=HandLinkTree.from_hand(hand, digits),
+            link_tree=HandLinkTree.from_hand(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,
         )

@@ -97,29 +97,34 @@ class IdentifiedParameters(Document):
         """Return the value of a parameter, or ``default`` if the parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else default
 
-    def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
+    def merged_with_older(
+        self, older_parameters: "IdentifiedParameters | None"
+    ) -> "IdentifiedParameters":
         """Return these parameters, with the parameters that only an older identification contains.
 
         A run that identifies only a few parameters therefore does not remove the other parameters.
         Parameters from different runs are assumed to be uncorrelated.
         """
         others = (
-            [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+            [i for i, name in enumerate(older_parameters.names) if name not in self.names]
+            if older_parameters
+            else []
         )
-        if older is None or not others:
+        if older_parameters is None or not others:
             return self
         n = len(self.names)
         m = len(others)
         joined = np.zeros((n + m, n + m))
         joined[:n, :n] = self.covariance
-        joined[n:, n:] = np.array(older.covariance)[np.ix_(others, others)]
+        joined[n:, n:] = np.array(older_parameters.covariance)[np.ix_(others, others)]
         return self.model_copy(
             update={
-                "names": self.names + tuple(older.names[i] for i in others),
-                "values": self.values + tuple(older.values[i] for i in others),
-                "half_widths": self.half_widths + tuple(older.half_widths[i] for i in others),
+                "names": self.names + tuple(older_parameters.names[i] for i in others),
+                "values": self.values + tuple(older_parameters.values[i] for i in others),
+                "half_widths": self.half_widths
+                + tuple(older_parameters.half_widths[i] for i in others),
                 "covariance": tuple(map(tuple, joined.tolist())),
-                "log": tuple(dict.fromkeys((*self.log, *older.log))),
+                "log": tuple(dict.fromkeys((*self.log, *older_parameters.log))),
             }
         )
 

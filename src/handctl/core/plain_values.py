@@ -2,7 +2,7 @@
 
 Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
 a tuple that begins with the name of the type. Equal objects have equal bytes, even if one of them
-contains the same part several times. ``from_plain`` creates only objects of registered types, so
+contains the same part several times. ``object_from_plain_form`` creates only objects of registered types, so
 that no log can create objects of other types.
 """
 
@@ -56,7 +56,7 @@ NAMES_IN_LOGS = {
 Hashes and snapshots in logs contain the first name.
 """
 _TYPE_BY_PLAIN_NAME: dict[str, type] = {}
-_PLAIN_TYPES = frozenset((type(None), bool, int, float, str, bytes))
+_TYPES_WITHOUT_CONVERSION = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
@@ -66,12 +66,12 @@ def plain_name(type_: type) -> str:
     return ":" + NAMES_IN_LOGS.get(name, name)
 
 
-def register_types(*types: type) -> None:
-    """Register types whose objects ``from_plain`` may create."""
+def register_restorable_types(*types: type) -> None:
+    """Register types whose objects ``object_from_plain_form`` may create."""
     _TYPE_BY_PLAIN_NAME.update({plain_name(type_): type_ for type_ in types})
 
 
-def to_plain(value: Any) -> Any:
+def plain_form(value: Any) -> Any:
     """Return the plain form of a value.
 
     Raises:
@@ -79,12 +79,14 @@ def to_plain(value: Any) -> Any:
             enumeration or model.
     """
     kind: type = type(value)
-    if kind in _PLAIN_TYPES:
+    if kind in _TYPES_WITHOUT_CONVERSION:
         return value
     if isinstance(value, tuple):
         # This code runs in the ticks in which settings of drives are read. For speed, no function
         # is called for an item that is already plain.
-        items = [item if type(item) in _PLAIN_TYPES else to_plain(item) for item in value]
+        items = [
+            item if type(item) in _TYPES_WITHOUT_CONVERSION else plain_form(item) for item in value
+        ]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
         return (plain_name(kind), int(value))
@@ -93,14 +95,16 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return (MODEL_MARK, plain_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
-        own = tuple([to_plain(getattr(value, field.name)) for field in fields(value) if field.init])
+        own = tuple(
+            [plain_form(getattr(value, field.name)) for field in fields(value) if field.init]
+        )
         return (plain_name(type(value)), *own)
     raise TypeError(f"{type(value).__name__} is no plain value")
 
 
 def plain_bytes(value: Any) -> bytes:
     """Return the plain form of a value as bytes."""
-    return marshal.dumps(to_plain(value), MARSHAL_VERSION)
+    return marshal.dumps(plain_form(value), MARSHAL_VERSION)
 
 
 @functools.cache
@@ -126,7 +130,7 @@ def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> byte
     return start + b"".join([bytes_of_field(getattr(value, name)) for name in names])
 
 
-def from_plain(value: Any) -> Any:
+def object_from_plain_form(value: Any) -> Any:
     """Return the object that a plain value represents.
 
     The function also accepts lists from JSON in place of tuples.
@@ -137,11 +141,11 @@ def from_plain(value: Any) -> Any:
     if not isinstance(value, tuple | list):
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
-        return tuple([from_plain(item) for item in value])
+        return tuple([object_from_plain_form(item) for item in value])
     mark, *rest = value
     if mark == ARRAY_MARK:
         kind, shape, data = rest
-        return np.frombuffer(from_plain(data), np.dtype(kind)).reshape(shape).copy()
+        return np.frombuffer(object_from_plain_form(data), np.dtype(kind)).reshape(shape).copy()
     if mark == BYTES_MARK:
         return bytes.fromhex(rest[0])
     if mark == MODEL_MARK:
@@ -149,7 +153,7 @@ def from_plain(value: Any) -> Any:
         return model.model_validate_json(rest[1])
     made: Any = _registered_type(mark)
     try:
-        return made(*[from_plain(item) for item in rest])
+        return made(*[object_from_plain_form(item) for item in rest])
     except TypeError as error:
         raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
 

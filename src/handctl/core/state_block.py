@@ -78,13 +78,15 @@ FILTER_KIND = _whole("kind", "tendon", "", initial=2,
     meaning="index of the filter design: the regime, plus 3 with added process noise")  # fmt: skip
 FILTER_KIND_BEFORE = _whole("kind_before", "tendon", "",
     "index of the filter design for the measurements of this tick", initial=2)  # fmt: skip
-ON_OPEN_STOP = _whole("stopped", "tendon", "",
+DIGIT_ON_OPEN_STOP = _whole("stopped", "tendon", "",
     "1 if springs hold the digit on its open stop", initial=1)  # fmt: skip
 REGIME_EVIDENCE = _whole("turning", "tendon", "",
     "evidence that the tendon becomes slack or taut, see take_up")  # fmt: skip
-LENGTH_KNOWN = _whole("length_known", "tendon", "",
+TENDON_LENGTH_KNOWN = _whole("length_known", "tendon", "",
     "1 after a take-up, which shows the length of the tendon")  # fmt: skip
-DOUBTFUL = _whole("doubtful", "tendon", "", "1 if the mean NIS is too large for a correct model")
+MODEL_INCONSISTENT = _whole(
+    "doubtful", "tendon", "", "1 if the mean NIS is too large for a correct model"
+)
 COVARIANCE_PROPAGATED = _whole("carried", "run", "",
     "1 while the covariance is propagated, because measurements were missing")  # fmt: skip
 FILTER_STARTED = _whole("started", "run", "",
@@ -106,12 +108,12 @@ MEASURED_FORCE = _real("measured_force", "tendon", "N",
 SATURATED = _whole("saturated", "tendon", "", "1 if the load cell is at an end of its range")
 JOINT_ANGLE = _real("joint_angle", "joint", "rad",
     "latest reading of the joint encoder", initial=NAN)  # fmt: skip
-JOINTS_READ = _whole("joints_read", "run", "", "1 if a joint encoder was read in this tick")
+ANY_JOINT_READ = _whole("joints_read", "run", "", "1 if a joint encoder was read in this tick")
 REJECTED_STEP = _real("jump", "tendon", "rad",
     "step of a motor position that this tick rejected; 0 if none")  # fmt: skip
 REJECTED_JOINT_STEP = _real("joint_jump", "joint", "rad",
     "step of a joint angle that this tick rejected; 0 if none")  # fmt: skip
-PROGRAM_TARE = _real("program_tare", "tendon", "N",
+TARE_MEASURED_BY_PROGRAM = _real("program_tare", "tendon", "N",
     "load-cell tare that the program measured in this run")  # fmt: skip
 
 # Estimates of this tick.
@@ -125,7 +127,7 @@ NIS = _real("nis", "tendon", "", "normalised innovation squared; NaN if missing"
 Q = _real("q", "joint", "rad", "joint angle")
 DQ = _real("dq", "joint", "rad/s", "joint rate")
 Q_SIGMA = _real("q_sigma", "joint", "rad", "standard deviation of the joint angle", initial=NAN)
-TOUCH = _real("touch", "digit", "N",
+UNEXPLAINED_TENSION = _real("touch", "digit", "N",
     "unexplained tension, the mean over the tendons of a digit, low-passed")  # fmt: skip
 BLOCKED = _whole("blocked", "digit", "",
     "1 if the digit touches something that no program planned to touch")  # fmt: skip
@@ -143,7 +145,9 @@ PLANNED_CONTACT = _whole("planned_contact", "digit", "",
 
 # Contact of closing digits, and motion of the tendons while the hand holds an object, see
 # estimation.contact_force.
-CLOSING = _whole("closing", "digit", "", "1 while the program closes the digit until contact")
+CLOSING_UNTIL_CONTACT = _whole(
+    "closing", "digit", "", "1 while the program closes the digit until contact"
+)
 SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
     "force at the tip of a closing digit, low-passed over 5 ms; 0 for other digits")  # fmt: skip
 TIP_FORCE_MEAN = _real("usual", "digit", "N", initial=NAN,
@@ -152,8 +156,8 @@ TIP_FORCE_DRIFT = _real("drift", "digit", "N", initial=NAN,
     meaning="mean force at the tip over all closing so far, caused by errors of the load cells")  # fmt: skip
 CONTACT_FORCE = _real("grown", "digit", "N",
     "smoothed force at the tip less a negative mean and a positive drift")  # fmt: skip
-GRIPPING = _whole("gripping", "run", "", "1 while the program holds an object")
-SLIP_JUDGED_FROM = _real("grip_ready", "run", "s", "program time from which slip is judged")
+PROGRAM_HOLDS_OBJECT = _whole("gripping", "run", "", "1 while the program holds an object")
+SLIP_DETECTION_START = _real("grip_ready", "run", "s", "program time from which slip is judged")
 GRIP_TRAVEL_FAST = _real("grip_fast", "tendon", "m",
     "length wound on the spool less stretch, averaged over 0.02 s")  # fmt: skip
 GRIP_TRAVEL_SLOW = _real("grip_slow", "tendon", "m",
@@ -170,11 +174,11 @@ TRAJECTORY_START_SPEED = _real("trajectory_start_speed", "coordinate", "rad/s",
                                "rate at the start of a minimum-jerk move")  # fmt: skip
 TRAJECTORY_START_ACCELERATION = _real("trajectory_start_acceleration", "coordinate", "rad/s2",
     "acceleration at the start of a minimum-jerk move")  # fmt: skip
-TRAJECTORY_SINCE = _real("way_since", "digit", "s",
+TRAJECTORY_START_TIME = _real("way_since", "digit", "s",
     "program time at which the minimum-jerk move starts")  # fmt: skip
 TRAJECTORY_DURATION = _real("way_duration", "digit", "s",
     "duration of the minimum-jerk move", initial=1.0)  # fmt: skip
-TRAJECTORY_BLEND = _real("trajectory_blend", "digit", "s",
+TRAJECTORY_BLEND_TIME = _real("trajectory_blend", "digit", "s",
     "time in which an earlier motion fades during the minimum-jerk move", initial=1.0)  # fmt: skip
 TRAJECTORY = _real("way", "coordinate", "rad, /s, /s2",
     "position, rate and acceleration on the trajectory", rows=3)  # fmt: skip
@@ -198,7 +202,7 @@ STREAM_TARGET_RATE = _real("stream_target_rate", "coordinate", "rad/s",
     "rate between the latest two targets")  # fmt: skip
 STREAM_RANGE = _real("stream_range", "coordinate", "rad",
     "smallest and largest target within the range of the joints", rows=2)  # fmt: skip
-STREAM_SINCE = _real("stream_since", "run", "s", "time at which the present segment starts")
+STREAM_SEGMENT_START = _real("stream_since", "run", "s", "time at which the present segment starts")
 STREAM_DURATION = _real("stream_duration", "run", "s",
     "duration of the present segment", initial=1.0)  # fmt: skip
 STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns",
@@ -209,14 +213,16 @@ OPEN_STREAM, RUNNING_STREAM = 1, 2
 """Values of the field ``STREAMING``."""
 STREAM_SEQUENCE = _whole("stream_sequence", "run", "",
     "sequence number of the latest accepted target; -1 before the first", initial=-1)  # fmt: skip
-STREAM_ACCEPTED = _whole("stream_accepted", "run", "", "number of accepted targets of the stream")
-STREAM_CLIPPED = _whole("stream_clipped", "run", "",
+ACCEPTED_TARGET_COUNT = _whole(
+    "stream_accepted", "run", "", "number of accepted targets of the stream"
+)
+CLIPPED_TARGET_COUNT = _whole("stream_clipped", "run", "",
     "number of accepted targets that were clipped to the range")  # fmt: skip
-STREAM_LATE = _whole("stream_late", "run", "",
+LATE_TARGET_COUNT = _whole("stream_late", "run", "",
     "number of ignored targets: repeated, overtaken or too old")  # fmt: skip
-STREAM_REFUSED = _whole("stream_refused", "run", "",
+REFUSED_TARGET_COUNT = _whole("stream_refused", "run", "",
     "number of refused targets: not numbers, or of a wrong shape")  # fmt: skip
-STREAM_LIMITED = _whole("stream_limited", "run", "",
+LIMITED_COORDINATE_COUNT = _whole("stream_limited", "run", "",
     "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
 
 # Control law.
@@ -228,16 +234,16 @@ REQUIRED_JOINT_TORQUE = _real("joint_required", "joint", "N m",
 TENSION_INTEGRAL = _real("integral", "tendon", "N", "integral of the tension error, as a force")
 PLANNED_TENSION = _real("planned", "tendon", "N",
     "planned tension of a moving tendon a period from now; 0 for other tendons")  # fmt: skip
-TRIM = _real("trim", "tendon", "N",
+TRIM_FORCE = _real("trim", "tendon", "N",
     "fading motor force that avoids a jump of the torque after a change of gains")  # fmt: skip
-HOLD_LIMIT = _real("limit_held", "tendon", "N",
+HOLD_TENSION_LIMIT = _real("limit_held", "tendon", "N",
     "largest tension while safety holds the hand", initial=NAN)  # fmt: skip
 FRICTION_STATE = _real("friction_state", "tendon", "",
     "development of friction: 1 winding, -1 paying out; NaN if unknown", initial=NAN)  # fmt: skip
 FRICTION_SLIDER = _real("friction_slider", "tendon", "m", initial=NAN,
     meaning="travel at which the friction element of a moving tendon has no tension; NaN if unknown")  # fmt: skip
-TRIMMED = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
-HOLDING = _whole("holding", "run", "", "1 while safety holds the hand")
+TRIM_ACTIVE = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
+SAFETY_HOLD_ACTIVE = _whole("holding", "run", "", "1 while safety holds the hand")
 
 # Command of this tick.
 TORQUE = _real("torque", "tendon", "N m", "commanded motor torque, at the spool")
@@ -263,10 +269,10 @@ SERVO_TORQUE = _real("servo_torque", "servo", "N m",
     "torque that the drive adds to that of its position loop")  # fmt: skip
 SERVO_LIMIT = _real("servo_limit", "servo", "N m",
     "torque limit in the command; 0 for a drive whose commands contain none")  # fmt: skip
-SERVO_BEFORE = _real("servo_before", "servo", "",
+LAST_SERVO_COMMAND = _real("servo_before", "servo", "",
     "position as the drive has it now, velocity, kp, kd, torque and limit of the last command", rows=6)  # fmt: skip
-SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
-SERVO_REPORT = _real("servo_report", "servo", "N",
+SERVO_TICK_FRACTION = _real("servo_share", "servo", "", "fraction of recent ticks with kp > 0")
+EXPECTED_SERVO_FORCE = _real("servo_report", "servo", "N",
     "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
 
 # Values of the drives, from their cyclic frames. The state of each drive's set-up is in
@@ -281,12 +287,14 @@ TEMPERATURE = _real("temperature", "tendon", "degC",
     "temperature of the drive's hottest sensor", initial=NAN)  # fmt: skip
 FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns",
     "reception time of the latest feedback; -1 before the first", initial=-1)  # fmt: skip
-FEEDBACKS = _whole("feedbacks", "tendon", "", "number of feedback frames since the start")
-FEEDBACKS_NOW = _whole("answered", "tendon", "", "number of feedback frames in this tick")
+FEEDBACK_COUNT = _whole("feedbacks", "tendon", "", "number of feedback frames since the start")
+FEEDBACK_COUNT_NOW = _whole("answered", "tendon", "", "number of feedback frames in this tick")
 STATUS = _whole("status", "tendon", "", "status field of the latest feedback")
 STATUS_EXPECTED = _whole("status_expected", "tendon", "", initial=-1,
     meaning="status that needs no action of the drive's state machine; -1 for none")  # fmt: skip
-DUE_NS = _whole("due_ns", "tendon", "ns", "time at which the drive's state machine must run next")
+DRIVE_DUE_NS = _whole(
+    "due_ns", "tendon", "ns", "time at which the drive's state machine must run next"
+)
 PHASE = _whole("phase", "tendon", "", "phase of the drive, drives.contract.Phase")
 PHASE_BEFORE = _whole("phase_before", "tendon", "", "phase of the drive before this tick")
 EXCESS_REPLIES = _whole("surplus", "tendon", "",
@@ -294,9 +302,9 @@ EXCESS_REPLIES = _whole("surplus", "tendon", "",
 FAULT_CODE = _whole("fault_code", "tendon", "", "error code of a drive in fault")
 FAULT_CAUSE = _whole("fault_cause", "tendon", "",
     "cause of the drive's fault, drives.causes.Cause; -1 without fault", initial=-1)  # fmt: skip
-MALFORMED_NOW = _whole("misread_now", "node", "",
+MALFORMED_FRAME_NOW = _whole("misread_now", "node", "",
     "1 if a frame of the node had a wrong shape in this tick")  # fmt: skip
-DUPLICATES = _whole("twice", "node", "",
+DUPLICATE_REPLIES = _whole("twice", "node", "",
     "excess replies of this tick: 0 none, 1 with equal bytes, 2 with other bytes")  # fmt: skip
 
 # Numbers that only the log uses.
@@ -310,26 +318,26 @@ MOTOR_TORQUE = _real("motor_torque", "tendon", "N m",
 
 # Sensor node.
 CELL_READING = _real("cell", "tendon", "N", "latest load-cell reading, before the tare")
-CELL_FRESH = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
-JOINT_FRESH = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
+CELL_READ_NOW = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
+JOINT_READ_NOW = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
 GROUP_NS = _whole("group_ns", "group", "ns",
     "reception time of the latest frame of the group; -1 before the first", initial=-1)  # fmt: skip
-GROUP_FRAMES = _whole("group_frames", "group", "",
+GROUP_FRAME_COUNT = _whole("group_frames", "group", "",
     "number of accepted frames of the group since the start")  # fmt: skip
-GROUP_FRAMES_NOW = _whole("group_answered", "group", "",
+GROUP_FRAME_COUNT_NOW = _whole("group_answered", "group", "",
     "number of accepted frames of the group in this tick")  # fmt: skip
 SYNC_COUNTER = _whole("sync_asked", "run", "",
     "low four bits of the counter of the last SYNC; -1 before the first", initial=-1)  # fmt: skip
-SYNCS = _whole("syncs", "run", "", "number of SYNCs sent since the start")
+SYNC_COUNT = _whole("syncs", "run", "", "number of SYNCs sent since the start")
 STALE_FRAMES = _whole("stale", "run", "",
     "number of sensor frames since the start that answered an older SYNC")  # fmt: skip
 TENSION_FRAMES = _whole("tension_frames", "run", "",
     "number of accepted load-cell frames since the start")  # fmt: skip
-STALE_NOW = _whole("stale_now", "run", "",
+STALE_FRAME_NOW = _whole("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
-# Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END.
-_MONITOR_FIRST = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
+# Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END_ROWS.
+_MONITOR_FIRST_ROWS = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
     "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
 ACCEPTED_GAP = _real("accepted_gap", "tendon", "",
@@ -351,23 +359,23 @@ LAST_POSITION_STEP = _real("last_turned", "tendon", "rad",
 RESIDUALS_STARTED = _whole("filtered", "run", "", "1 after the first update of the residuals")
 STUCK_TEST_POSITION = _real("motor_value", "tendon", "m", initial=NAN,
     meaning="last reading of the motor encoder along the tendon, for the stuck test")  # fmt: skip
-MOTOR_ANCHOR = _real("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
+REFERENCE_AT_LAST_MOTOR_CHANGE = _real("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
     meaning="goal and tension when the reading of the motor encoder last changed")  # fmt: skip
 MOTOR_STUCK = _whole("motor_stuck", "tendon", "",
     "number of readings since the motor encoder's reading last changed")  # fmt: skip
 STUCK_TEST_TENSION = _real("cell_value", "tendon", "N",
     "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
-CELL_ANCHOR = _real("cell_anchor", "tendon", "N", rows=2, initial=NAN,
+FORCE_RANGE_SINCE_CELL_CHANGE = _real("cell_anchor", "tendon", "N", rows=2, initial=NAN,
     meaning="smallest and largest motor force since the load-cell reading last changed")  # fmt: skip
 CELL_STUCK = _whole("cell_stuck", "tendon", "",
     "number of readings since the load-cell reading last changed")  # fmt: skip
 STUCK_TEST_ANGLE = _real("joint_value", "joint", "rad",
     "last reading of the joint encoder, for the stuck test", initial=NAN)  # fmt: skip
-JOINT_ANCHOR = _real("joint_anchor", "joint", "rad",
+ANGLE_AT_LAST_JOINT_CHANGE = _real("joint_anchor", "joint", "rad",
     "joint angle by the spools when the joint reading last changed", initial=NAN)  # fmt: skip
 JOINT_STUCK = _whole("joint_stuck", "joint", "",
     "number of readings since the joint encoder's reading last changed")  # fmt: skip
-TAUT_S = _real("taut_s", "tendon", "s", "time for which the tendon has been taut")
+TAUT_TIME_S = _real("taut_s", "tendon", "s", "time for which the tendon has been taut")
 IS_TAUT = _whole("bears", "tendon", "",
     "1 if taut by the filtered tension, so that spool and joints move together")  # fmt: skip
 SLIP_REFERENCE = _real("slip_from", "tendon", "m", initial=NAN,
@@ -387,7 +395,7 @@ TICKS_SINCE_TAUT = _whole("taut_ago", "tendon", "", initial=-1,
     meaning="ticks since the tendon was last taut; -1 if never since a tension was commanded")  # fmt: skip
 SLACK_TICKS = _whole("slack_ticks", "tendon", "",
     "number of ticks in a row for which the tendon has been slack")  # fmt: skip
-CUT_TICKS = _whole("cut_ticks", "run", "",
+TICKS_SINCE_CUT = _whole("cut_ticks", "run", "",
     "ticks since the torque was cut; -1 if it was not cut", initial=-1)  # fmt: skip
 TENSION_AT_CUT = _real("cut_from", "tendon", "N",
     "tension when the torque was cut; NaN before a load cell was read", initial=NAN)  # fmt: skip
@@ -395,36 +403,40 @@ POSITION_AT_CUT = _real("cut_position", "tendon", "rad",
     "motor position when the torque was cut", initial=NAN)  # fmt: skip
 TENSION_AFTER_CUT = _real("cut_bears", "tendon", "N", initial=NAN,
     meaning="latest tension at least 80 ms after the cut; NaN if none was measured")  # fmt: skip
-PAST_READINGS = _real("past", "tendon", "N",
+PAST_CELL_READINGS = _real("past", "tendon", "N",
     "load-cell readings of the last 64 ticks, the latest first", rows=64, initial=NAN)  # fmt: skip
-COMPARED_READING = _real("reading", "tendon", "N",
+PRESENT_CELL_READING = _real("reading", "tendon", "N",
     "load-cell reading of this tick, compared with the past readings", initial=NAN)  # fmt: skip
 LONGEST_REPETITION = _whole("longest", "tendon", "",
     "longest run of repeated readings, over all ages")  # fmt: skip
-REPETITIONS = _whole("same", "tendon", "", rows=64,
+REPEATED_READINGS_BY_AGE = _whole("same", "tendon", "", rows=64,
     meaning="for each age in ticks, readings in a row that equal the reading of that age")  # fmt: skip
-SWING_SLOW = _real("swing_slow", "tendon", "N", "slow part of measured less commanded tension")
-SWING_SQUARE = _real("swing_square", "tendon", "N2",
+SLOW_TENSION_DEVIATION = _real(
+    "swing_slow", "tendon", "N", "slow part of measured less commanded tension"
+)
+MEAN_SQUARE_TENSION_SWING = _real("swing_square", "tendon", "N2",
     "mean square of measured less commanded tension, without its slow part")  # fmt: skip
-SWING_S = _real("swing_s", "tendon", "s", "time for which the tension has oscillated strongly")
-REPORT_FORCES = _real("report_forces", "tendon", "N", rows=4, initial=NAN,
+SWING_DURATION = _real(
+    "swing_s", "tendon", "s", "time for which the tension has oscillated strongly"
+)
+RECENT_MOTOR_FORCES = _real("report_forces", "tendon", "N", rows=4, initial=NAN,
     meaning="last three commanded forces and last reported force of the motor")  # fmt: skip
-REPORT_MOMENTS = _real("report_moments", "tendon", "N2",
+FORCE_INCREMENT_PRODUCTS = _real("report_moments", "tendon", "N2",
     "low-passed products of the increments of commanded and reported forces", rows=5)  # fmt: skip
-REPORT_ON_TIME = _real("report_on_time", "tendon", "",
+REPLIES_ON_TIME = _real("report_on_time", "tendon", "",
     "number of ticks in a row in which the motor replied in time")  # fmt: skip
-_MONITOR_END = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
+_MONITOR_END_ROWS = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 
 # Memory of the fault detectors that ``reset_monitor`` does not reset.
-LOST_REPLIES = _whole("lost", "node", "",
+LOST_REPLY_BITS = _whole("lost", "node", "",
     "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
-MALFORMED = _whole("misshapen", "node", "",
+MALFORMED_FRAME_TICKS = _whole("misshapen", "node", "",
     "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
-UNKNOWN_RATE = _real("unknown", "run", "1/s",
+UNKNOWN_FRAME_RATE = _real("unknown", "run", "1/s",
     "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
 OUTSTANDING_REQUESTS = _whole("open_questions", "tendon", "",
     "number of requests that the motor has not answered")  # fmt: skip
-REQUEST_TICKS = _whole("question", "tendon", "",
+OUTSTANDING_REQUEST_TICKS = _whole("question", "tendon", "",
     "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
 RECHECK_STEP = _whole("recheck_step", "tendon", "",
     "index of the setting that is read again next from the enabled drive")  # fmt: skip
@@ -436,25 +448,27 @@ FAULT_TICKS = _whole("fault_ticks", "instance", "",
 
 # Facts of this tick that the fault detectors judge.
 T_NS = _whole("t_ns", "run", "ns", "time of the tick")
-LATE_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
+TICK_DELAY_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
 RECEIVED_FRAMES = _whole("frames", "run", "", "number of frames received in this tick")
 UNKNOWN_FRAMES = _whole("strange", "run", "",
     "number of frames with unknown identifiers in this tick")  # fmt: skip
 REFUSED_REQUESTS = _whole("refused", "run", "", "number of malformed requests in the last second")
 REFUSED_REQUESTS_NOW = _whole("refused_now", "run", "", "number of requests refused in this tick")
-CONSISTENCY_CHANGED = _whole("changed", "run", "", "1 if DOUBTFUL or BLOCKED changed in this tick")
-TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
-NEW_FAULTS = _whole("found_now", "run", "", "number of faults that became active in this tick")
+CONSISTENCY_CHANGED = _whole(
+    "changed", "run", "", "1 if MODEL_INCONSISTENT or BLOCKED changed in this tick"
+)
+CELLS_TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
+NEW_FAULT_COUNT = _whole("found_now", "run", "", "number of faults that became active in this tick")
 
 # State of the whole run.
 K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
 MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
-MODE_SINCE = _real("mode_since", "run", "s", "time at which the mode began")
+MODE_START_TIME = _real("mode_since", "run", "s", "time at which the mode began")
 GOAL_TIME = _real("goal_time", "run", "s",
     "time of the program, which stands still while safety holds the hand")  # fmt: skip
 ARMING_REQUESTED = _whole("armed", "run", "", "1 if arming is requested")
-CLEARING = _whole("clearing", "run", "",
+CLEARING_DRIVE_ERRORS = _whole("clearing", "run", "",
     "1 while latched errors of the drives are cleared before arming")  # fmt: skip
 
 
@@ -505,15 +519,18 @@ def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
     )
 
 
-TENDON_FIRST = _MONITOR_FIRST["tendon"]
-TENDON_END = _MONITOR_END["tendon"]
-TENDON_INT_FIRST = _MONITOR_FIRST["tendon_int"]
-TENDON_INT_END = _MONITOR_END["tendon_int"]
-JOINT_FIRST = _MONITOR_FIRST["joint"]
-JOINT_END = _MONITOR_END["joint"]
-JOINT_INT_FIRST = _MONITOR_FIRST["joint_int"]
-JOINT_INT_END = _MONITOR_END["joint_int"]
-RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
+MONITOR_TENDON_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon"]
+MONITOR_TENDON_END_ROW = _MONITOR_END_ROWS["tendon"]
+MONITOR_TENDON_INT_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon_int"]
+MONITOR_TENDON_INT_END_ROW = _MONITOR_END_ROWS["tendon_int"]
+MONITOR_JOINT_FIRST_ROW = _MONITOR_FIRST_ROWS["joint"]
+MONITOR_JOINT_END_ROW = _MONITOR_END_ROWS["joint"]
+MONITOR_JOINT_INT_FIRST_ROW = _MONITOR_FIRST_ROWS["joint_int"]
+MONITOR_JOINT_INT_END_ROW = _MONITOR_END_ROWS["joint_int"]
+MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW = (
+    _MONITOR_FIRST_ROWS["run_int"],
+    _MONITOR_END_ROWS["run_int"],
+)
 """For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
 
 
@@ -521,14 +538,14 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
     """Reset the memory of the fault detectors that work while torque is permitted."""
     for n in range(x.tendon.shape[1]):
-        for row in range(TENDON_FIRST, TENDON_END):
+        for row in range(MONITOR_TENDON_FIRST_ROW, MONITOR_TENDON_END_ROW):
             x.tendon[row, n] = initial.tendon[row, n]
-        for row in range(TENDON_INT_FIRST, TENDON_INT_END):
+        for row in range(MONITOR_TENDON_INT_FIRST_ROW, MONITOR_TENDON_INT_END_ROW):
             x.tendon_int[row, n] = initial.tendon_int[row, n]
     for j in range(x.joint.shape[1]):
-        for row in range(JOINT_FIRST, JOINT_END):
+        for row in range(MONITOR_JOINT_FIRST_ROW, MONITOR_JOINT_END_ROW):
             x.joint[row, j] = initial.joint[row, j]
-        for row in range(JOINT_INT_FIRST, JOINT_INT_END):
+        for row in range(MONITOR_JOINT_INT_FIRST_ROW, MONITOR_JOINT_INT_END_ROW):
             x.joint_int[row, j] = initial.joint_int[row, j]
-    for row in range(RUN_INT_FIRST, RUN_INT_END):
+    for row in range(MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW):
         x.run_int[row] = initial.run_int[row]

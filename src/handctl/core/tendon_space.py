@@ -54,13 +54,13 @@ class TendonSpace:
     tension_noise: Vector
     has_cell: Vector
 
-    def numbers_of(self, i: int) -> tuple[float, ...]:
+    def constants_of_tendon(self, i: int) -> tuple[float, ...]:
         """Return all constants of tendon i.
 
         Tendons with equal constants get the same design of filters and control loops.
         """
         return tuple(
-            float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names"
+            float(getattr(self, field.name)[i]) for field in fields(self) if field.name != "names"
         )
 
 
@@ -125,10 +125,10 @@ def _load_along_tendons(digit: DigitModel, mass_matrix: Vector) -> Vector:
         np.diag(digit.spring_stiffness),
         np.diag(digit.joint_damping),
     )
-    to_tendon = np.linalg.pinv(digit.reduced_moment_arms)
+    torque_to_tension = np.linalg.pinv(digit.reduced_moment_arms)
     return np.array(
         [
-            np.diag(to_tendon.T @ coupling.T @ matrix @ coupling @ to_tendon)
+            np.diag(torque_to_tension.T @ coupling.T @ matrix @ coupling @ torque_to_tension)
             for matrix in joint_space
         ]
     )

@@ -30,7 +30,7 @@ from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
 from handctl.core.control_law import computed_torque, digit_reference
 from handctl.core.detectors import fault_detection, outstanding_requests, stuck_sensors
-from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.estimation import (
     blocked_digits,
     contact_force,
@@ -65,19 +65,19 @@ def begin_tick(
     x = state_tables(block, at)
     x.run_int[s.K] = k
     x.run_int[s.T_NS] = t_ns
-    x.run_int[s.LATE_NS] = late_ns
+    x.run_int[s.TICK_DELAY_NS] = late_ns
     x.run_int[s.MISSED_TICKS] = missed
     x.run_int[s.RECEIVED_FRAMES] = frames
     for n in range(x.tendon.shape[1]):
-        x.tendon_int[s.FEEDBACKS_NOW, n] = x.tendon_int[s.CELL_FRESH, n] = 0
+        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] = x.tendon_int[s.CELL_READ_NOW, n] = 0
         x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
     for j in range(x.joint.shape[1]):
-        x.joint_int[s.JOINT_FRESH, j] = 0
+        x.joint_int[s.JOINT_READ_NOW, j] = 0
     for g in range(x.group_int.shape[1]):
-        x.group_int[s.GROUP_FRAMES_NOW, g] = 0
+        x.group_int[s.GROUP_FRAME_COUNT_NOW, g] = 0
     for node in range(x.node_int.shape[1]):
-        x.node_int[s.MALFORMED_NOW, node] = x.node_int[s.DUPLICATES, node] = 0
-    x.run_int[s.STALE_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
+        x.node_int[s.MALFORMED_FRAME_NOW, node] = x.node_int[s.DUPLICATE_REPLIES, node] = 0
+    x.run_int[s.STALE_FRAME_NOW] = x.run_int[s.UNKNOWN_FRAMES] = 0
     x.run_int[s.REFUSED_REQUESTS_NOW] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
@@ -129,8 +129,8 @@ def store_drive(
     x.tendon[s.VELOCITY, n] = velocity
     x.tendon[s.REPORTED_TORQUE, n] = torque
     x.tendon[s.TEMPERATURE, n] = temperature
-    x.tendon_int[s.FEEDBACKS_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACKS, n]
-    x.tendon_int[s.FEEDBACKS, n] = feedback_count
+    x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += feedback_count - x.tendon_int[s.FEEDBACK_COUNT, n]
+    x.tendon_int[s.FEEDBACK_COUNT, n] = feedback_count
     x.tendon_int[s.FEEDBACK_NS, n] = feedback_t_ns
     x.tendon_int[s.RECHECK_STEP, n] = recheck_step
     x.tendon_int[s.RECHECK_DUE_NS, n] = recheck_due_ns
@@ -139,60 +139,60 @@ def store_drive(
     x.tendon_int[s.FAULT_CODE, n] = fault_code
     x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
     x.tendon_int[s.STATUS_EXPECTED, n] = steady_status
-    x.tendon_int[s.DUE_NS, n] = due_ns
+    x.tendon_int[s.DRIVE_DUE_NS, n] = due_ns
     if misread:
-        x.node_int[s.MALFORMED_NOW, n] = 1
+        x.node_int[s.MALFORMED_FRAME_NOW, n] = 1
 
 
 @kernel("block", "layout", "constants", "layout")
 def observe_tick(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> None:
     """Convert the values that were received in the present tick into measurements."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     measurements.write_measurements(x, c)
     if ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE:
         measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
     else:
-        measurements.clear_rejected_steps(x)
+        measurements.reset_rejected_steps(x)
     measurements.convert_positions(x, c)
     if not x.run_int[s.FILTER_STARTED]:
         measurements.start_filter(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
-def correct_estimate(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+def correct_tension_estimate(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> None:
     """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     if c.run_int[h.HAND_VARYING]:
         varying_moment_arms.update_structure(x, c)
     if x.run_int[s.FILTER_STARTED]:
-        kalman.correct_filter(x, c, x.run_int[s.MISSED_TICKS])
+        kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
         kalman.write_unknown_estimate(x)
 
 
 @kernel("block", "layout", "constants", "layout")
 def conclude_estimate(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> bool:
     """Compute the estimate of the tick from the predicted states of the tension filter.
 
     Return True if a node sent more replies than the host sent requests to it.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     if c.run_int[h.HAND_VARYING]:
         varying_moment_arms.update_structure(x, c)
     kalman.derive_estimate(x, c)
     if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
-        blocked_digits.update_blocked(x, c)
+        blocked_digits.update_blocked_digits(x, c)
     else:
-        blocked_digits.reset_blocked(x)
+        blocked_digits.reset_blocked_digits(x)
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
     if x.run_int[s.FILTER_STARTED]:
@@ -207,12 +207,12 @@ def find_faults(
     block: BlockArray,
     at: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constants_places: TablePlaces,
     initial: BlockArray,
-) -> tuple[int, Evidence]:
+) -> tuple[int, EvidenceTable]:
     """Find and debounce the faults of a tick, see ``detectors.fault_detection``."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     return fault_detection.find_and_debounce_faults(x, c, state_tables(initial, at))
 
 
@@ -221,7 +221,7 @@ def evaluate_goals(
     block: BlockArray,
     at: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constants_places: TablePlaces,
     action: int,
 ) -> int:
     """Evaluate the goals of all digits.
@@ -230,32 +230,32 @@ def evaluate_goals(
     digit must still be solved.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     computed_torque.update_hold_limits(
         x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE_MODE
     )
-    digit_reference.follow_trajectories(x, c, x.run_int[s.HOLDING] == 1)
+    digit_reference.follow_trajectories(x, c, x.run_int[s.SAFETY_HOLD_ACTIVE] == 1)
     digit_reference.write_required_torque(x, c, digit_reference.joint_trajectories(x, c))
     return digit_reference.write_required_tensions(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
 def joint_motion(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> NDArray[np.float64]:
     """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
     return digit_reference.joint_trajectories(
-        state_tables(block, at), constant_tables(constants, constants_at)
+        state_tables(block, at), constant_tables(constants, constants_places)
     )
 
 
 @kernel("block", "layout", "constants", "layout")
 def write_loads(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> int:
     """Convert the required joint torques into tensions, see ``digit_reference.write_required_tensions``."""
     return digit_reference.write_required_tensions(
-        state_tables(block, at), constant_tables(constants, constants_at)
+        state_tables(block, at), constant_tables(constants, constants_places)
     )
 
 
@@ -264,7 +264,7 @@ def compute_motor_torques(
     block: BlockArray,
     at: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constants_places: TablePlaces,
     relax_rate: float,
     open_loop: int,
     ticks: int,
@@ -274,22 +274,22 @@ def compute_motor_torques(
     The motor torques are 0 unless the hand is active or relaxing.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
             x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
         )
     else:
-        computed_torque.command_no_torque(x, c)
+        computed_torque.command_zero_torque(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
 def store_commands(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> None:
     """Store the commands and requests of the tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
@@ -306,8 +306,8 @@ def store_commands(
         outstanding_requests.add_requests(x, x.run_int[s.K])
     posture.estimate_tip_forces(x, c)
     for d in range(x.digit.shape[1]):
-        touches = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
-        x.digit[s.CONTACT, d] = 1.0 if touches else 0.0
+        has_contact = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
+        x.digit[s.CONTACT, d] = 1.0 if has_contact else 0.0
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         heard_ns = x.tendon_int[s.FEEDBACK_NS, n]

@@ -49,11 +49,11 @@ CUT_MODE = int(HandMode.CUT)
 DONE_MODE = int(HandMode.DONE)
 """Values of ``HandMode``, for compiled code. Motor torque may act from ARMING to RELAX."""
 
-BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)
+MODES_BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)
 """Modes in which no drive was enabled yet."""
 TORQUE_MODES = (HandMode.ARMING, HandMode.ACTIVE, HandMode.RELAX)
 """Modes in which torque may act."""
-SHUTTING_DOWN = (HandMode.RELAX, HandMode.CUT, HandMode.DISARM, HandMode.DONE)
+SHUTDOWN_MODES = (HandMode.RELAX, HandMode.CUT, HandMode.DISARM, HandMode.DONE)
 """Modes after which the hand cannot become active again."""
 
 
@@ -204,7 +204,7 @@ class Telemetry(NamedTuple):
         return b"".join([array.tobytes() for array in self])
 
 
-FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
+FIELD_BY_AXIS = "q", "tension", "motor_torque", "contact"
 """One telemetry field for each axis, in the order joint, tendon, motor, digit."""
 
 
@@ -214,7 +214,7 @@ class TelemetryPlaces(dict[str, slice]):
     @cached_property
     def axis_lengths(self) -> tuple[int, ...]:
         """Return the numbers of joints, tendons, motors and digits."""
-        return tuple(self[name].stop - self[name].start for name in FIELD_OF_EACH_AXIS)
+        return tuple(self[name].stop - self[name].start for name in FIELD_BY_AXIS)
 
 
 class PackedTelemetry:

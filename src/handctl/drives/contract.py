@@ -85,9 +85,9 @@ class DriveFaultCause(enum.IntEnum):
     """The supply voltage is too low or too high."""
     HOT = 4
     """The motor or the power stage is too hot."""
-    MISMATCH = 5
+    SETTING_MISMATCH = 5
     """A setting of the drive reads back wrong, or another host has enabled the drive."""
-    LOST = 6
+    COMMUNICATION_LOST = 6
     """The drive has sent no frame for longer than its timeout."""
     UNKNOWN = 7
     """The error code of the drive has no documented meaning.
@@ -119,7 +119,7 @@ class DriveState(NamedTuple):
         recheck: position in the list of settings that are read again while the drive is enabled.
         error: error code of the drive, or 0 without an error.
         error_text: error of the drive in words, or an empty text without an error.
-        misread: number of frames that had an identifier of the drive but an invalid payload.
+        misread_frame_count: number of frames that had an identifier of the drive but an invalid payload.
         private: internal values of the protocol, such as an open request or the end of a waiting
             time. Code outside the protocol does not read these internal values.
     """
@@ -134,7 +134,7 @@ class DriveState(NamedTuple):
     recheck: RecheckCursor = FIRST_RECHECK
     error: int = 0
     error_text: str = ""
-    misread: int = 0
+    misread_frame_count: int = 0
     private: Any = ()
 
     def with_values(
@@ -155,7 +155,7 @@ class DriveState(NamedTuple):
         # every tick calls this method for each drive.
         return DriveState(
             self.phase, position, velocity, torque, temperature, feedback_t_ns, feedback_count, recheck,
-            self.error, self.error_text, self.misread, self.private,
+            self.error, self.error_text, self.misread_frame_count, self.private,
         )  # fmt: skip
 
 
@@ -190,7 +190,7 @@ class Drive(Protocol):
             operator before arming.
         unchecked_properties: reason for each property that handctl cannot check on this drive. The
             reason names the missing option, or what the protocol lacks.
-        one_reply_per_command: True if the drive sends exactly one feedback frame per command. An
+        sends_one_reply_per_command: True if the drive sends exactly one feedback frame per command. An
             additional frame is then a duplicate, or comes from a second drive with the same number.
         position_step: resolution of the measured position [rad at the spool], 0 if unknown.
         cyclic_messages: signal tables of the frames that a tick exchanges with the enabled drive.
@@ -251,7 +251,7 @@ class Drive(Protocol):
         ...
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True if the drive sends exactly one feedback frame per command."""
         ...
 

@@ -76,15 +76,19 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     """
     by_identifier: dict[int, SentMessage] = {}
     for item in sent_messages:
-        in_payload = all(signal.start >= 0 for signal in item.message.signals)
-        if item.message.signals and in_payload and not item.message.can_id & REMOTE_FLAG:
+        are_signals_in_payload = all(signal.start >= 0 for signal in item.message.signals)
+        if (
+            item.message.signals
+            and are_signals_in_payload
+            and not item.message.can_id & REMOTE_FLAG
+        ):
             by_identifier.setdefault(item.message.can_id, item)
     nodes = dict.fromkeys(
         node for item in by_identifier.values() for node in (item.sender, item.receiver)
     )
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
-    floats = list[str]()
-    kinds = list[str]()
+    float_lines = list[str]()
+    format_lines = list[str]()
     for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED_FLAG | (
             EXTENDED_BIT if message.can_id & EXTENDED_FLAG else 0
@@ -93,11 +97,13 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
         lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
         real = [signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT]
         # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
-        floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
+        float_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
         if message.flags:
             frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
-            kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
-    return "\n".join([*lines, *(_FRAME_FORMAT_LINES if kinds else ()), *kinds, *floats, ""])
+            format_lines.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
+    return "\n".join(
+        [*lines, *(_FRAME_FORMAT_LINES if format_lines else ()), *format_lines, *float_lines, ""]
+    )
 
 
 # Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers.
@@ -118,7 +124,7 @@ Source: the form in which Vector's tools write this attribute and cantools reads
 def _signal_line(signal: Signal, receiver_name: str) -> str:
     """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
-    order = 0 if signal.big_endian else 1
+    order = 0 if signal.is_big_endian else 1
     sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
     layout = f"{signal.start}|{signal.length}@{order}{sign}"
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver_name}'

@@ -3,7 +3,7 @@
 Each protocol has one ``ProtocolDiscovery``. A scan has four rounds: listen (0), send requests to all nodes
 at once (1), send requests to every node number (2), request details from discovered nodes (3).
 After each round the nodes are computed from all received frames. The functions here keep no state.
-``split_probes`` leaves out each request that a drive of another protocol would obey as a command.
+``split_safe_requests`` leaves out each request that a drive of another protocol would obey as a command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -59,7 +59,7 @@ TWO_DRIVES_WARNING = (
 """Warning for a node whose ``twins`` is True."""
 
 
-def have_two_drives_answered(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
+def is_number_used_by_two_drives(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
     A bus may deliver one frame twice by mistake. No bus delivers the answers to two different
@@ -96,7 +96,7 @@ class ProtocolDiscovery(NamedTuple):
             sent.
         ping: function returning a request to one node. The request does not move the motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        unasked: function that corrects the data of a node if the scan has only listened, without
+        correct_without_requests: function that corrects the data of a node if the scan has only listened, without
             requests. Without requests, a missing answer has no meaning.
     """
 
@@ -106,10 +106,10 @@ class ProtocolDiscovery(NamedTuple):
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
     is_ping_reply: Callable[[DiscoveredNode, Frame], bool]
-    unasked: Callable[[DiscoveredNode], DiscoveredNode] = unchanged_node
+    correct_without_requests: Callable[[DiscoveredNode], DiscoveredNode] = unchanged_node
 
 
-def split_probes(
+def split_safe_requests(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
     """Split requests into those that are safe, and those that a drive of another protocol would obey as commands.
@@ -119,9 +119,9 @@ def split_probes(
             no drive obeys it.
         command_ids: command identifiers of every discovered node of another protocol.
     """
-    obeyed = frozenset().union(*command_ids)
-    probes = tuple(probe_frames)
-    safe = tuple(
-        frame for frame in probes if frame.can_id & REMOTE_FLAG or frame.can_id not in obeyed
+    obeyed_ids = frozenset().union(*command_ids)
+    requests = tuple(probe_frames)
+    safe_requests = tuple(
+        frame for frame in requests if frame.can_id & REMOTE_FLAG or frame.can_id not in obeyed_ids
     )
-    return safe, tuple(frame for frame in probes if frame not in safe)
+    return safe_requests, tuple(frame for frame in requests if frame not in safe_requests)

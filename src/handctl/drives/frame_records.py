@@ -37,17 +37,17 @@ WordRows = NDArray[np.uint64]
 _WORD = np.dtype(np.uint64)
 WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
 """Size of a record in words of eight bytes."""
-# Indices of the words of a record. TIME_WORD is the time. HEAD_WORD contains identifier, flags, bus and
+# Indices of the words of a record. TIME_WORD is the time. ID_AND_FLAGS_WORD contains identifier, flags, bus and
 # length, from the lowest bit on. PAYLOAD_WORD is the first word of the payload.
 TIME_WORD = 0
-HEAD_WORD = 1
+ID_AND_FLAGS_WORD = 1
 PAYLOAD_WORD = 2
-# Lowest bits of the fields flags, bus and length in the word HEAD_WORD.
+# Lowest bits of the fields flags, bus and length in the word ID_AND_FLAGS_WORD.
 FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
 ID_MASK = 0xFFFFFFFF
-"""Mask of the identifier with its flag bits in the word HEAD_WORD."""
+"""Mask of the identifier with its flag bits in the word ID_AND_FLAGS_WORD."""
 BYTE_MASK = 0xFF
 """Mask of the lowest byte of a shifted word, for example of the bus and of the length."""
 
@@ -68,7 +68,7 @@ class Frames(Sequence[Frame]):
         self.records = records
 
     @staticmethod
-    def of_rows(rows: WordRows) -> "Frames":
+    def from_rows(rows: WordRows) -> "Frames":
         """Return the frames stored in contiguous words (n, WORDS_PER_RECORD)."""
         # This takes a quarter of the time of ``view``, which checks the fields of the record.
         return Frames(np.ndarray(len(rows), FRAME_RECORD_DTYPE, rows))
@@ -150,4 +150,4 @@ def join_frames(frame_batches: Sequence[Frames]) -> Frames:
     if len(some) < 2:
         return some[0] if some else NO_FRAMES
     # The rows are joined as words, because numpy takes six times as long to join records.
-    return Frames.of_rows(np.concatenate([part.rows for part in some]))
+    return Frames.from_rows(np.concatenate([part.rows for part in some]))

@@ -11,7 +11,7 @@ are CRC delimiter, acknowledge, end of frame, and interframe space. Source: ISO 
 import math
 from collections.abc import Iterable
 
-USUAL_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
+COMMON_CONTROL_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
 """Usual control rates, highest first [Hz]."""
 MAX_BUS_LOAD = 0.70
 """Fraction of the time for which the frames of a hand may occupy a bus.
@@ -76,13 +76,13 @@ def _fd_frame_time_s(
     payload_size = next(length for length in FD_SIZES if length >= payload_size)
     # The body of the frame has ESI, the four bits of DLC, and the data.
     body = 5 + 8 * payload_size
-    header_stuff = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
-    stuff = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff
+    header_stuff_bits = FD_HEADER_STUFF_BITS + extra_identifier_bits // 4
+    stuff_bits = (FD_HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff_bits
     # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
     # 21 bits above.
     check = 4 + (17 if payload_size <= 16 else 21)
-    nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff + FD_END_BITS
-    return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
+    nominal = FD_HEADER_BITS + extra_identifier_bits + header_stuff_bits + FD_END_BITS
+    return nominal / bitrate + (body + stuff_bits + check + math.ceil(check / 4)) / data_bitrate
 
 
 def bus_time_s(
@@ -116,7 +116,7 @@ def highest_rate(
     )
     fits = (
         rate
-        for rate in USUAL_RATES_HZ
+        for rate in COMMON_CONTROL_RATES_HZ
         if all(rate * busy + periodic_load <= MAX_BUS_LOAD for busy, periodic_load in pairs)
     )
-    return next(fits, USUAL_RATES_HZ[-1])
+    return next(fits, COMMON_CONTROL_RATES_HZ[-1])

@@ -44,11 +44,13 @@ def check_identifiers(owners: Iterable[tuple[str, IdentifierOwner]]) -> None:
             if owner.bus == other.bus:
                 # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
                 # node's own frame must be unique.
-                both = (
+                shared_identifiers = (
                     owner.node_ids & (other.node_ids | other.host_ids)
                     | owner.host_ids & other.node_ids
                 )
-                if both:
+                if shared_identifiers:
                     hint = f"another number; {other_where} uses it"
-                    raise ConfigError(f"identifier {min(both):#x} has two meanings", where, hint)
+                    raise ConfigError(
+                        f"identifier {min(shared_identifiers):#x} has two meanings", where, hint
+                    )
         checked.append((where, owner))

@@ -15,13 +15,13 @@ class ProtocolTraits(NamedTuple):
 
     Attributes:
         title: name of the protocol in documents.
-        guarded: True if the drives have a watchdog, and limits that can be read back. The fault
+        is_verifiable: True if the drives have a watchdog, and limits that can be read back. The fault
             campaign accepts only such protocols.
         can_fd: True if the bus of the drives needs CAN FD.
         options: values of the drive options in a simulated hand.
         position_option: drive option with which the drives close the position loop of a digit. The
             text is empty if they need no option.
-        no_position_loop: reason why the drives close no position loop. The text is empty if they do.
+        no_position_loop_reason: reason why the drives close no position loop. The text is empty if they do.
         hint: advice about an option of the drives that no frame can verify, and that concerns no
             protection. Commands print it with ``--verbose``.
         motor_types: values of the required option ``motor_type``, empty if the drives have no such
@@ -29,11 +29,11 @@ class ProtocolTraits(NamedTuple):
     """
 
     title: str
-    guarded: bool = True
+    is_verifiable: bool = True
     can_fd: bool = False
     options: Mapping[str, Any] = {}
     position_option: str = ""
-    no_position_loop: str = ""
+    no_position_loop_reason: str = ""
     hint: str = ""
     motor_types: tuple[str, ...] = ()
 
@@ -43,10 +43,11 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "odrive": ProtocolTraits("ODrive", options={
         "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
         "endpoint_torque_max": 203, "endpoint_torque_min": 204,
-    }, no_position_loop="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
+    }, no_position_loop_reason="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
     "cia402": ProtocolTraits(
         "CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
-        no_position_loop="CiA 402 standardises no gains of position loops, and torque commands need another mode",
+        no_position_loop_reason="CiA 402 standardises no gains of position loops, "
+        "and torque commands need another mode",
     ),
     "moteus": ProtocolTraits("moteus", can_fd=True, position_option='control = "position"'),
     "robstride": ProtocolTraits(
@@ -54,19 +55,21 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
         motor_types=("rs00", "rs01", "rs02", "rs03", "rs04", "rs05"),
     ),
     "cubemars": ProtocolTraits(
-        "CubeMars", guarded=False, options={"motor_type": "ak80-6"},
+        "CubeMars", is_verifiable=False, options={"motor_type": "ak80-6"},
         hint="temperature counts from -40 degC by the manual; "
         "a cold motor that reads below zero needs temperature_offset_C = 0",
         motor_types=("ak60-6", "ak70-10", "ak80-6", "ak80-9", "ak10-9"),
     ),
     "robstride_mit": ProtocolTraits(
-        "RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"},
+        "RobStride in MIT mode", is_verifiable=False, options={"motor_type": "rs05"},
         motor_types=("rs00", "rs01", "rs05"),
     ),
 }  # fmt: skip
 """Properties of each protocol, by the name of the protocol in the hand file."""
-GUARDED_PROTOCOLS = tuple(name for name, traits in PROTOCOL_TRAITS.items() if traits.guarded)
-"""Names of the guarded protocols, see ``ProtocolTraits.guarded``."""
+VERIFIABLE_PROTOCOLS = tuple(
+    name for name, traits in PROTOCOL_TRAITS.items() if traits.is_verifiable
+)
+"""Names of the protocols with protections that can be verified, see ``ProtocolTraits.is_verifiable``."""
 
 
 def motor_types_text() -> str:
@@ -112,7 +115,7 @@ def position_loop_protocols_text() -> str:
     names = [
         f"{name} with {traits.position_option}" if traits.position_option else name
         for name, traits in PROTOCOL_TRAITS.items()
-        if not traits.no_position_loop
+        if not traits.no_position_loop_reason
     ]
     return f"{', '.join(names[:-1])} or {names[-1]}"
 
@@ -174,7 +177,7 @@ class MotorDescription(Protocol):
         ...
 
     @property
-    def holds_position(self) -> bool:
+    def closes_position_loop(self) -> bool:
         """Return True if the drive closes the position loop of a moving digit."""
         ...
 

@@ -16,7 +16,7 @@ class FullScale(Protocol):
         ...
 
 
-ModelRangesT = TypeVar("ModelRangesT", bound=FullScale)
+ModelRangesType = TypeVar("ModelRangesType", bound=FullScale)
 
 
 class MotorOption(NamedTuple):
@@ -102,8 +102,8 @@ def checked_boolean(value: object, key_path: str) -> bool:
 
 
 def pop_motor_model(
-    options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesT]
-) -> ModelRangesT:
+    options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesType]
+) -> ModelRangesType:
     """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:

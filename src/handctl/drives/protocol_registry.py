@@ -129,10 +129,12 @@ def make_mode_drive(
         PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
     )
     if make is None:
-        able = ", ".join(
+        protocols_with_modes = ", ".join(
             sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode)
         )
         raise ConfigError(
-            f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}"
+            f"mode {mode.value} of {motor.protocol}",
+            "mode",
+            f"torque, or one of {protocols_with_modes}",
         )
     return make(motor, bus, mode, limits)

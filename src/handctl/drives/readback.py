@@ -70,7 +70,7 @@ class ReadbackCursor(NamedTuple):
         """Return the cursor at the next setting, for use when the present one has been verified."""
         return ReadbackCursor(self.step + 1)
 
-    def after_write(self) -> "ReadbackCursor":
+    def cursor_after_write(self) -> "ReadbackCursor":
         """Return the cursor after a write request.
 
         The next request then reads the setting that was written.
@@ -111,14 +111,14 @@ def request_setting(
 
 
 def on_wrong_value(
-    cursor: ReadbackCursor, name: str, read_text: str, expected_text: str, write_count: int
+    cursor: ReadbackCursor, name: str, value_text: str, expected_text: str, write_count: int
 ) -> tuple[ReadbackCursor, str]:
     """Request that a setting with a wrong value is written, at most ``write_count`` times.
 
     Args:
         cursor: position in the settings.
         name: name of the setting.
-        read_text: value in the drive, as text.
+        value_text: value in the drive, as text.
         expected_text: required value, as text.
         write_count: largest number of times that the setting is written.
 
@@ -128,7 +128,7 @@ def on_wrong_value(
     if cursor.written < write_count:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
     after = " after writing" if cursor.written else ""
-    return cursor, f"{name} reads {read_text}{after}, expected {expected_text}"
+    return cursor, f"{name} reads {value_text}{after}, expected {expected_text}"
 
 
 class RecheckCursor(NamedTuple):

@@ -81,7 +81,7 @@ class Signal(NamedTuple):
         quantity: physical quantity of the value.
         start: number of the start bit, as in a DBC. In an identifier, bits count from -64.
         length: number of bits of the signal.
-        big_endian: True if the highest byte comes first.
+        is_big_endian: True if the highest byte comes first.
         coding: coding of the count in these bits.
         scale: change of the value per count [unit].
         offset: value at count 0 [unit].
@@ -94,7 +94,7 @@ class Signal(NamedTuple):
     quantity: SignalQuantity
     start: int
     length: int
-    big_endian: bool = False
+    is_big_endian: bool = False
     coding: SignalCoding = SignalCoding.UNSIGNED
     scale: float = 1.0
     offset: float = 0.0
@@ -165,7 +165,7 @@ class CyclicMessages(NamedTuple):
             for no limit.
         position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
             closes its own position loop. None if the protocol has no such frame.
-        moves_target: True if the drive moves the commanded position with the commanded velocity
+        moves_commanded_position: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
             until the next command. After a failure of the host, a moving position would increase
             the tension more and more, so its command contains a torque limit.
@@ -175,7 +175,7 @@ class CyclicMessages(NamedTuple):
     commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
     position: CyclicMessage | None = None
-    moves_target: bool = False
+    moves_commanded_position: bool = False
 
 
 POSITION_COMMAND = (
@@ -216,23 +216,23 @@ SCALE_COLUMN, OFFSET_COLUMN = range(2)
 
 def integer_columns(signal: Signal) -> tuple[int, ...]:
     """Return the values of the integer columns for a signal, see ``START_COLUMN``."""
-    order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
+    order, coding, quantity = int(signal.is_big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
         return start, signal.length, order, coding, quantity, signal.channel, IDENTIFIER_WINDOW
     first = signal.start // 8
     # Number of bits of the first byte that come before the signal, in the order of its bits.
-    before = 7 - signal.start % 8 if signal.big_endian else signal.start % 8
+    before = 7 - signal.start % 8 if signal.is_big_endian else signal.start % 8
     window = first if 8 * first + before + signal.length > 64 else 0
     start = 8 * (first - window) + before
-    if signal.big_endian:
+    if signal.is_big_endian:
         # Number of the lowest bit of the signal, in a word whose first byte has the highest bits.
         start = 64 - start - signal.length
     return start, signal.length, order, coding, quantity, signal.channel, window
 
 
 @kernel_helper
-def window_at(words: Any, first_word: int, first_byte: int) -> Any:
+def read_window(words: Any, first_word: int, first_byte: int) -> Any:
     """Return eight bytes of a payload as uint64, from ``first_byte`` on. Bytes after the last word are 0.
 
     Args:
@@ -280,16 +280,18 @@ def bytes_reversed(word: Any) -> Any:
 
 
 @kernel_helper
-def decode_signal(value: Any, wholes: IntegerArray, reals: RealArray, i: int) -> float:
+def decode_signal(
+    value: Any, signal_integers: IntegerArray, signal_reals: RealArray, i: int
+) -> float:
     """Return the value of signal i from a window, or NaN for a float that is not finite."""
-    length = wholes[i, LENGTH_COLUMN]
+    length = signal_integers[i, LENGTH_COLUMN]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
-    bits = (value >> np.uint64(wholes[i, START_COLUMN])) & mask
-    coding = wholes[i, CODING_COLUMN]
+    bits = (value >> np.uint64(signal_integers[i, START_COLUMN])) & mask
+    coding = signal_integers[i, CODING_COLUMN]
     if coding == FLOAT:
         number = np.float64(np.uint32(bits).view(np.float32))
         return (
-            number * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN]
+            number * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
             if math.isfinite(number)
             else math.nan
         )
@@ -297,50 +299,54 @@ def decode_signal(value: Any, wholes: IntegerArray, reals: RealArray, i: int) ->
     # The top bit is the sign, and is extended to all higher bits.
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
-    result: float = count * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN]
+    result: float = count * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
     return result
 
 
 @kernel_helper
-def encode_signal(value: float, wholes: IntegerArray, reals: RealArray, i: int) -> Any:
+def encode_signal(
+    value: float, signal_integers: IntegerArray, signal_reals: RealArray, i: int
+) -> Any:
     """Return the bits of signal i at their position in a window, for a value.
 
     The value must be finite and in the range of the signal. Half a count is rounded up.
     """
     # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
     # bits above the signal that a negative number sets.
-    scaled = (value - reals[i, OFFSET_COLUMN]) / reals[i, SCALE_COLUMN]
-    mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH_COLUMN])) - np.uint64(1)
-    if wholes[i, CODING_COLUMN] == FLOAT:
+    scaled = (value - signal_reals[i, OFFSET_COLUMN]) / signal_reals[i, SCALE_COLUMN]
+    mask = (np.uint64(1) << np.uint64(signal_integers[i, LENGTH_COLUMN])) - np.uint64(1)
+    if signal_integers[i, CODING_COLUMN] == FLOAT:
         bits = np.uint64(np.float32(scaled).view(np.uint32))
     else:
         bits = np.int64(math.floor(scaled + 0.5)).view(np.uint64)
-    return (bits & mask) << np.uint64(wholes[i, START_COLUMN])
+    return (bits & mask) << np.uint64(signal_integers[i, START_COLUMN])
 
 
 @kernel("words", "matrix_int", "matrix")
-def unpack_rows(data: WordArray, rows: IntegerArray, reals: RealArray) -> RealArray:
+def unpack_rows(data: WordArray, rows: IntegerArray, signal_reals: RealArray) -> RealArray:
     """Return the value of each signal (signals,), from the words of an identifier and a payload (1, words).
 
-    The arrays ``rows`` and ``reals`` have one row per signal.
+    The arrays ``rows`` and ``signal_reals`` have one row per signal.
     """
     result = np.empty(len(rows))
     for i in range(len(rows)):
-        value = window_at(data[0], 1, rows[i, WINDOW_COLUMN])
+        value = read_window(data[0], 1, rows[i, WINDOW_COLUMN])
         result[i] = decode_signal(
-            bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, reals, i
+            bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, signal_reals, i
         )
     return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")
-def pack_rows(data: WordArray, rows: IntegerArray, reals: RealArray, values: RealArray) -> None:
+def pack_rows(
+    data: WordArray, rows: IntegerArray, signal_reals: RealArray, values: RealArray
+) -> None:
     """Write the value of each signal (signals,) into the words of an identifier and a payload (1, words).
 
     Before the call, all bits at the positions of the signals must be zero.
     """
     for i in range(len(rows)):
-        bits = encode_signal(values[i], rows, reals, i)
+        bits = encode_signal(values[i], rows, signal_reals, i)
         write_window(
             data[0],
             1,
@@ -354,25 +360,27 @@ class SignalTable:
 
     Attributes:
         message: the message.
-        wholes: (signals, INTEGER_COLUMN_COUNT) integer columns, see ``START_COLUMN``.
-        reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
+        signal_integers: (signals, INTEGER_COLUMN_COUNT) integer columns, see ``START_COLUMN``.
+        signal_reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
     """
 
     def __init__(self, message: CyclicMessage) -> None:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != SignalQuantity.UNUSED]
-        self.wholes: IntegerArray = np.array(
+        self.signal_integers: IntegerArray = np.array(
             [integer_columns(signal) for signal in signals], dtype=np.int64
         ).reshape(-1, INTEGER_COLUMN_COUNT)
         self._names = [(one.name, one.unit) for one in signals]
-        self.reals: RealArray = np.array(
+        self.signal_reals: RealArray = np.array(
             [(one.scale, one.offset) for one in signals], dtype=np.float64
         ).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal in a payload, NaN for a float that is not finite."""
-        values: list[float] = unpack_rows(self._words(data), self.wholes, self.reals).tolist()
+        values: list[float] = unpack_rows(
+            self._words(data), self.signal_integers, self.signal_reals
+        ).tolist()
         return values
 
     def pack(self, *values: float) -> bytes:
@@ -394,7 +402,7 @@ class SignalTable:
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
         data = self._words(self.message.base)
-        pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
+        pack_rows(data, self.signal_integers, self.signal_reals, np.array(values, dtype=np.float64))
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
     def _words(self, data: bytes) -> WordArray:

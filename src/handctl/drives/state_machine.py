@@ -23,10 +23,10 @@ class EnablingProgress(Protocol):
     Attributes:
         cursor: position in the list of settings to read back.
         configured: True if all settings have their required values.
-        enabled_by_other: True if the drive may make torque without a command of this host.
+        enabled_by_other_host: True if the drive may make torque without a command of this host.
         enable_sent: True from the enable command until the drive reports that it is off.
         disabling: True while the drive is being disabled.
-        disabling_ns: time of the first disable command [ns].
+        disable_command_ns: time of the first disable command [ns].
         clearing: number of feedback frames with an error still to be ignored.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
@@ -34,10 +34,10 @@ class EnablingProgress(Protocol):
 
     cursor: ReadbackCursor
     configured: bool
-    enabled_by_other: bool
+    enabled_by_other_host: bool
     enable_sent: bool
     disabling: bool
-    disabling_ns: int
+    disable_command_ns: int
     clearing: int
     ready_ns: int
     serial: int
@@ -89,7 +89,7 @@ def request_recheck(
     return enter_fault(state, error_code, problem) if problem else state, (one.request,)
 
 
-def after_recheck_reply(
+def state_after_recheck_reply(
     state: DriveState,
     error_code: int,
     setting_count: int,
@@ -138,7 +138,7 @@ def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
     )
 
 
-def after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
+def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
     """Return the state in phase READY of a drive whose settings have all been verified.
 
     A serial number of 0 means that the serial number is unknown.
@@ -166,45 +166,45 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """Return the state of a drive to which a disable command is sent.
 
     A drive that may be enabled counts as enabled until its feedback reports that it is off. The
-    function uses the fields ``may_be_enabled``, ``disabling`` and ``disabling_ns``.
+    function uses the fields ``may_be_enabled``, ``disabling`` and ``disable_command_ns``.
     """
     progress: EnablingProgress = state.private
     phase = ENABLED if progress.may_be_enabled else state.phase
-    since = progress.disabling_ns if progress.disabling else t_ns
+    since = progress.disable_command_ns if progress.disabling else t_ns
     return state._replace(
-        phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
+        phase=phase, private=progress._replace(disabling=True, disable_command_ns=since)
     )
 
 
 def state_when_off(
-    state: DriveState, has_dropped_out: bool, error_code: int, detail_text: str
+    state: DriveState, has_dropped_out: bool, error_code: int, error_text: str
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
-    The function uses the fields ``enable_sent``, ``enabled_by_other``, ``clearing``, ``disabling``
-    and ``disabling_ns``.
+    The function uses the fields ``enable_sent``, ``enabled_by_other_host``, ``clearing``, ``disabling``
+    and ``disable_command_ns``.
 
     Args:
         state: state of the drive, with the values of this feedback.
         has_dropped_out: True if the drive was on, so that without a disable command it has
             disabled itself.
         error_code: error code of a drive that has disabled itself.
-        detail_text: text of this error.
+        error_text: text of this error.
     """
     progress: EnablingProgress = state.private
-    off = progress._replace(enable_sent=False, enabled_by_other=False, clearing=0)
+    off = progress._replace(enable_sent=False, enabled_by_other_host=False, clearing=0)
     if progress.disabling:
         # Feedback from before the disable command does not show the effect of this command.
-        if state.feedback_t_ns < progress.disabling_ns:
+        if state.feedback_t_ns < progress.disable_command_ns:
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
     if has_dropped_out:
-        return enter_fault(state._replace(private=off), error_code, detail_text)
+        return enter_fault(state._replace(private=off), error_code, error_text)
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
 
-def state_when_on(state: DriveState, error_code: int, detail_text: str) -> DriveState:
+def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveState:
     """Return the state after the drive has reported that it is on.
 
     The function uses the field ``enable_sent``.
@@ -212,24 +212,24 @@ def state_when_on(state: DriveState, error_code: int, detail_text: str) -> Drive
     Args:
         state: state of the drive.
         error_code: error code of a drive that this host has not enabled.
-        detail_text: text of this error.
+        error_text: text of this error.
     """
     progress: EnablingProgress = state.private
     if progress.enable_sent and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-    return state_when_on_by_other(state, error_code, detail_text)
+    return state_when_on_by_other(state, error_code, error_text)
 
 
-def state_when_on_by_other(state: DriveState, error_code: int, detail_text: str) -> DriveState:
+def state_when_on_by_other(state: DriveState, error_code: int, error_text: str) -> DriveState:
     """Return the state of a drive that may make torque without a command of this host.
 
-    The function uses the fields ``enabled_by_other`` and ``disabling``. The arguments have the same
+    The function uses the fields ``enabled_by_other_host`` and ``disabling``. The arguments have the same
     meaning as in ``state_when_on``.
     """
     progress: EnablingProgress = state.private
-    on = state._replace(private=progress._replace(enabled_by_other=True))
+    on = state._replace(private=progress._replace(enabled_by_other_host=True))
     if progress.disabling:
         return on._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
-        return enter_fault(on, error_code, detail_text)
+        return enter_fault(on, error_code, error_text)
     return on._replace(phase=CONFIGURING) if state.phase == SILENT else on

@@ -26,7 +26,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickOut, TickRequest, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observation_layout import (
-    FIELD_OF_NAME,
+    FIELD_BY_PART_NAME,
     Float32Array,
     ObservationLayout,
     ObservationPart,
@@ -294,13 +294,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             out = run.run_tick()
         self.steps += 1
         reward, ended, information = self.judge_step()
-        failed = out.mode != HandMode.ACTIVE
-        truncated = self.steps >= self.max_steps and not (ended or failed)
+        has_failed = out.mode != HandMode.ACTIVE
+        is_truncated = self.steps >= self.max_steps and not (ended or has_failed)
         return (
             self._observation(),
             float(reward),
-            ended or failed,
-            truncated,
+            ended or has_failed,
+            is_truncated,
             self._extra_information() | information,
         )
 
@@ -398,8 +398,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         telemetry = self.last_output.telemetry
         return self.layout.vector(
             lambda name: (
-                getattr(telemetry, FIELD_OF_NAME[name])
-                if name in FIELD_OF_NAME
+                getattr(telemetry, FIELD_BY_PART_NAME[name])
+                if name in FIELD_BY_PART_NAME
                 else self.extra_values(name)
             )
         )

@@ -145,9 +145,11 @@ class GraspEnv(HandEnv):
 
         The other digits hold a tension.
         """
-        moves = self._demanded_tensions(action_vector) <= 0.0
+        follows_targets = self._demanded_tensions(action_vector) <= 0.0
         return tuple(
-            name for name, d in zip(self.names, self._digit_of_coordinate, strict=True) if moves[d]
+            name
+            for name, d in zip(self.names, self._digit_of_coordinate, strict=True)
+            if follows_targets[d]
         )
 
     def _demanded_tensions(self, action_vector: Vector) -> Vector:
@@ -165,10 +167,14 @@ class GraspEnv(HandEnv):
         reward = pressing - self._pressing
         self._pressing = pressing
         plant = self.simulated_world.plant
-        fallen_m = self._height_m - plant.engine.object_pose()[2]
-        since = plant.table.dropped_at
-        dropped = fallen_m > DROP_DISTANCE_M
-        held = since is not None and plant.t_ns / 1e9 - since >= SUCCESS_HOLD_S and not dropped
+        fall_distance_m = self._height_m - plant.engine.object_pose()[2]
+        sink_start_s = plant.table.dropped_at
+        dropped = fall_distance_m > DROP_DISTANCE_M
+        held = (
+            sink_start_s is not None
+            and plant.t_ns / 1e9 - sink_start_s >= SUCCESS_HOLD_S
+            and not dropped
+        )
         if held:
             reward += SUCCESS_REWARD
         elif dropped or self.last_output.mode != HandMode.ACTIVE:
@@ -176,7 +182,7 @@ class GraspEnv(HandEnv):
         information = {
             "is_success": held,
             "force_N": forces,
-            "fallen_m": fallen_m,
-            "table_sinks": since is not None,
+            "fallen_m": fall_distance_m,
+            "table_sinks": sink_start_s is not None,
         }
         return reward, held or dropped, information

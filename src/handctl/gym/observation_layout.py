@@ -16,7 +16,7 @@ from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
 Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
-FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
+FIELD_BY_PART_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
 """Field of the telemetry that provides the values of an observation's part, by name of the part."""
 
 
@@ -78,4 +78,4 @@ def telemetry_part(hand: Hand, name: str, low: float, high: float) -> Observatio
         "motor": tuple(motor.name for motor in hand.motor),
         "digit": hand.digit_names,
     }
-    return ObservationPart(name, axis[TELEMETRY_AXES[FIELD_OF_NAME[name]]], low, high)
+    return ObservationPart(name, axis[TELEMETRY_AXES[FIELD_BY_PART_NAME[name]]], low, high)

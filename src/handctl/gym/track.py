@@ -85,22 +85,26 @@ class TrackEnv(HandEnv):
         self._rate = 2.0 * np.pi / period
         self._phase = self.np_random.uniform(0.0, 2.0 * np.pi, shape)
         self._middle = low + sum(self._span) / 2.0 * (high - low)
-        swing = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
-        self._swing = np.minimum(swing, 0.5 * MAX_REFERENCE_RATE_DEG_S / self._rate)
-        self._start = self._coordinates_of(self.last_output.telemetry.q)
+        amplitudes = (self._span[1] - self._span[0]) / 2.0 * (high - low) * np.array([[0.6], [0.4]])
+        self._swing = np.minimum(amplitudes, 0.5 * MAX_REFERENCE_RATE_DEG_S / self._rate)
+        self._start = self._reference_coordinates_at(self.last_output.telemetry.q)
 
     def reference_deg(self, t_s: float) -> Vector:
         """Return the reference of each joint or digit (V,) at a time since the start of the episode [deg]."""
-        course = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(axis=0)
+        sine_reference = self._middle + (self._swing * np.sin(self._rate * t_s + self._phase)).sum(
+            axis=0
+        )
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
-        angles = self._reference_units.displayed(self._start) * (1.0 - blend) + course * blend
-        return angles if self._space == "digit" else self._joints_of(angles)
+        angles = (
+            self._reference_units.displayed(self._start) * (1.0 - blend) + sine_reference * blend
+        )
+        return angles if self._space == "digit" else self._joint_angles_at(angles)
 
     def extra_values(self, name: str) -> Any:
         """Return the present references, or those after the horizon, as the named observation part requires [rad]."""
-        ahead = self.horizon_s if name == "reference_ahead_rad" else 0.0
-        return self.units.si(self.reference_deg(self.t_s + ahead))
+        time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
+        return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward for the true tracking error of a step, False (no step ends an episode), and the error."""
@@ -129,7 +133,7 @@ class TrackEnv(HandEnv):
             np.concatenate([digit.coordinate_units.is_prismatic for digit in self.model.digits])
         )
 
-    def _coordinates_of(self, q: Vector) -> Vector:
+    def _reference_coordinates_at(self, q: Vector) -> Vector:
         """Return the values of the references at given joint angles (J,).
 
         The unit of the angles does not change.
@@ -140,7 +144,7 @@ class TrackEnv(HandEnv):
             [digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits]
         )
 
-    def _joints_of(self, coordinates: Vector) -> Vector:
+    def _joint_angles_at(self, coordinates: Vector) -> Vector:
         """Return the joint angles (J,) at given coordinates.
 
         The unit of the angles does not change. Joints that share a coordinate have the same angle.

@@ -220,7 +220,7 @@ class Hand(Section):
         return arms
 
     @cached_property
-    def own_arms(self) -> NDArray[np.float64]:
+    def moment_arms_of_own_digit(self) -> NDArray[np.float64]:
         """Return the moment arms of each tendon about the joints of its own digit, (N, J) [m], read-only."""
         own = np.zeros_like(self.moment_arms)
         for name, tendons in self.digit_tendons.items():
@@ -230,14 +230,14 @@ class Hand(Section):
         return own
 
     @cached_property
-    def carrier_arms(self) -> NDArray[np.float64]:
+    def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
         """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
 
         For example, the tendons of a finger also cross the wrist. If such a tendon does not run
         through the axis of the wrist, its tension turns the wrist. A motion of the wrist then winds
         or unwinds the tendon.
         """
-        arms = self.moment_arms - self.own_arms
+        arms = self.moment_arms - self.moment_arms_of_own_digit
         arms.setflags(write=False)
         return arms
 
@@ -272,7 +272,7 @@ class Hand(Section):
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
         """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
-        return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
+        return np.asarray(~((self.moment_arms_of_own_digit != 0.0) & ~measured).any(axis=1))
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
@@ -301,7 +301,7 @@ class Hand(Section):
         """Return the names of digits that carry other digits."""
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
-    def carriers_of(self, digit: str) -> tuple[str, ...]:
+    def names_of_carrying_digits(self, digit: str) -> tuple[str, ...]:
         """Return the names of the digits that carry a digit, beginning with the one directly before it."""
         carrier = self.digit_named(digit).mount_on
         # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
@@ -319,11 +319,15 @@ class Hand(Section):
 
         If there is no such digit, return None.
         """
-        crossed = [
+        crossed_digits = [
             digit.name for digit in self.digit if not tendon.arms.keys().isdisjoint(digit.joints)
         ]
-        outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
-        return outermost[0] if outermost else None
+        outermost_digits = [
+            name
+            for name in crossed_digits
+            if {name, *self.names_of_carrying_digits(name)} >= set(crossed_digits)
+        ]
+        return outermost_digits[0] if outermost_digits else None
 
     def base_link(self, digit: Digit) -> str:
         """Return the name of the link that carries a digit: ``palm``, or the last link of another digit."""
@@ -355,12 +359,12 @@ class Hand(Section):
     def content(self) -> dict[str, Any]:
         """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
         content = self.model_dump(by_alias=True, mode="python")
-        later = {
+        keys_added_later = {
             "digit": DIGIT_KEYS_ADDED_LATER,
             "tendon": TENDON_KEYS_ADDED_LATER,
             "motor": CONTROL_KEYS,
         }
-        for kind, keys in later.items():
+        for kind, keys in keys_added_later.items():
             for section in content[kind]:
                 for key in keys:
                     # If a hand file does not contain this key, its identity must not change.

@@ -54,7 +54,7 @@ class DigitModel:
         joints: slice of the hand's joints that contains the joints of this digit.
         tendons: slice of the hand's tendons that contains the tendons of this digit.
         lengths: (n,) length of each link [m].
-        coms: (n, 3) centre of mass of each link, in the frame of the link [m].
+        centres_of_mass: (n, 3) centre of mass of each link, in the frame of the link [m].
         masses: (n,) mass of each link [kg].
         inertias: (n, 3, 3) inertia of each link about its centre of mass, in the frame of the link
             [kg m2].
@@ -77,7 +77,7 @@ class DigitModel:
             ``rigid_body``.
         parent: (n,) column in ``table`` of the link before each link, -1 for the palm.
         moment_arms: moment arms R (n_t, n) [m]. If a moment arm depends on the joint angle, R
-            contains its mean. The method ``at_angles`` returns a digit whose R belongs to given
+            contains its mean. The method ``with_moment_arms_at`` returns a digit whose R belongs to given
             angles.
         coupling: B, (n, n_c), the identity matrix for independent joints.
         reduced_moment_arms: matrix R B (n_t, n_c) [m].
@@ -102,7 +102,7 @@ class DigitModel:
     joints: slice
     tendons: slice
     lengths: tuple[float, ...]
-    coms: Array
+    centres_of_mass: Array
     masses: tuple[float, ...]
     inertias: Array
     axes: Array
@@ -196,7 +196,7 @@ class DigitModel:
             joints=joints,
             tendons=tendons,
             lengths=digit.link_length_m,
-            coms=_read_only_copy([centre_of_mass(digit, i) for i in links]),
+            centres_of_mass=_read_only_copy([centre_of_mass(digit, i) for i in links]),
             masses=digit.link_mass_kg,
             inertias=_read_only_copy([link_inertia(digit, i) for i in links]),
             axes=_read_only_copy(joint_axes(digit)),
@@ -235,7 +235,7 @@ class DigitModel:
         )
 
     @staticmethod
-    def all_from_hand(hand: Hand) -> "tuple[DigitModel, ...]":
+    def models_of_hand(hand: Hand) -> "tuple[DigitModel, ...]":
         """Build the models of all digits of a hand, in the order of the hand file."""
         return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
@@ -256,7 +256,7 @@ class DigitModel:
             return np.asarray(self.moment_arms @ np.asarray(q))
         return np.asarray(excursions_at(self.arm_polynomials, self.joint_limits, q).sum(axis=-1))
 
-    def at_angles(self, q: ArrayLike) -> "DigitModel":
+    def with_moment_arms_at(self, q: ArrayLike) -> "DigitModel":
         """Return a copy of the digit whose moment arms belong to the joint angles (n,) [rad].
 
         If all moment arms are constant, return the digit itself.
@@ -264,13 +264,13 @@ class DigitModel:
         if not self.has_varying_arm:
             return self
         arms = self.moment_arms_at(q)
-        to_coordinates = np.linalg.pinv(arms @ self.coupling)
+        excursion_to_coordinates = np.linalg.pinv(arms @ self.coupling)
         return replace(
             self,
             moment_arms=arms,
             reduced_moment_arms=arms @ self.coupling,
-            excursion_to_joints=self.coupling @ to_coordinates,
-            torque_to_tension=to_coordinates.T @ self.coupling.T,
+            excursion_to_joints=self.coupling @ excursion_to_coordinates,
+            torque_to_tension=excursion_to_coordinates.T @ self.coupling.T,
         )
 
     def coordinates_of(self, excursion: Array) -> Array:
@@ -337,9 +337,14 @@ def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
     ranges = []
     for column in coupling.T:
         moved = column != 0.0
-        each = joint_limits[:, moved] / column[moved]
+        coordinate_limits = joint_limits[:, moved] / column[moved]
         # If an entry of B is negative, the lower and the upper limit of its joint change places.
-        ranges.append((each.min(axis=0).max(initial=-np.inf), each.max(axis=0).min(initial=np.inf)))
+        ranges.append(
+            (
+                coordinate_limits.min(axis=0).max(initial=-np.inf),
+                coordinate_limits.max(axis=0).min(initial=np.inf),
+            )
+        )
     return np.array(ranges).T
 
 
@@ -352,10 +357,10 @@ def link_table(digit: Digit) -> Array:
         position, rotation = link_placement(digit, i)
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        cross_matrix = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         # Rodrigues' formula gives the rotation by an angle q about an axis a: a a^T + cos q (1 - a
         # a^T) + sin q [a]x. A prismatic joint does not rotate the link that it moves.
-        parts = (along, np.eye(3) - along, cross)
+        parts = (along, np.eye(3) - along, cross_matrix)
         if digit.is_prismatic[i]:
             parts = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
         rows = (body.FIXED_ROTATION_ROW, body.COSINE_ROTATION_ROW, body.SINE_ROTATION_ROW)

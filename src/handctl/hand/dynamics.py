@@ -59,13 +59,13 @@ def required_torque(
 
     The torque is the sum of inverse dynamics, spring torque and damping torque.
     """
-    rigid = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
+    rigid_body_torque = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
     passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
     return tuple(
         [
             tau + stiffness * (angle + preload) + damping * rate
             for tau, angle, rate, (stiffness, preload, damping) in zip(
-                rigid, _as_plain_floats(q), _as_plain_floats(dq), passive, strict=True
+                rigid_body_torque, _as_plain_floats(q), _as_plain_floats(dq), passive, strict=True
             )
         ]
     )
@@ -79,7 +79,9 @@ def bias_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorq
 def gravity_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torques (n,) that balance the weight of the links [N m]."""
     return tuple(
-        rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist()
+        rigid_body.weight_torques(
+            digit.table, digit.parent, digit.gravity, _as_float_array(q)
+        ).tolist()
     )
 
 
@@ -117,7 +119,7 @@ def static_torque(digit: DigitModel, q: JointValues) -> JointTorques:
 
 def mass_matrix(digit: DigitModel, q: JointValues) -> Array:
     """Return the mass matrix M (n, n) at given joint angles, including the armature of the joints [kg m2]."""
-    return rigid_body.inertia_matrix(digit.table, digit.parent, _as_array(q))
+    return rigid_body.inertia_matrix(digit.table, digit.parent, _as_float_array(q))
 
 
 def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: JointValues) -> Array:
@@ -129,8 +131,8 @@ def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: Jo
         dq: joint rates (n,) [rad/s].
         tau: (n,) joint torque of tendons and contact, minus ``passive_torque`` [N m].
     """
-    standing = inverse_dynamics(digit, q, dq, (0.0,) * digit.joint_count)
-    return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, standing)))
+    bias_torque = inverse_dynamics(digit, q, dq, (0.0,) * digit.joint_count)
+    return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, bias_torque)))
 
 
 def reduced_dynamics(
@@ -152,8 +154,8 @@ def reduced_dynamics(
     coupling = digit.coupling
     q = (coupling @ theta).tolist()
     dq = (coupling @ dtheta).tolist()
-    standing = required_torque(digit, q, dq, (0.0,) * len(q))
-    return coupling.T @ mass_matrix(digit, q) @ coupling, np.array(standing) @ coupling
+    bias_torque = required_torque(digit, q, dq, (0.0,) * len(q))
+    return coupling.T @ mass_matrix(digit, q) @ coupling, np.array(bias_torque) @ coupling
 
 
 def kinetic_energy(digit: DigitModel, q: JointValues, dq: JointValues) -> float:
@@ -167,7 +169,7 @@ def potential_energy(digit: DigitModel, q: JointValues) -> float:
 
     The energy would be zero if all mass were at the mount of the digit.
     """
-    first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
+    first = rigid_body.link_poses(digit.table, digit.parent, _as_float_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3]
     return -float(
         digit.gravity @ (moment - first[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position)
@@ -176,8 +178,8 @@ def potential_energy(digit: DigitModel, q: JointValues) -> float:
 
 def spring_energy(digit: DigitModel, q: JointValues) -> float:
     """Return the energy stored in the return springs [J]."""
-    stretched = np.asarray(q) + digit.spring_preload
-    return float(0.5 * np.asarray(digit.spring_stiffness) @ stretched**2)
+    spring_deflection = np.asarray(q) + digit.spring_preload
+    return float(0.5 * np.asarray(digit.spring_stiffness) @ spring_deflection**2)
 
 
 def _rigid_body_torque(
@@ -185,12 +187,17 @@ def _rigid_body_torque(
 ) -> JointTorques:
     """Return the joint torque of inertia and weight under the given gravity, (n,) [N m]."""
     torque = rigid_body.rigid_body_torques(
-        digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq)
+        digit.table,
+        digit.parent,
+        gravity,
+        _as_float_array(q),
+        _as_float_array(dq),
+        _as_float_array(ddq),
     )
     return tuple(torque.tolist())
 
 
-def _as_array(values: JointValues) -> Array:
+def _as_float_array(values: JointValues) -> Array:
     """Return the values as a numpy array, as compiled code needs."""
     return np.asarray(values, dtype=np.float64)
 

@@ -19,7 +19,7 @@ from handctl.hand.file.error_text import (
     group_mistakes,
     toml_spelling,
     validation_mistakes,
-    with_paths_of_file,
+    with_paths_in_hand_file,
 )
 from handctl.hand.file.sections import Digit, Section, Tendon
 from handctl.hand.file.templates import (
@@ -183,22 +183,22 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
                 f"{RESOLVED_SCHEMA} or {WRITTEN_SCHEMA}, versions that this handctl reads",
             )
         ]
-    resolved = resolve_templates(content)
-    mistakes = list(resolved.mistakes)
+    resolved_content = resolve_templates(content)
+    mistakes = list(resolved_content.mistakes)
     hand = None
     try:
-        hand = Hand.model_validate(resolved.content)
+        hand = Hand.model_validate(resolved_content.content)
     except ValidationError as error:
-        found = validation_mistakes(error, Hand, resolved.content)
+        found = validation_mistakes(error, Hand, resolved_content.content)
         if content.get("schema") == WRITTEN_SCHEMA:
-            found = join_mistakes_of_default(found, resolved.content)
-        digits = _valid_sections(resolved.content, "digit", Digit)
-        found += check_sections(digits, _valid_sections(resolved.content, "tendon", Tendon))
+            found = join_mistakes_of_default(found, resolved_content.content)
+        digits = _valid_sections(resolved_content.content, "digit", Digit)
+        found += check_sections(digits, _valid_sections(resolved_content.content, "tendon", Tendon))
     else:
         # A mistake in a template would cause further mistakes wherever the template is used.
         # Therefore the whole hand is checked only if the templates have no mistakes.
         found = [] if mistakes else list(check_hand(hand))
-    mistakes += with_paths_of_file(found, resolved.origins)
+    mistakes += with_paths_in_hand_file(found, resolved_content.origins)
     return (None, mistakes) if mistakes else (hand, [])
 
 
@@ -226,7 +226,7 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
         # loading a hand does not need it.
         from handctl.hand.readiness import reasons_not_ready
 
-        mistakes = with_paths_of_file(reasons_not_ready(hand), origins)
+        mistakes = with_paths_in_hand_file(reasons_not_ready(hand), origins)
     return InspectedHand(hand, group_mistakes(mistakes), origins)
 
 

@@ -9,7 +9,7 @@ from handctl.hand import rigid_body as body
 from handctl.hand.digit import Array, DigitModel, JointValues, coordinate_range
 from handctl.hand.kinematics import joint_points, tip_jacobian
 
-SCAN_POINTS = 64
+SCAN_INTERVAL_COUNT = 64
 """Number of intervals in a scan along a coupled digit's path for the point closest to a target."""
 REACH_TOLERANCE = 1e-12
 """Relative tolerance for rounding errors when a squared distance is compared with the squared reach."""
@@ -24,7 +24,7 @@ Of all postures with the same tip position, the weight selects the one nearest t
 """
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
-START_FRACTIONS = (0.5, 0.15, 0.85)
+START_RANGE_FRACTIONS = (0.5, 0.15, 0.85)
 """Start coordinates of a search without a given posture, as fractions of the coordinates' ranges."""
 
 
@@ -74,8 +74,10 @@ def inverse_kinematics(
             f"{digit.name} has {digit.joint_count} joints; needed: two, or three and a direction"
         )
     l1, l2, l3 = digit.lengths
-    wrist = _two_link_solutions(l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle))
-    return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in wrist)
+    two_link_solutions = _two_link_solutions(
+        l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle)
+    )
+    return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in two_link_solutions)
 
 
 def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
@@ -109,7 +111,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
         gap = joint_points(digit, ratio * coordinate)[-1] - target
         return float(gap @ tip_jacobian(digit, ratio * coordinate) @ ratio)
 
-    grid = np.linspace(*coordinate_limits(digit), SCAN_POINTS + 1).tolist()
+    grid = np.linspace(*coordinate_limits(digit), SCAN_INTERVAL_COUNT + 1).tolist()
     slopes = [slope(theta) for theta in grid]
     candidates = [grid[0], grid[-1]]
     for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
@@ -130,17 +132,17 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 def _is_planar(digit: DigitModel) -> bool:
     """Return True if all hinges of a digit are parallel to the z axis of the digit's frame."""
-    at_zero = (
+    rotation_at_zero = (
         digit.table[body.FIXED_ROTATION_ROW : body.COSINE_ROTATION_ROW]
         + digit.table[body.COSINE_ROTATION_ROW : body.SINE_ROTATION_ROW]
     )
-    straight = (
+    rotation_of_straight_digit = (
         np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
     )
     return bool(
         not digit.is_prismatic.any()
         and np.all(digit.axes == (0.0, 0.0, 1.0))
-        and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12)
+        and np.allclose(rotation_at_zero, rotation_of_straight_digit, rtol=0.0, atol=1e-12)
     )
 
 
@@ -157,14 +159,14 @@ def _two_link_solutions(
     of the digits.
     """
     r = math.hypot(x, y)
-    inner = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
-    outer = (l1 + l2 - r) * (l1 + l2 + r)
+    fold_margin = (r - abs(l1 - l2)) * (r + abs(l1 - l2))
+    stretch_margin = (l1 + l2 - r) * (l1 + l2 + r)
     slack = REACH_TOLERANCE * (l1 + l2) ** 2
-    if inner < -slack or outer < -slack or r == 0.0:
+    if fold_margin < -slack or stretch_margin < -slack or r == 0.0:
         return ()
-    bend = 2.0 * math.atan2(math.sqrt(max(outer, 0.0)), math.sqrt(max(inner, 0.0)))
+    bend = 2.0 * math.atan2(math.sqrt(max(stretch_margin, 0.0)), math.sqrt(max(fold_margin, 0.0)))
     solutions = []
-    for q2 in (bend, -bend) if outer > 0.0 and inner > 0.0 else (bend,):
+    for q2 in (bend, -bend) if stretch_margin > 0.0 and fold_margin > 0.0 else (bend,):
         q1 = math.atan2(y, x) - math.atan2(l2 * math.sin(q2), l1 + l2 * math.cos(q2))
         solutions.append((_wrapped_angle(q1), q2))
     return tuple(solutions)
@@ -198,7 +200,7 @@ def closest_tip(
     if start_angles is None:
         found = [
             _locally_closest_tip(digit, target, low + part * (high - low))
-            for part in START_FRACTIONS
+            for part in START_RANGE_FRACTIONS
         ]
         return min(found, key=lambda one: one.distance)
     return _locally_closest_tip(
@@ -232,13 +234,13 @@ def _locally_closest_tip(
                 curvature + damping * scale * np.eye(len(curvature)), slope[free]
             )
             trial = np.clip(trial, low, high)
-            ahead = joint_points(digit, digit.coupling @ trial)[-1] - target_point
+            distance_vector = joint_points(digit, digit.coupling @ trial)[-1] - target_point
             steady = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
                 START_WEIGHT_M_PER_RAD * (trial - start_coordinates)
             )
-            if (now := float(ahead @ ahead + steady)) < cost:
+            if (now := float(distance_vector @ distance_vector + steady)) < cost:
                 moved = trial
-                gap = ahead
+                gap = distance_vector
                 cost = now
                 damping = max(0.1 * damping, DAMPING_RANGE[0])
                 break

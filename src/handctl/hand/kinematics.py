@@ -46,21 +46,25 @@ def forward_kinematics(digit: DigitModel, q: JointValues) -> TipPose:
     return TipPose(joint_points(digit, q)[-1], link_rotations(link_poses(digit, q))[-1])
 
 
-def point_jacobian(digit: DigitModel, q: JointValues, link: int, distance_along: float) -> Array:
+def point_jacobian(
+    digit: DigitModel, q: JointValues, link: int, distance_from_joint: float
+) -> Array:
     """Return the Jacobian (3, n) of a point on a link: velocity of the point per joint velocity [m].
 
     Args:
         digit: model of the digit.
         q: joint angles (n,) [rad].
         link: index of the link, counted from 0.
-        distance_along: distance between the joint of the link and the point, along the link [m].
+        distance_from_joint: distance between the joint of the link and the point, along the link [m].
 
     The column of a prismatic joint has no unit.
     """
     poses = link_poses(digit, q)
-    point = joint_positions(poses)[link] + distance_along * link_rotations(poses)[link, :, 0]
+    point_on_link = (
+        joint_positions(poses)[link] + distance_from_joint * link_rotations(poses)[link, :, 0]
+    )
     axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
-    turning = np.cross(axes, point - joint_positions(poses))
+    turning = np.cross(axes, point_on_link - joint_positions(poses))
     jacobian = np.where(digit.is_prismatic[:, None], axes, turning).T
     # Joints beyond this link do not move the point.
     jacobian[:, link + 1 :] = 0.0

@@ -9,7 +9,7 @@ from handctl.hand.file.sections import Digit
 
 Array = NDArray[np.float64]
 
-GIMBAL_LOCK = 1e-9
+MIN_PITCH_COSINE = 1e-9
 """Cosine of the pitch below which roll and yaw cannot be separated."""
 
 
@@ -64,9 +64,9 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
     At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. The yaw is then
     set to 0.
     """
-    horizontal = math.hypot(rotation[0, 0], rotation[1, 0])
-    pitch = math.atan2(-rotation[2, 0], horizontal)
-    if horizontal < GIMBAL_LOCK:
+    cosine_of_pitch = math.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = math.atan2(-rotation[2, 0], cosine_of_pitch)
+    if cosine_of_pitch < MIN_PITCH_COSINE:
         return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
     return (
         math.atan2(rotation[2, 1], rotation[2, 2]),

@@ -47,7 +47,7 @@ class HandLinkTree:
             digits: models of the hand's digits, in the order of the hand file. If no models are
                 given, this function builds them.
         """
-        digits = tuple(digits) or DigitModel.all_from_hand(hand)
+        digits = tuple(digits) or DigitModel.models_of_hand(hand)
         parents = [
             np.where(
                 digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start

@@ -106,7 +106,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     opened = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
     springs = coupling.T @ (stiffness * opened)
     closing = arms.T @ floor
-    if all(map(can_hold_each_other, postures)):
+    if all(map(can_tensions_balance, postures)):
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
@@ -151,7 +151,7 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def can_hold_each_other(moment_arms: Vector) -> bool:
+def can_tensions_balance(moment_arms: Vector) -> bool:
     """Return True if positive tensions exist that together make no torque.
 
     Args:

@@ -70,15 +70,15 @@ POSE_COLUMN_COUNT = 20
 
 # Columns of the working memory of ``write_newton_euler``. The columns 0 to 8 contain the rotation
 # from a link to its parent. Each of the following constants is the first column of a vector in the
-# frame of the link. Only the position of the joint (_ORIGIN) is given in the frame of the parent.
+# frame of the link. Only the position of the joint (_ORIGIN_COLUMN) is given in the frame of the parent.
 # This position includes the motion of a prismatic joint.
-_RATE = 9
-_TURN = 12
-_MOVE = 15
-_FORCE = 18
-_TORQUE = 21
-_ORIGIN = 24
-_WORK_COLUMN_COUNT = 27
+_ANGULAR_VELOCITY_COLUMN = 9
+_ANGULAR_ACCELERATION_COLUMN = 12
+_ACCELERATION_COLUMN = 15
+_FORCE_COLUMN = 18
+_TORQUE_COLUMN = 21
+_ORIGIN_COLUMN = 24
+_WORK_TABLE_COLUMN_COUNT = 27
 
 
 @kernel_helper
@@ -111,18 +111,20 @@ def write_link_poses(
                 for b in range(3):
                     pose[j, ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
             else:
-                first = pose[before, ROTATION_COLUMN + 3 * a]
-                second = pose[before, ROTATION_COLUMN + 3 * a + 1]
-                third = pose[before, ROTATION_COLUMN + 3 * a + 2]
+                first_element = pose[before, ROTATION_COLUMN + 3 * a]
+                second_element = pose[before, ROTATION_COLUMN + 3 * a + 1]
+                third_element = pose[before, ROTATION_COLUMN + 3 * a + 2]
                 for b in range(3):
                     pose[j, ROTATION_COLUMN + 3 * a + b] = (
-                        first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
+                        first_element * turn[b]
+                        + second_element * turn[3 + b]
+                        + third_element * turn[6 + b]
                     )
                 pose[j, POSITION_COLUMN + a] = (
                     pose[before, POSITION_COLUMN + a]
-                    + first * link_table[first_row + ORIGIN_ROW, j]
-                    + second * link_table[first_row + ORIGIN_ROW + 1, j]
-                    + third * link_table[first_row + ORIGIN_ROW + 2, j]
+                    + first_element * link_table[first_row + ORIGIN_ROW, j]
+                    + second_element * link_table[first_row + ORIGIN_ROW + 1, j]
+                    + third_element * link_table[first_row + ORIGIN_ROW + 2, j]
                 )
             pose[j, DIRECTION_COLUMN + a] = _component_along(
                 link_table, first_row + AXIS_ROW, pose, j, a
@@ -137,10 +139,10 @@ def _component_along(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
     """Return a component in the palm frame of a vector that the table has in the frame of link j."""
-    first = pose[j, ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
-    second = pose[j, ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
-    third = pose[j, ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
-    return first + second + third
+    first_product = pose[j, ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
+    second_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
+    third_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
+    return first_product + second_product + third_product
 
 
 @kernel_helper
@@ -206,7 +208,7 @@ def write_weight_torques(
 
 @kernel_helper
 def write_levers(
-    pose: Array, first_joint: int, touched_link: int, distance_along: float, levers_m: Array
+    pose: Array, first_joint: int, touched_link: int, distance_from_joint: float, levers_m: Array
 ) -> None:
     """Write the levers of a force on a link about the joints from ``first_joint`` to the joint of the link [m].
 
@@ -217,17 +219,20 @@ def write_levers(
         pose: (n, POSE_COLUMN_COUNT) poses.
         first_joint: first joint of the chain.
         touched_link: index of the link on which the force acts.
-        distance_along: distance between the joint of the link and the point [m].
+        distance_from_joint: distance between the joint of the link and the point [m].
         levers_m: (n,) result, from ``first_joint`` to ``touched_link``.
     """
-    px = pose[touched_link, POSITION_COLUMN] + distance_along * pose[touched_link, ROTATION_COLUMN]
+    px = (
+        pose[touched_link, POSITION_COLUMN]
+        + distance_from_joint * pose[touched_link, ROTATION_COLUMN]
+    )
     py = (
         pose[touched_link, POSITION_COLUMN + 1]
-        + distance_along * pose[touched_link, ROTATION_COLUMN + 3]
+        + distance_from_joint * pose[touched_link, ROTATION_COLUMN + 3]
     )
     pz = (
         pose[touched_link, POSITION_COLUMN + 2]
-        + distance_along * pose[touched_link, ROTATION_COLUMN + 6]
+        + distance_from_joint * pose[touched_link, ROTATION_COLUMN + 6]
     )
     nx, ny, nz = (
         pose[touched_link, ROTATION_COLUMN + 1],
@@ -265,12 +270,12 @@ def _lever(
 
 
 @kernel_helper
-def write_turned_levers(
+def write_levers_after_turn(
     pose: Array,
     first_joint: int,
     last_joint: int,
-    distance_along: float,
-    turned_joint: int,
+    distance_from_joint: float,
+    turning_joint: int,
     angle: float,
     levers_m: Array,
 ) -> None:
@@ -283,15 +288,15 @@ def write_turned_levers(
         pose: (n, POSE_COLUMN_COUNT) poses.
         first_joint: first joint of the chain.
         last_joint: index of the last link of the chain, on which the force acts.
-        distance_along: distance between the joint of the last link and the point [m].
-        turned_joint: joint that turns.
+        distance_from_joint: distance between the joint of the last link and the point [m].
+        turning_joint: joint that turns.
         angle: angle of the turn [rad]. A prismatic joint slides by this distance [m].
         levers_m: (n,) levers before the turn, modified in place up to the turned joint.
     """
     ax, ay, az = (
-        pose[turned_joint, DIRECTION_COLUMN],
-        pose[turned_joint, DIRECTION_COLUMN + 1],
-        pose[turned_joint, DIRECTION_COLUMN + 2],
+        pose[turning_joint, DIRECTION_COLUMN],
+        pose[turning_joint, DIRECTION_COLUMN + 1],
+        pose[turning_joint, DIRECTION_COLUMN + 2],
     )
     nx, ny, nz = (
         pose[last_joint, ROTATION_COLUMN + 1],
@@ -300,35 +305,35 @@ def write_turned_levers(
     )
     x = (
         pose[last_joint, POSITION_COLUMN]
-        + distance_along * pose[last_joint, ROTATION_COLUMN]
-        - pose[turned_joint, POSITION_COLUMN]
+        + distance_from_joint * pose[last_joint, ROTATION_COLUMN]
+        - pose[turning_joint, POSITION_COLUMN]
     )
     y = (
         pose[last_joint, POSITION_COLUMN + 1]
-        + distance_along * pose[last_joint, ROTATION_COLUMN + 3]
-        - pose[turned_joint, POSITION_COLUMN + 1]
+        + distance_from_joint * pose[last_joint, ROTATION_COLUMN + 3]
+        - pose[turning_joint, POSITION_COLUMN + 1]
     )
     z = (
         pose[last_joint, POSITION_COLUMN + 2]
-        + distance_along * pose[last_joint, ROTATION_COLUMN + 6]
-        - pose[turned_joint, POSITION_COLUMN + 2]
+        + distance_from_joint * pose[last_joint, ROTATION_COLUMN + 6]
+        - pose[turning_joint, POSITION_COLUMN + 2]
     )
-    if pose[turned_joint, PRISMATIC_COLUMN] != 0.0:
+    if pose[turning_joint, PRISMATIC_COLUMN] != 0.0:
         x, y, z = x + angle * ax, y + angle * ay, z + angle * az
     else:
-        nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
-        x, y, z = _rotated(ax, ay, az, angle, x, y, z)
+        nx, ny, nz = _rotated_vector(ax, ay, az, angle, nx, ny, nz)
+        x, y, z = _rotated_vector(ax, ay, az, angle, x, y, z)
     px, py, pz = (
-        pose[turned_joint, POSITION_COLUMN] + x,
-        pose[turned_joint, POSITION_COLUMN + 1] + y,
-        pose[turned_joint, POSITION_COLUMN + 2] + z,
+        pose[turning_joint, POSITION_COLUMN] + x,
+        pose[turning_joint, POSITION_COLUMN + 1] + y,
+        pose[turning_joint, POSITION_COLUMN + 2] + z,
     )
-    for j in range(first_joint, turned_joint + 1):
+    for j in range(first_joint, turning_joint + 1):
         levers_m[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
 
 
 @kernel_helper
-def _rotated(
+def _rotated_vector(
     ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Return the vector (x, y, z) after a turn about a unit axis by an angle [rad].
@@ -368,14 +373,14 @@ def write_newton_euler(
         ddq: (n,) joint accelerations [rad/s2].
         torque: (n,) result.
     """
-    work = np.empty((len(q), _WORK_COLUMN_COUNT))
+    work = np.empty((len(q), _WORK_TABLE_COLUMN_COUNT))
     for j in range(len(q)):
         _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
         _load_link(link_table, first_row, work, j)
     # The loop goes through the links from the tips to the palm, because each joint carries the
     # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
-        load = _FORCE if link_table[first_row + PRISMATIC_ROW, j] != 0.0 else _TORQUE
+        load = _FORCE_COLUMN if link_table[first_row + PRISMATIC_ROW, j] != 0.0 else _TORQUE_COLUMN
         torque[j] = (
             link_table[first_row + AXIS_ROW, j] * work[j, load]
             + link_table[first_row + AXIS_ROW + 1, j] * work[j, load + 1]
@@ -419,9 +424,9 @@ def _move_link(
     )
     prismatic = link_table[first_row + PRISMATIC_ROW, j] != 0.0
     for a in range(3):
-        work[j, _ORIGIN + a] = link_table[first_row + ORIGIN_ROW + a, j]
+        work[j, _ORIGIN_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
         if prismatic:
-            work[j, _ORIGIN + a] += q * (
+            work[j, _ORIGIN_COLUMN + a] += q * (
                 work[j, 3 * a] * ax + work[j, 3 * a + 1] * ay + work[j, 3 * a + 2] * az
             )
     wx, wy, wz = 0.0, 0.0, 0.0
@@ -431,40 +436,54 @@ def _move_link(
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if parent_link >= 0:
         wx, wy, wz = (
-            work[parent_link, _RATE],
-            work[parent_link, _RATE + 1],
-            work[parent_link, _RATE + 2],
+            work[parent_link, _ANGULAR_VELOCITY_COLUMN],
+            work[parent_link, _ANGULAR_VELOCITY_COLUMN + 1],
+            work[parent_link, _ANGULAR_VELOCITY_COLUMN + 2],
         )
         tx, ty, tz = (
-            work[parent_link, _TURN],
-            work[parent_link, _TURN + 1],
-            work[parent_link, _TURN + 2],
+            work[parent_link, _ANGULAR_ACCELERATION_COLUMN],
+            work[parent_link, _ANGULAR_ACCELERATION_COLUMN + 1],
+            work[parent_link, _ANGULAR_ACCELERATION_COLUMN + 2],
         )
-        ox, oy, oz = work[j, _ORIGIN], work[j, _ORIGIN + 1], work[j, _ORIGIN + 2]
+        ox, oy, oz = (
+            work[j, _ORIGIN_COLUMN],
+            work[j, _ORIGIN_COLUMN + 1],
+            work[j, _ORIGIN_COLUMN + 2],
+        )
         # The acceleration of the point o, at which the joint is, is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
-        mx = work[parent_link, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
-        my = work[parent_link, _MOVE + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
-        mz = work[parent_link, _MOVE + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
+        mx = work[parent_link, _ACCELERATION_COLUMN] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
+        my = work[parent_link, _ACCELERATION_COLUMN + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
+        mz = work[parent_link, _ACCELERATION_COLUMN + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
     for a in range(3):
         # The transposed rotation transforms a vector from the frame of the parent to the frame of
         # the link.
-        work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
-        work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
-        work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
-    wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
+        work[j, _ANGULAR_VELOCITY_COLUMN + a] = (
+            work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
+        )
+        work[j, _ANGULAR_ACCELERATION_COLUMN + a] = (
+            work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
+        )
+        work[j, _ACCELERATION_COLUMN + a] = (
+            work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
+        )
+    wx, wy, wz = (
+        work[j, _ANGULAR_VELOCITY_COLUMN],
+        work[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        work[j, _ANGULAR_VELOCITY_COLUMN + 2],
+    )
     if prismatic:
         # This term exists because the link slides in a turning frame: a q'' + 2 w x (a q').
-        work[j, _MOVE] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
-        work[j, _MOVE + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
-        work[j, _MOVE + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
+        work[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
+        work[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
+        work[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
         return
-    work[j, _TURN] += ax * ddq + (wy * az - wz * ay) * dq
-    work[j, _TURN + 1] += ay * ddq + (wz * ax - wx * az) * dq
-    work[j, _TURN + 2] += az * ddq + (wx * ay - wy * ax) * dq
-    work[j, _RATE] += ax * dq
-    work[j, _RATE + 1] += ay * dq
-    work[j, _RATE + 2] += az * dq
+    work[j, _ANGULAR_ACCELERATION_COLUMN] += ax * ddq + (wy * az - wz * ay) * dq
+    work[j, _ANGULAR_ACCELERATION_COLUMN + 1] += ay * ddq + (wz * ax - wx * az) * dq
+    work[j, _ANGULAR_ACCELERATION_COLUMN + 2] += az * ddq + (wx * ay - wy * ax) * dq
+    work[j, _ANGULAR_VELOCITY_COLUMN] += ax * dq
+    work[j, _ANGULAR_VELOCITY_COLUMN + 1] += ay * dq
+    work[j, _ANGULAR_VELOCITY_COLUMN + 2] += az * dq
 
 
 @kernel_helper
@@ -476,14 +495,26 @@ def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
         link_table[first_row + MOMENT_ROW + 1, j],
         link_table[first_row + MOMENT_ROW + 2, j],
     )
-    wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
-    tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
-    mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
+    wx, wy, wz = (
+        work[j, _ANGULAR_VELOCITY_COLUMN],
+        work[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        work[j, _ANGULAR_VELOCITY_COLUMN + 2],
+    )
+    tx, ty, tz = (
+        work[j, _ANGULAR_ACCELERATION_COLUMN],
+        work[j, _ANGULAR_ACCELERATION_COLUMN + 1],
+        work[j, _ANGULAR_ACCELERATION_COLUMN + 2],
+    )
+    mx, my, mz = (
+        work[j, _ACCELERATION_COLUMN],
+        work[j, _ACCELERATION_COLUMN + 1],
+        work[j, _ACCELERATION_COLUMN + 2],
+    )
     # The required force is m a + t x h + w x (w x h).
     ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
-    work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
-    work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
-    work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
+    work[j, _FORCE_COLUMN] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
+    work[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
+    work[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = (
         link_table[first_row + INERTIA_ROW, j],
         link_table[first_row + INERTIA_ROW + 1, j],
@@ -500,32 +531,38 @@ def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
         xy * wx + yy * wy + yz * wz,
         xz * wx + yz * wy + zz * wz,
     )
-    work[j, _TORQUE] = xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
-    work[j, _TORQUE + 1] = xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
-    work[j, _TORQUE + 2] = xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
+    work[j, _TORQUE_COLUMN] = (
+        xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
+    )
+    work[j, _TORQUE_COLUMN + 1] = (
+        xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
+    )
+    work[j, _TORQUE_COLUMN + 2] = (
+        xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
+    )
 
 
 @kernel_helper
 def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
     """Add the force and the torque of link j to those of the parent."""
-    fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
-    nx, ny, nz = work[j, _TORQUE], work[j, _TORQUE + 1], work[j, _TORQUE + 2]
+    fx, fy, fz = work[j, _FORCE_COLUMN], work[j, _FORCE_COLUMN + 1], work[j, _FORCE_COLUMN + 2]
+    nx, ny, nz = work[j, _TORQUE_COLUMN], work[j, _TORQUE_COLUMN + 1], work[j, _TORQUE_COLUMN + 2]
     gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
     gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
     gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
-    ox, oy, oz = work[j, _ORIGIN], work[j, _ORIGIN + 1], work[j, _ORIGIN + 2]
-    work[parent_link, _FORCE] += gx
-    work[parent_link, _FORCE + 1] += gy
-    work[parent_link, _FORCE + 2] += gz
+    ox, oy, oz = work[j, _ORIGIN_COLUMN], work[j, _ORIGIN_COLUMN + 1], work[j, _ORIGIN_COLUMN + 2]
+    work[parent_link, _FORCE_COLUMN] += gx
+    work[parent_link, _FORCE_COLUMN + 1] += gy
+    work[parent_link, _FORCE_COLUMN + 2] += gz
     # The force acts at the position o of the joint. Therefore the torque on the parent is R n + o x
     # (R f).
-    work[parent_link, _TORQUE] += (
+    work[parent_link, _TORQUE_COLUMN] += (
         work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
     )
-    work[parent_link, _TORQUE + 1] += (
+    work[parent_link, _TORQUE_COLUMN + 1] += (
         work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
     )
-    work[parent_link, _TORQUE + 2] += (
+    work[parent_link, _TORQUE_COLUMN + 2] += (
         work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
     )
 
@@ -583,7 +620,7 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
 
 @kernel("matrix", "counts", "vector", "count", "real")
 def tip_levers(
-    link_table: Array, parent: IndexArray, q: Array, touched_link: int, distance_along: float
+    link_table: Array, parent: IndexArray, q: Array, touched_link: int, distance_from_joint: float
 ) -> Array:
     """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
@@ -592,5 +629,5 @@ def tip_levers(
     pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))
     write_link_poses(link_table, 0, parent, q, pose)
-    write_levers(pose, 0, touched_link, distance_along, lever)
+    write_levers(pose, 0, touched_link, distance_from_joint, lever)
     return lever

@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.moment_arms import moment_arms_at
 
-STRENGTH_MARGIN = 1.5
+MIN_STRENGTH_RATIO = 1.5
 """Required ratio of a tendon's ``rated_breaking_force_N`` to the peak tension when the drive runs away."""
 CHECKED_POSTURES = 11
 """Number of postures among which the largest absolute moment arms are searched."""
@@ -31,8 +31,8 @@ def runaway_tension(force: float) -> float:
 
 
 def largest_safe_force(breaking_force: float) -> float:
-    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
-    return breaking_force / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
+    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``MIN_STRENGTH_RATIO``."""
+    return breaking_force / (RUNAWAY_OVERSHOOT * MIN_STRENGTH_RATIO)
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
@@ -43,11 +43,11 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     named: list[tuple[str, str]] = []
     for tendon in hand.tendon:
         motor = hand.motor_of(tendon.name)
-        strength = tendon.rated_breaking_force_N
+        breaking_force = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
-            if strength < STRENGTH_MARGIN * runaway_tension(force):
-                text = _runaway_text(key, force, strength, motor.spool_radius_m)
+            if breaking_force < MIN_STRENGTH_RATIO * runaway_tension(force):
+                text = _runaway_text(key, force, breaking_force, motor.spool_radius_m)
                 named.append((tendon.name, text))
     for key, slides in (("joint_rated_torque_N_m", False), ("joint_rated_force_N", True)):
         text = f"{key} is missing: the strength of the joints in a runaway is unknown"
@@ -57,10 +57,10 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
             if slides in digit.is_prismatic and getattr(digit, key) is None
         ]
     for digit in hand.digit:
-        for joint, torque, rated in _joint_loads(hand, digit.name):
-            if rated < STRENGTH_MARGIN * torque:
+        for joint, torque, rated_load in _joint_loads(hand, digit.name):
+            if rated_load < MIN_STRENGTH_RATIO * torque:
                 unit = "N" if hand.is_prismatic[hand.joints.index(joint)] else "N m"
-                load = f"{torque:.3g} {unit}, and {rated:g} {unit} is its rating"
+                load = f"{torque:.3g} {unit}, and {rated_load:g} {unit} is its rating"
                 text = f"a runaway at torque_peak_N_m loads it with {load}"
                 named.append((joint, text))
     return lines_by_text(named)
@@ -73,7 +73,7 @@ def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: f
     factor = breaking_force / peak
     return (
         f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {breaking_force:g} N is "
-        f"{factor:.2f} times this tension; expected a factor of {STRENGTH_MARGIN:g}: "
+        f"{factor:.2f} times this tension; expected a factor of {MIN_STRENGTH_RATIO:g}: "
         f"limit the drive to {right:.0f} N = {right * spool_radius:.3g} N m"
     )
 
@@ -84,8 +84,8 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     If the digit has no rated torques, yield nothing.
     """
     described = hand.digit_named(digit)
-    rated = described.rated_loads
-    if rated is None:
+    rated_loads = described.rated_loads
+    if rated_loads is None:
         return
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
@@ -101,4 +101,4 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
             axis=0
         )
     torques = np.abs(arms).T @ peaks
-    yield from zip(described.joints, torques.tolist(), rated, strict=True)
+    yield from zip(described.joints, torques.tolist(), rated_loads, strict=True)

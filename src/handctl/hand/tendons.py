@@ -27,14 +27,14 @@ class TendonElasticity:
 
     Attributes:
         stiffness: k, stiffness up to the knee [N/m].
-        stiffness_beyond: k2, stiffness far beyond the knee [N/m].
+        stiffness_beyond_knee: k2, stiffness far beyond the knee [N/m].
         knee: f_k, tension at the knee [N].
         knee_width: w, change of stretch over which the stiffness changes [m].
         damping: c, tension per rate of change of the stretch [N s/m].
     """
 
     stiffness: float
-    stiffness_beyond: float
+    stiffness_beyond_knee: float
     knee: float
     knee_width: float
     damping: float
@@ -44,7 +44,7 @@ class TendonElasticity:
         """Return the elasticity of a tendon of a hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,
-            stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
+            stiffness_beyond_knee=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
             knee=tendon.knee_N,
             knee_width=tendon.knee_width_m,
             damping=tendon.damping_N_s_per_m,
@@ -108,16 +108,16 @@ class TendonElasticity:
     def _tension_above_knee(self, x: float) -> float:
         """Return by how much the tension is above that at the knee [N], for the stretch x beyond the knee [m]."""
         # The function expm1 is accurate even for x close to 0.
-        softer = self.stiffness - self.stiffness_beyond
-        return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(
+        stiffness_decrease = self.stiffness - self.stiffness_beyond_knee
+        return self.stiffness_beyond_knee * x - stiffness_decrease * self.knee_width * math.expm1(
             -x / self.knee_width
         )
 
     def _slope(self, x: float) -> float:
         """Return the stiffness [N/m] at the stretch x beyond the knee [m]."""
-        return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(
-            -x / self.knee_width
-        )
+        return self.stiffness_beyond_knee + (
+            self.stiffness - self.stiffness_beyond_knee
+        ) * math.exp(-x / self.knee_width)
 
 
 NEWTON_STEPS = 100
@@ -142,8 +142,8 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
         Factors for each tendon and joint (n_t, n).
     """
     # Only those hinges that a tendon crosses add to the wrap angle of the tendon.
-    wraps = (digit.moment_arms != 0.0) & ~digit.is_prismatic
-    passed = np.cumsum(wraps * np.asarray(q), axis=1)
+    has_pulley = (digit.moment_arms != 0.0) & ~digit.is_prismatic
+    passed = np.cumsum(has_pulley * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 

@@ -152,7 +152,7 @@ class TemplateWriter(CdrWriter):
         self._stamp_offsets: list[int] = []
         self._fields: dict[str, tuple[int, str, int]] = {}
 
-    def put_stamp(self) -> None:
+    def put_time_stamp(self) -> None:
         """Append a time stamp (builtin_interfaces/Time) as a variable field."""
         self.align(4)
         # Offsets are counted from the start of the message. The encapsulation at the start has 4
@@ -162,7 +162,7 @@ class TemplateWriter(CdrWriter):
 
     def put_header(self, frame_id: str = "") -> None:
         """Append a std_msgs/Header, whose stamp is variable and whose frame_id is constant."""
-        self.put_stamp()
+        self.put_time_stamp()
         self.put_string(frame_id)
 
     def put_field(self, name: str, format_code: str, number: int = 1) -> None:

@@ -75,7 +75,7 @@ class ChunkTable:
     def chunk_indexes(self) -> Iterator[ChunkIndex]:
         """Yield the MCAP record ChunkIndex of each chunk."""
         layouts = [tuple(_CHANNEL_STRUCT.iter_unpack(layout)) for layout in self._layouts]
-        for *fields, layout in self._stored_rows():
+        for *fields, layout in self._chunk_rows():
             chunk = ChunkEntry(*fields)
             end = chunk.start + chunk.length
             yield ChunkIndex(
@@ -90,7 +90,7 @@ class ChunkTable:
                 uncompressed_size=chunk.size,
             )
 
-    def _stored_rows(self) -> Iterator[tuple[int, ...]]:
+    def _chunk_rows(self) -> Iterator[tuple[int, ...]]:
         """Yield the numbers that the table stores for each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK_ROW_STRUCT.iter_unpack(block)

@@ -204,7 +204,7 @@ class McapContainer:
         self._summary.first_log_time = min(first, self._summary.first_log_time)
         self._summary.last_log_time = max(last, self._summary.last_log_time)
 
-    def finish(self) -> None:
+    def write_summary_and_footer(self) -> None:
         """Write the summary section and the footer of the file."""
         self._write_bytes(records_as_bytes([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)

@@ -190,7 +190,7 @@ def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
     # `isinstance(value, int)` would also accept True. But JSON distinguishes true from 1.
     if type(value) is not int or not minimum <= value <= maximum:
         raise ValueError(
-            f"{key} is {_brief_text(value)}, not a whole number from {minimum} to {maximum}"
+            f"{key} is {_shortened_json(value)}, not a whole number from {minimum} to {maximum}"
         )
     return value
 
@@ -202,18 +202,20 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
         ValueError: the value is not a list of valid names.
     """
     if not isinstance(value, list) or len(value) > MAX_NAMES:
-        raise ValueError(f"{key} is {_brief_text(value)}, not a list of at most {MAX_NAMES} names")
+        raise ValueError(
+            f"{key} is {_shortened_json(value)}, not a list of at most {MAX_NAMES} names"
+        )
     for name in value:
         if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):
             raise ValueError(
-                f"{key} contains {_brief_text(name)}, not a name of letters, digits and _"
+                f"{key} contains {_shortened_json(name)}, not a name of letters, digits and _"
             )
     if len(set(value)) < len(value):
         raise ValueError(f"{key} contains a name twice")
     return tuple(value)
 
 
-def _brief_text(value: Any) -> str:
+def _shortened_json(value: Any) -> str:
     """Return a value of the header as text with at most 40 characters, for an error message."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

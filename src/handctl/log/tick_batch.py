@@ -100,8 +100,8 @@ def row_fields(header: RunHeader, width: int) -> tuple[str, ...]:
         header: header of the run.
         width: number of columns of a row.
     """
-    earlier = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
-    return earlier if width == column_count(header, earlier) else TELEMETRY_FIELDS
+    earlier_fields = TELEMETRY_FIELDS[:FIRST_TELEMETRY_FIELD_COUNT]
+    return earlier_fields if width == column_count(header, earlier_fields) else TELEMETRY_FIELDS
 
 
 def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
@@ -136,18 +136,18 @@ class _FrameCollector:
     Attributes:
         parts: frames of each tick as FRAME_DTYPE bytes.
         counts: number of frames of each tick.
-        long_parts: payload bytes after the eighth byte of each frame with more than eight bytes.
+        long_payload_ends: payload bytes after the eighth byte of each frame with more than eight bytes.
     """
 
     parts: list[bytes] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
-    long_parts: list[bytes] = field(default_factory=list)
+    long_payload_ends: list[bytes] = field(default_factory=list)
 
     def collected_frames(self) -> FrameBatch:
         """Return the collected frames of all ticks."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
         return FrameBatch(
-            np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts)
+            np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_payload_ends)
         )
 
 
@@ -217,18 +217,18 @@ class TickBatcher:
             direction.parts.append(message[part])
             direction.counts.append((part.stop - part.start) // FRAME_RECORD_BYTES)
         if parts.long_data.stop > parts.long_data.start:
-            self._add_long(message[parts.long_data])
-        self._add_tail(message, parts.tail_offset)
+            self._add_long_payloads(message[parts.long_data])
+        self._add_phase_and_events(message, parts.tail_offset)
 
-    def _add_long(self, data: bytes) -> None:
+    def _add_long_payloads(self, data: bytes) -> None:
         """Divide the payload bytes after the eighth byte between the received and the sent frames of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
-        split = int(np.maximum(lengths - 8, 0).sum())
-        self._received.long_parts.append(data[:split])
-        self._sent.long_parts.append(data[split:])
+        received_size = int(np.maximum(lengths - 8, 0).sum())
+        self._received.long_payload_ends.append(data[:received_size])
+        self._sent.long_payload_ends.append(data[received_size:])
 
-    def _add_tail(self, message: bytes, offset: int) -> None:
+    def _add_phase_and_events(self, message: bytes, offset: int) -> None:
         """Add the grasp phase that a Tick message contains.
 
         If the tick has events, requests or io events, also store its decoded record.

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.tick_types import (
-    FIELD_OF_EACH_AXIS,
+    FIELD_BY_AXIS,
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
     HandMode,
@@ -220,25 +220,27 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         out.action,
         len(received),
     )
-    beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
-    long_part = _NO_LONG_DATA
+    frame_starts = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
+    long_payload_bytes = _NO_LONG_DATA
     # A slice with a stride reads the length of every frame without decoding the frames. If all
     # frames are short, nothing remains when the short lengths are stripped.
-    lengths = b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in beginnings])
+    lengths = b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in frame_starts])
     if lengths.strip(_SHORT_LENGTHS):
         long_data = _long_data(received) + _long_data(sent)
-        long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+        long_payload_bytes = (
+            _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+        )
     # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
     # are no frames, there is no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [
         ENCAPSULATION_HEADER,
         fixed,
-        beginnings[0],
+        frame_starts[0],
         _COUNT_STRUCT.pack(len(sent)),
         padding,
-        beginnings[1],
-        long_part,
+        frame_starts[1],
+        long_payload_bytes,
     ]
     if tick_in.io_events or tick_in.requests or out.events:
         parts.append(_message_end(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
@@ -276,7 +278,7 @@ def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
         return numbers.places.axis_lengths
-    return tuple(len(getattr(numbers, name)) for name in FIELD_OF_EACH_AXIS)
+    return tuple(len(getattr(numbers, name)) for name in FIELD_BY_AXIS)
 
 
 class MessageLayout(NamedTuple):
@@ -307,45 +309,48 @@ def message_layout(message: bytes) -> MessageLayout:
     (sent,) = _COUNT_STRUCT.unpack_from(message, end)
     # Before the sent frames, the message is padded to 8 bytes. If there are no frames, there is no
     # padding.
-    sent_start = end + 8 if sent else end + 4
-    sent_end = sent_start + FRAME_RECORD_BYTES * sent
-    (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
-    long_data = slice(sent_end + 4, sent_end + 4 + size)
+    sent_frames_start = end + 8 if sent else end + 4
+    sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent
+    (size,) = _COUNT_STRUCT.unpack_from(message, sent_frames_end)
+    long_data = slice(sent_frames_end + 4, sent_frames_end + 4 + size)
     # The payload bytes after the eighth byte may end at any offset. The text after them is aligned
     # to 4 bytes.
     return MessageLayout(
-        slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4
+        slice(start, end),
+        slice(sent_frames_start, sent_frames_end),
+        long_data,
+        long_data.stop + -size % 4,
     )
 
 
-def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
+def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     """Return the decoded frames, and the remaining payload bytes, which belong to later frames.
 
     Args:
-        beginnings: first FRAME_RECORD_BYTES bytes of each frame.
+        frame_starts: first FRAME_RECORD_BYTES bytes of each frame.
         long_data: payload bytes after the eighth byte of these frames, followed by those of later
             frames.
 
     Raises:
         ValueError: a payload is too long, or some of its bytes are missing.
     """
-    lengths = beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
-    count = len(beginnings) // FRAME_RECORD_BYTES
+    lengths = frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES]
+    count = len(frame_starts) // FRAME_RECORD_BYTES
     if not count:
         return NO_FRAMES, long_data
     records = np.zeros(count, FRAME_RECORD_DTYPE)
-    records.setfield(np.frombuffer(beginnings, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
-    longest = max(lengths)
-    if longest > _MAX_DATA_BYTES:
-        raise ValueError(f"payload of {longest} bytes, expected at most {_MAX_DATA_BYTES}")
+    records.setfield(np.frombuffer(frame_starts, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
+    max_length = max(lengths)
+    if max_length > _MAX_DATA_BYTES:
+        raise ValueError(f"payload of {max_length} bytes, expected at most {_MAX_DATA_BYTES}")
     if lengths.count(_SHORT_DATA_BYTES) < count:
         _zero_unused_bytes(records)
-    if longest > _SHORT_DATA_BYTES:
-        long_mask = _long_mask(records)
-        size = int(long_mask.sum())
+    if max_length > _SHORT_DATA_BYTES:
+        long_payload_mask = _long_mask(records)
+        size = int(long_payload_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
-        records["data"][:, _SHORT_DATA_BYTES:][long_mask] = np.frombuffer(
+        records["data"][:, _SHORT_DATA_BYTES:][long_payload_mask] = np.frombuffer(
             long_data[:size], np.uint8
         )
         long_data = long_data[size:]
@@ -463,34 +468,34 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
     parts = list[bytes]()
     ends = [0]
     fixed = list[_TickHead]()
-    tails = list[int]()
+    tail_offsets = list[int]()
     end = 0
     for message in messages:
         if message[:4] != ENCAPSULATION_HEADER:
             return None
         try:
-            constant_part = TICK_HEAD_STRUCT.unpack_from(message, 4)
-            sent_count = _FRAMES_OFFSET + FRAME_RECORD_BYTES * constant_part[6]
-            (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count)
+            tick_head = TICK_HEAD_STRUCT.unpack_from(message, 4)
+            sent_count_offset = _FRAMES_OFFSET + FRAME_RECORD_BYTES * tick_head[6]
+            (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count_offset)
         except struct.error:
             return None
-        start = sent_count + 8 if sent else sent_count + 4
-        long_count = start + FRAME_RECORD_BYTES * sent
-        if message[long_count : long_count + 4] != _NO_LONG_DATA:
+        start = sent_count_offset + 8 if sent else sent_count_offset + 4
+        long_size_offset = start + FRAME_RECORD_BYTES * sent
+        if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
             return None
         # The frames of all messages are joined and decoded in one call. After that, they are
         # divided again at `ends`.
-        parts += message[_FRAMES_OFFSET:sent_count], message[start:long_count]
-        ends += end + constant_part[6], end + constant_part[6] + sent
+        parts += message[_FRAMES_OFFSET:sent_count_offset], message[start:long_size_offset]
+        ends += end + tick_head[6], end + tick_head[6] + sent
         end = ends[-1]
-        fixed.append(constant_part)
-        tails.append(long_count + 4)
-    beginnings = b"".join(parts)
-    if max(beginnings[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
+        fixed.append(tick_head)
+        tail_offsets.append(long_size_offset + 4)
+    frame_starts = b"".join(parts)
+    if max(frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
-    records = _decode_frames(beginnings, b"")[0].records
+    records = _decode_frames(frame_starts, b"")[0].records
     frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
-    return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tails))
+    return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tail_offsets))
 
 
 def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:

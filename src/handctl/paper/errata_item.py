@@ -16,7 +16,7 @@ class ErrataVerdict(StrEnum):
     """The printed value is the exact value correctly rounded, or was calculated from a correctly rounded value."""
     TRUNCATED = "truncated"
     """The printed value is the exact value with its last digits cut off, or was calculated from such a value."""
-    BOUND = "bound"
+    LOWER_BOUND = "bound"
     """The printed value is a lower bound, and the measured value is larger."""
     WRONG = "wrong"
     """The printed statement is false, or the printed value is neither exact nor rounded, truncated or a bound."""

@@ -25,7 +25,7 @@ REGENERATE_COMMAND = (
     "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
 )
 """Command that generates the page again."""
-MEASURED_MARK = (
+MEASURED_IN_SIMULATOR_COMMENT = (
     "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 )
 """Comment that the page contains before sections whose content differs from machine to machine."""
@@ -75,7 +75,7 @@ def page_as_markdown(page_sections: Sequence[PageSection]) -> str:
         "",
     ]
     for part in page_sections:
-        lines += [MEASURED_MARK] if part.measured else []
+        lines += [MEASURED_IN_SIMULATOR_COMMENT] if part.measured else []
         lines += [f"## {part.title}", ""]
         for paragraph in part.text:
             lines += [_wrap_paragraph(paragraph), ""]
@@ -196,8 +196,10 @@ def _html_badge(verdict: str) -> str:
 def _html_paragraph(paragraph: str) -> str:
     """Return a paragraph as HTML, where the code in backquotes is marked as code."""
     # If the paragraph is split at the backquotes, every second part is code.
-    pieces = html.escape(paragraph).split("`")
-    return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
+    text_parts = html.escape(paragraph).split("`")
+    return "".join(
+        f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(text_parts)
+    )
 
 
 def _html_figure(name: str, path: Path) -> str:

@@ -35,7 +35,7 @@ def verdict_of_number(printed_number: str, exact_value: Fraction | float) -> Err
 def verdict_of_derived_number(
     printed_number: str,
     exact_value: Fraction | float,
-    carried_value: Fraction,
+    value_from_source: Fraction,
     source_verdict: ErrataVerdict,
 ) -> ErrataVerdict:
     """Return the verdict on a printed number that the paper has calculated from another printed number.
@@ -43,12 +43,12 @@ def verdict_of_derived_number(
     Args:
         printed_number: decimal number as printed.
         exact_value: exact value.
-        carried_value: value that results from a calculation with the other printed number.
-        source_verdict: verdict on the other printed number. If the number is wrong but equals `carried_value`,
+        value_from_source: value that results from a calculation with the other printed number.
+        source_verdict: verdict on the other printed number. If the number is wrong but equals `value_from_source`,
             the verdict on the other number is returned.
     """
     verdict = verdict_of_number(printed_number, exact_value)
-    explained = verdict_of_number(printed_number, carried_value) == ErrataVerdict.EQUAL
+    explained = verdict_of_number(printed_number, value_from_source) == ErrataVerdict.EQUAL
     return source_verdict if verdict == ErrataVerdict.WRONG and explained else verdict
 
 
@@ -66,7 +66,7 @@ def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
     """
     verdict = verdict_of_number(printed_number, value)
     return (
-        ErrataVerdict.BOUND
+        ErrataVerdict.LOWER_BOUND
         if verdict == ErrataVerdict.WRONG and value > float(printed_number)
         else verdict
     )

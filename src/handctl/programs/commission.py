@@ -63,7 +63,7 @@ HOLD_SETTLING_TIMEOUT_S = 3.0
 In this time, the digit moves to its lower limits. The digit stays there for the pulls of all its
 tendons, so only the first pull waits this long.
 """
-PRESS_FACTOR = 1.5
+PRESS_TORQUE_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASUREMENT_DURATION_S = 0.3
 """Averaging time of the response to a pull [s]."""
@@ -94,7 +94,7 @@ COLUMN_COUNT = 9
 
 The constants above are the indices of its columns.
 """
-BEFORE_PULL = -1
+NOT_YET_PULLING = -1
 """Value of `ProgramProgress.touching[0]` before a pull.
 
 During a pull, the value is 0 until the tendon is taut. After that, the value is 1 more than the
@@ -114,9 +114,9 @@ class CommissionProgram:
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress at the start, with no torque and a table of zeros."""
-        empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
+        empty_table = (0.0,) * (COLUMN_COUNT * model.tendon_count)
         return replace(
-            ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty
+            ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty_table
         )
 
     def advance(
@@ -134,21 +134,21 @@ class CommissionProgram:
             return replace(progress, since=t), (TickEvent("info", "phase", "", _tare_text(model)),)
         if progress.step == 0:
             return self._tare_cells(model, progress, measured, t)
-        if progress.touching[0] == BEFORE_PULL:
+        if progress.touching[0] == NOT_YET_PULLING:
             return self._advance_rest(model, progress, measured, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._advance_hold(model, progress, estimate, measured, t)
-        return self._advance_pull(model, progress, estimate, measured, t)
+        return self._advance_tendon_pull(model, progress, estimate, measured, t)
 
     def _tare_cells(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
-        table = _table_of(progress)
+        table = _commissioning_table(progress)
         tension = _known_tensions(model, measured)
         if not np.isnan(tension).any():
             table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
-        progress = _with_table(progress, table)
+        progress = _with_commissioning_table(progress, table)
         if t - progress.since < TARE_DURATION_S:
             return progress, ()
         return self._check_tare(model, progress) or self._next_tendon(
@@ -157,7 +157,7 @@ class CommissionProgram:
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
         """Return a failed progress if a tare is near an end of the load cell's range, or None if all are usable."""
-        tare = _tares_of(_table_of(progress))
+        tare = _tares_from_table(_commissioning_table(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
             return None
@@ -181,26 +181,26 @@ class CommissionProgram:
         if t - progress.since < REST_SETTLING_S or missing:
             return progress, ()
         i = progress.step - 1
-        table = _table_of(progress)
+        table = _commissioning_table(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
         # The duration of the averaging is a number of readings. So it lasts longer if readings are
         # missing.
         if samples * model.period < REST_DURATION_S:
-            return _with_table(progress, table), ()
+            return _with_commissioning_table(progress, table), ()
         # The new average has as much weight as all earlier readings together.
         fresh = (
             slice(i, i + 1)
             if model.redundancy.sprung[i]
-            else model.digit_tendons[model.digit_of[i]]
+            else model.digit_tendons[model.digit_of_tendon[i]]
         )
         table[fresh, TARE_SUM] += table[fresh, REST_SUM] / samples * table[fresh, TARE_SAMPLES]
         table[fresh, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
-        progress = _with_new_tare(_with_table(progress, table))
+        progress = _with_new_tare(_with_commissioning_table(progress, table))
         if not model.redundancy.sprung[i]:
-            held, events = self._begin_hold(model, progress, t, taut=False)
+            held, events = self._begin_holding_digit(model, progress, t, taut=False)
             return self._check_tare(model, progress) or (held, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
         name = model.hand.tendon_names[i]
@@ -210,7 +210,7 @@ class CommissionProgram:
         event = TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N")
         return self._check_tare(model, progress) or (pulling, (event,))
 
-    def _begin_hold(
+    def _begin_holding_digit(
         self, model: HandModel, progress: ProgramProgress, t: float, taut: bool
     ) -> ProgressAndEvents:
         """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
@@ -224,16 +224,16 @@ class CommissionProgram:
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
         phase = _hold_phase(model, i)
-        table = _table_of(progress)
+        table = _commissioning_table(progress)
         table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
         holding = replace(
-            _with_table(progress, table),
+            _with_commissioning_table(progress, table),
             since=t,
             goals=goals,
             phase=phase,
             touching=(int(taut),) * len(goals),
         )
-        digit = model.hand.digit_names[model.digit_of[i]]
+        digit = model.hand.digit_names[model.digit_of_tendon[i]]
         return holding, () if taut else (
             TickEvent("info", "phase", digit, f"{phase}: all its tendons together"),
         )
@@ -248,13 +248,13 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
         i = progress.step - 1
-        own = model.digit_tendons[model.digit_of[i]]
+        own = model.digit_tendons[model.digit_of_tendon[i]]
         waiting = progress.touching[0]
         if waiting == 0:
             if not estimate.is_slack[own].any():
                 # From now on, the joints are pressed against their limits. So the filter must treat
                 # the digit as a digit in contact.
-                contact = tuple(d == model.digit_of[i] for d in range(len(model.digits)))
+                contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
                 return replace(
                     progress, touching=(1, *progress.touching[1:]), since=t, contact=contact
                 ), ()
@@ -263,14 +263,16 @@ class CommissionProgram:
             slack = own.start + int(np.flatnonzero(estimate.is_slack[own])[0])
             return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measured))
         excursion = np.where(
-            model.hand.tendons_with_encoders, measured.excursion, model.redundancy.open_excursion
+            model.hand.tendons_with_encoders,
+            measured.excursion,
+            model.redundancy.excursion_at_lower_limits,
         )[own]
         tension = _known_tensions(model, measured, estimate)
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
         first = i == own.start
         if t - progress.since < (HOLD_SETTLING_TIMEOUT_S if first else PULL_SETTLING_S) or missing:
             return progress, ()
-        table = _table_of(progress)
+        table = _commissioning_table(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         if first:
@@ -279,7 +281,8 @@ class CommissionProgram:
                 measured.travel[own] - stretch - excursion
             ) / model.space.spool[own]
         progress = replace(
-            _with_table(progress, table), touching=(waiting + 1, *progress.touching[1:])
+            _with_commissioning_table(progress, table),
+            touching=(waiting + 1, *progress.touching[1:]),
         )
         if waiting * model.period < MEASUREMENT_DURATION_S:
             return progress, ()
@@ -289,7 +292,7 @@ class CommissionProgram:
         more[i] = PULL_TENSION_N
         name = model.hand.tendon_names[i]
         pulling = replace(
-            _with_table(progress, table),
+            _with_commissioning_table(progress, table),
             since=t,
             goals=_hold_goals(model, i, more),
             phase=f"pull {name}",
@@ -299,7 +302,7 @@ class CommissionProgram:
             TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N more"),
         )
 
-    def _advance_pull(
+    def _advance_tendon_pull(
         self,
         model: HandModel,
         progress: ProgramProgress,
@@ -323,7 +326,7 @@ class CommissionProgram:
         missing = np.isnan(tension + measured.travel).any()
         if t - progress.since < PULL_SETTLING_S or missing:
             return progress, ()
-        table = _table_of(progress)
+        table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
@@ -337,17 +340,21 @@ class CommissionProgram:
                 text = f"the motor encoder of {name} turns instead of its own: exchanged?"
                 return self._refuse_tendon(model, progress, i, text)
             return self._judge_response(
-                model, _with_table(progress, _with_results(model, table, i, samples)), i, t
+                model,
+                _with_commissioning_table(progress, _table_with_results(model, table, i, samples)),
+                i,
+                t,
             )
         return replace(
-            _with_table(progress, table), touching=(samples + 1, *progress.touching[1:])
+            _with_commissioning_table(progress, table),
+            touching=(samples + 1, *progress.touching[1:]),
         ), ()
 
     def _judge_response(
         self, model: HandModel, progress: ProgramProgress, i: int, t: float
     ) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
-        answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
+        answer, crosstalk = _commissioning_table(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
             sensor = "load cell" if model.hand.has_cell[i] else "motor"
             return self._refuse_tendon(
@@ -373,11 +380,12 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Release the present tendon, then rest before the next tendon, or finish."""
         step = progress.step + 1
-        same_digit = (
-            1 < step <= model.tendon_count and model.digit_of[step - 1] == model.digit_of[step - 2]
+        is_same_digit = (
+            1 < step <= model.tendon_count
+            and model.digit_of_tendon[step - 1] == model.digit_of_tendon[step - 2]
         )
-        if same_digit and not model.redundancy.sprung[step - 1]:
-            return self._begin_hold(model, replace(progress, step=step), t, taut=True)
+        if is_same_digit and not model.redundancy.sprung[step - 1]:
+            return self._begin_holding_digit(model, replace(progress, step=step), t, taut=True)
         passive = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
             finished = replace(progress, finished=True, phase="end", goals=passive)
@@ -389,7 +397,7 @@ class CommissionProgram:
             goals=passive,
             phase="rest",
             contact=(False,) * len(passive),
-            touching=(BEFORE_PULL,) * len(passive),
+            touching=(NOT_YET_PULLING,) * len(passive),
         ), ()
 
     def _refuse_tendon(
@@ -397,13 +405,13 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """End the commissioning with a failure of tendon i."""
         name = model.hand.tendon_names[i]
-        failed = replace(
+        failed_progress = replace(
             progress,
             finished=True,
             failure=f"{name}: {reason}",
             goals=(DigitGoal(),) * len(progress.goals),
         )
-        return failed, (TickEvent("error", "commission", name, reason),)
+        return failed_progress, (TickEvent("error", "commission", name, reason),)
 
 
 def _tare_text(model: HandModel) -> str:
@@ -473,7 +481,7 @@ def _known_tensions(
 
 def _hold_phase(model: HandModel, i: int) -> str:
     """Return the name of the phase in which all tendons of tendon i's digit pull together."""
-    return f"hold {model.hand.digit_names[model.digit_of[i]]}"
+    return f"hold {model.hand.digit_names[model.digit_of_tendon[i]]}"
 
 
 def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
@@ -486,43 +494,43 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
         i: index of the tendon.
         extra_tension: (N,) additional tension [N].
     """
-    held = model.digit_of[i]
-    digit = model.digits[held]
-    tendons = model.digit_tendons[held]
-    arms = digit.at_angles(digit.joint_min).reduced_moment_arms
+    held_digit = model.digit_of_tendon[i]
+    digit = model.digits[held_digit]
+    tendons = model.digit_tendons[held_digit]
+    arms = digit.with_moment_arms_at(digit.joint_min).reduced_moment_arms
     # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
     # is at most the pull times the largest moment arm of a closing tendon.
-    press = PRESS_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
-    torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
+    pressing_torque = PRESS_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
+    torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - pressing_torque
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
     goal = DigitGoal(
         GoalKind.TENSION, tension=tension + extra_tension[tendons], rate=20.0, force_limit=limit
     )
-    return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
+    return tuple(goal if d == held_digit else DigitGoal() for d in range(len(model.digits)))
 
 
-def _table_of(progress: ProgramProgress) -> Vector:
+def _commissioning_table(progress: ProgramProgress) -> Vector:
     """Return the table (N, COLUMNS) of a commissioning progress."""
     return np.array(progress.record).reshape(-1, COLUMN_COUNT)
 
 
-def _with_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
+def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
     """Return a copy of a progress with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
-def _tares_of(table: Vector) -> Vector:
+def _tares_from_table(table: Vector) -> Vector:
     """Return the tares (N,) of a table [N]."""
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
     """Return a copy of a progress in which the tares of the table apply, beginning with the next reading."""
-    return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
+    return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
-def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
+def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table with the results for tendon i, and with the sums set to zero."""
     rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest
@@ -533,7 +541,7 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
             - stretch
-            - model.redundancy.open_excursion[i] / model.space.spool[i]
+            - model.redundancy.excursion_at_lower_limits[i] / model.space.spool[i]
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
@@ -561,8 +569,8 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
     sprung = model.redundancy.sprung
     moved = np.where(sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
     largest = int(moved.argmax())
-    exchanged = sprung[i] and moved[largest] > max(moved[i], MIN_TAKE_UP_M)
-    return largest if exchanged else None
+    are_encoders_exchanged = sprung[i] and moved[largest] > max(moved[i], MIN_TAKE_UP_M)
+    return largest if are_encoders_exchanged else None
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
@@ -616,8 +624,8 @@ def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str
         progress: finished progress without failure.
         made: date and time of the calibration (ISO 8601, UTC).
     """
-    table = _table_of(progress)
-    tare = _tares_of(table)
+    table = _commissioning_table(progress)
+    tare = _tares_from_table(table)
     rows = {
         name: TendonCalibration(
             tare_N=float(tare[i]),

@@ -48,7 +48,7 @@ OPENING_DURATION_S = 1.2
 
 A joint that opens by 90 deg then moves at 140 deg/s at most.
 """
-EXTENSOR_FACTOR = 1.5
+EXTENSOR_TENSION_FACTOR = 1.5
 """Tension of an extensor in a hold divided by ``tension_floor_N``."""
 CYLINDER_SCENE = "cylinder"
 """Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
@@ -125,9 +125,11 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the coordinates (n_c,) of a closed digit [deg, or mm of prismatic joints]."""
     _, high = displayed_range(hand.digit_named(name))
-    sideways = DigitModel.from_hand(hand, name).sideways_coordinates
-    closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
-    return np.asarray(np.round(closed, 1))
+    is_sideways = DigitModel.from_hand(hand, name).sideways_coordinates
+    closed_angles = np.where(
+        is_sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG)
+    )
+    return np.asarray(np.round(closed_angles, 1))
 
 
 def _tension_factors(hand: Hand) -> dict[str, float]:
@@ -207,7 +209,7 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
                 MAX_HOLD_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
-            else EXTENSOR_FACTOR * tendon.tension_floor_N,
+            else EXTENSOR_TENSION_FACTOR * tendon.tension_floor_N,
             1,
         )
         for tendon, arm in rows
@@ -223,11 +225,11 @@ def _pressing_tension(hand: Hand, name: str) -> float:
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))
     )
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
-    arms = digit.at_angles(q).reduced_moment_arms
+    arms = digit.with_moment_arms_at(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
-    flexes = (half > 0.0) & (closing > 0.0)
-    return float((torque[flexes] / closing[flexes]).max(initial=0.0))
+    is_flexed = (half > 0.0) & (closing > 0.0)
+    return float((torque[is_flexed] / closing[is_flexed]).max(initial=0.0))
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
@@ -261,13 +263,17 @@ def default_scene(hand: Hand) -> str:
     each other, as in an anthropomorphic hand, the object has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
-    parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())
-    if not parallel and _balance_factors(hand) is None:
+    are_digits_parallel = all(
+        abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values()
+    )
+    if not are_digits_parallel and _balance_factors(hand) is None:
         return CYLINDER_SCENE
-    shape = CYLINDER_SCENE if parallel else SPHERE_SCENE
-    longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
+    shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
+    longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
     free = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
-    diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest, free - CLEARANCE_MM))
+    diameter = max(
+        SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest_digit_mm, free - CLEARANCE_MM)
+    )
     if diameter > free:
         diameter = free - CLEARANCE_MM
     return (
@@ -291,6 +297,6 @@ def _largest_object(hand: Hand, is_ball: bool) -> float:
             # r^2 = D (x - gap + r). For a ball, y^2 + z^2 takes the place of y^2.
             reach = x - PALM_GAP_M + digit.radius
             beside = (reach > 0.0) & (is_ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
-            room = (x - PALM_GAP_M) ** 2 + y**2 + is_ball * z**2 - digit.radius**2
-            largest = min(largest, float((room[beside] / reach[beside]).min(initial=largest)))
+            free_space = (x - PALM_GAP_M) ** 2 + y**2 + is_ball * z**2 - digit.radius**2
+            largest = min(largest, float((free_space[beside] / reach[beside]).min(initial=largest)))
     return max(largest, 0.0)

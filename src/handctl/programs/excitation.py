@@ -79,9 +79,9 @@ class SwingTrajectory:
 
     def motion_at(self, t: float) -> Vector:
         """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
-        way = self.chirp.motion_at(t) * self.amplitude
-        way[0] += self.centre
-        return way
+        motion = self.chirp.motion_at(t) * self.amplitude
+        motion[0] += self.centre
+        return motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +119,10 @@ class ExciteProgram:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
             limp = (DigitGoal(),) * len(progress.goals)
-            failed = replace(progress, finished=True, failure=f"{step.digit}: {text}", goals=limp)
-            return failed, (TickEvent("error", "identify", step.digit, text),)
+            failed_progress = replace(
+                progress, finished=True, failure=f"{step.digit}: {text}", goals=limp
+            )
+            return failed_progress, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
             return progress, ()
         return self._enter_step(model, progress, estimate, t, progress.step + 1)
@@ -148,13 +150,13 @@ class ExciteProgram:
         d = model.hand.digit_names.index(step.digit)
         goals[d] = _digit_goal(model, d, step, estimate, t)
         phase = f"{step.digit} {step.name}"
-        same_phase = phase == progress.phase
+        is_same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
         progress = replace(
             progress, step=step_index, since=t, phase=phase, goals=tuple(goals), contact=contact
         )
         # Consecutive steps with the same name are a single phase in the log.
-        return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
+        return progress, () if is_same_phase else (TickEvent("info", "phase", step.digit, phase),)
 
 
 def _digit_goal(
@@ -173,12 +175,12 @@ def _digit_goal(
     if step.kind == "chirp":
         amplitudes = step.amplitudes or (step.amplitude,) * len(here)
         chirp = ChirpTrajectory(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
-        swing = SwingTrajectory(
+        swing_trajectory = SwingTrajectory(
             np.full_like(here, step.target) if targets is None else targets,
             np.array(amplitudes),
             chirp,
         )
-        return DigitGoal(GoalKind.MOTION, swing, since=t)
+        return DigitGoal(GoalKind.MOTION, swing_trajectory, since=t)
     if step.kind == "limp":
         return DigitGoal()
     tension = np.full(tendons.stop - tendons.start, step.target) if targets is None else targets

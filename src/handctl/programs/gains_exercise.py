@@ -16,7 +16,7 @@ from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import (
     ProgramProgress,
     ProgressAndEvents,
-    motion_to,
+    goal_to_move_to_angle,
     pull_tensions,
     tension_goal,
 )
@@ -82,18 +82,20 @@ def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
     return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_RISE_N_PER_S)
 
 
-def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
+def exercise_stages(
+    amplitude: float = 1.0, shortest_duration_s: float = 0.25
+) -> tuple[ExerciseStage, ...]:
     """Return the stages of the exercise at a given amplitude.
 
     Args:
         amplitude: fraction of the full angles and tensions.
-        fastest_s: duration of the fastest move [s].
+        shortest_duration_s: duration of the fastest move [s].
     """
     target = HOME_ANGLE_RAD + amplitude * FULL_MOVE_RAD
     hold = 30.0 + 25.0 * amplitude
     moves = [
         ExerciseStage("move", duration + REST_DURATION_S, angle)
-        for duration in (0.6, fastest_s)
+        for duration in (0.6, shortest_duration_s)
         for angle in (target, HOME_ANGLE_RAD)
     ]
     holds = [
@@ -119,7 +121,7 @@ class ExerciseProgram:
         """Return the stages of all amplitudes, in the order of execution."""
         return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
-    def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
+    def stages_for_hand(self, model: HandModel) -> tuple[ExerciseStage, ...]:
         """Return all stages for a hand. Digits that tendons open first close gently."""
         return _stages_of_program(self, model.hand.has_springs)
 
@@ -143,7 +145,7 @@ class ExerciseProgram:
                 if progress.phase == "live"
                 else (progress, events)
             )
-        parts = self.stages_of(model)
+        parts = self.stages_for_hand(model)
         if t - progress.since < parts[progress.step].duration:
             return progress, ()
         if progress.step + 1 == len(parts):
@@ -161,7 +163,7 @@ class ExerciseProgram:
         t: float,
     ) -> ProgressAndEvents:
         """Enter a stage of the exercise."""
-        parts = self.stages_of(model)
+        parts = self.stages_for_hand(model)
         stage = parts[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
         # A digit that carries other digits keeps the angle of the first stage. Such a digit cannot
@@ -201,7 +203,7 @@ def _digit_goal(
     if not math.isnan(stage.angle):
         digit = model.digits[d]
         aim = stage.angle * digit.coordinate_units.scale
-        return motion_to(digit, estimate, aim, stage.duration - stage.rest, t)
+        return goal_to_move_to_angle(digit, estimate, aim, stage.duration - stage.rest, t)
     tension = pull_tensions(model, d, stage.tension, estimate)
     rate = min(stage.tension_rate, model.gains.tension.rate_N_per_s)
     return tension_goal(model, d, tension, rate, estimate)

@@ -23,14 +23,14 @@ SLIP_EXCURSION_M = 20e-6
 The difference is six standard deviations of the excursion in a quiet hold (3.5 um). The difference
 corresponds to a slip of about 0.1 mm/s along the tendon, and of 0.3 to 1 mm/s at the object.
 """
-NO_DETECTION_S = 0.4
+SLIP_DETECTION_PAUSE_S = 0.4
 """Time after a change of the grip's tension in which slip is not detected [s].
 
 In this time, the fingers adapt to the object.
 """
 RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
-RAISE_FACTOR = 1.2
+TENSION_RAISE_FACTOR = 1.2
 """Factor by which slip raises every tension of the grip."""
 RAISE_RATE_N_PER_S = 300.0
 """Rate at which tensions rise after slip [N/s].
@@ -44,21 +44,21 @@ class GripState(NamedTuple):
 
     Attributes:
         tension: tension targets at the beginning of the hold [N].
-        anchor: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
+        reference_excursion: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
             grip has settled.
         ready: time from which slip is detected [s].
-        raised: present factor on the tensions.
+        tension_factor: present factor on the tensions.
         limited: True after the event which reports that no more tension is allowed.
     """
 
     tension: Vector
-    anchor: Vector
+    reference_excursion: Vector
     ready: float
-    raised: float = 1.0
+    tension_factor: float = 1.0
     limited: bool = False
 
     @staticmethod
-    def at_hold_start(
+    def at_start_of_hold(
         model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
         """Return the grip at the beginning of a hold. The goals of the hold have just been set."""
@@ -71,7 +71,9 @@ class GripState(NamedTuple):
                     settling_s,
                     float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate,
                 )
-        return GripState(tension, np.full_like(tension, np.nan), t + settling_s + NO_DETECTION_S)
+        return GripState(
+            tension, np.full_like(tension, np.nan), t + settling_s + SLIP_DETECTION_PAUSE_S
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,21 +118,25 @@ def advance_grip(
         The grip, the goals, and the events.
     """
     events: tuple[TickEvent, ...] = ()
-    judged = t >= grip.ready
-    settled = not math.isnan(grip.anchor[0])
-    if judged and not settled:
+    is_slip_judged = t >= grip.ready
+    settled = not math.isnan(grip.reference_excursion[0])
+    if is_slip_judged and not settled:
         # In the first tick after the settling, the position of a stiff grip is stored.
-        grip = grip._replace(anchor=estimate.grip_travel.copy())
-    if judged:
+        grip = grip._replace(reference_excursion=estimate.grip_travel.copy())
+    if is_slip_judged:
         # A tendon that opens a digit is pulled out while the digit closes.
         opening = np.where(
             np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
         )
         if opening.max() > SLIP_EXCURSION_M:
             grip, events = _raise_after_slip(model, grip, plan, opening, t)
-    if not (judged or settled) or not (events or plan.stiffness):
+    if not (is_slip_judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
-    return grip, _held_goals(model, grip, plan, goals, grip_excursions(model, estimate)), events
+    return (
+        grip,
+        _goals_of_held_grip(model, grip, plan, goals, grip_excursions(model, estimate)),
+        events,
+    )
 
 
 def _raise_after_slip(
@@ -148,16 +154,20 @@ def _raise_after_slip(
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
     closing = model.redundancy.side > 0.0
-    room = plan.limit[closing] / grip.tension[closing]
-    max_factor = float(np.nanmax(np.append(room, 1.0)))
-    if grip.raised < max_factor:
-        grip = grip._replace(raised=min(grip.raised * RAISE_FACTOR, max_factor))
-        return grip, (TickEvent("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
+    factor_limits = plan.limit[closing] / grip.tension[closing]
+    max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
+    if grip.tension_factor < max_factor:
+        grip = grip._replace(
+            tension_factor=min(grip.tension_factor * TENSION_RAISE_FACTOR, max_factor)
+        )
+        return grip, (
+            TickEvent("warn", "slip", digit, f"{moved}: force x {grip.tension_factor:.2f}"),
+        )
     refused = TickEvent("warn", "slip", digit, f"{moved}; the task allows no more force")
     return grip._replace(limited=True), () if grip.limited else (refused,)
 
 
-def _held_goals(
+def _goals_of_held_grip(
     model: HandModel,
     grip: GripState,
     plan: GripPlan,
@@ -169,8 +179,10 @@ def _held_goals(
     No tension is below the floor.
     """
     limit = np.fmax(plan.limit, grip.tension)
-    raised = np.where(model.redundancy.side > 0.0, grip.raised, 1.0)
-    target = np.minimum(raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
+    tension_factors = np.where(model.redundancy.side > 0.0, grip.tension_factor, 1.0)
+    target = np.minimum(tension_factors * grip.tension, limit) + plan.stiffness * (
+        grip.reference_excursion - excursion
+    )
     # A stiff grip may exceed the tension limit for slip, but not the tension ceiling of the hand.
     target = np.clip(
         target,

@@ -16,14 +16,14 @@ from handctl.programs.program import (
     ProgramProgress,
     ProgressAndEvents,
     coordinates_by_excursion,
-    motion_to,
+    goal_to_move_to_angle,
     pull_tensions,
     slack_tendons,
     tension_goal,
     tightening_goals,
 )
-from handctl.programs.requests import HoldTension, MoveDigits
-from handctl.programs.stream_plans import continued_move
+from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
+from handctl.programs.stream_plans import move_that_continues_motion
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
     HoldPhase,
@@ -40,7 +40,7 @@ from handctl.programs.task_checks import (
 from handctl.programs.task_program import TaskProgram
 
 
-def preload_spline() -> None:
+def import_spline_functions() -> None:
     """Import the spline functions for the phase `follow` in advance, so that no tick has to import them.
 
     The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
@@ -128,7 +128,9 @@ def begin_task(
     except ConfigError as error:
         return progress, (TickEvent("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]
-    if isinstance(first, MovePhase) and (refusal := _start_refusal(model, first, estimate)):
+    if isinstance(first, MovePhase) and (
+        refusal := _refusal_of_fast_first_move(model, first, estimate)
+    ):
         return progress, (refusal,)
     at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None)
     if at is not None:
@@ -140,7 +142,7 @@ def begin_task(
     return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
 
 
-def _start_refusal(
+def _refusal_of_fast_first_move(
     model: HandModel, first_move: MovePhase, estimate: HandEstimate
 ) -> TickEvent | None:
     """Return an event if the first move of a task would be too fast from the present angles, and otherwise None."""
@@ -179,7 +181,7 @@ class JogProgram:
         duration: time for which the goal is kept [s].
     """
 
-    request: MoveDigits | HoldTension
+    request: MoveDigitsRequest | HoldTensionRequest
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -213,7 +215,7 @@ class JogProgram:
 def apply_goal(
     model: HandModel,
     progress: ProgramProgress,
-    request: MoveDigits | HoldTension,
+    request: MoveDigitsRequest | HoldTensionRequest,
     estimate: HandEstimate,
     t: float,
     reference: tuple[Vector, ...] | None = None,
@@ -234,8 +236,8 @@ def apply_goal(
             angles. If it is None, all moves start at the estimate.
     """
     names = model.hand.digit_names
-    values = request.angle_deg if isinstance(request, MoveDigits) else request.tension_N
-    right = (*names, *model.hand.joints) if isinstance(request, MoveDigits) else names
+    values = request.angle_deg if isinstance(request, MoveDigitsRequest) else request.tension_N
+    right = (*names, *model.hand.joints) if isinstance(request, MoveDigitsRequest) else names
     unknown = sorted(values.keys() - set(right))
     if unknown or progress.phase in ("start", "tighten"):
         reason = (
@@ -248,8 +250,10 @@ def apply_goal(
     contact = list(progress.contact)
     for d, name in enumerate(names):
         start = None if reference is None or goals[d].kind != GoalKind.MOTION else reference[d]
-        if isinstance(request, MoveDigits):
-            end = _end_of_move(model, d, request.angle_deg, estimate if start is None else start[0])
+        if isinstance(request, MoveDigitsRequest):
+            end = _end_coordinates_of_move(
+                model, d, request.angle_deg, estimate if start is None else start[0]
+            )
             if isinstance(end, str):
                 return progress, (TickEvent("warn", "request", name, f"refused: {end}"),)
             if end is None:
@@ -273,7 +277,7 @@ def apply_goal(
     )
 
 
-def _end_of_move(
+def _end_coordinates_of_move(
     model: HandModel, d: int, angle_of_digit: Mapping[str, float], start: HandEstimate | Vector
 ) -> Vector | str | None:
     """Return the coordinates at the end of a digit's move [deg].
@@ -323,10 +327,12 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
     if start_coordinates is None:
-        return motion_to(model.digits[d], estimate, end_coordinates, duration, t)
+        return goal_to_move_to_angle(model.digits[d], estimate, end_coordinates, duration, t)
     return DigitGoal(
         GoalKind.MOTION,
-        continued_move(start_coordinates, end_coordinates, duration, model.digits[d].reach),
+        move_that_continues_motion(
+            start_coordinates, end_coordinates, duration, model.digits[d].reach
+        ),
         since=t,
     )
 
@@ -347,7 +353,7 @@ def _reach_problem(
     worst = int(np.argmax(travel / units.per_degree))
     peak = PEAK_SPEED_RATIO * float(travel[worst]) / duration
     unit, limit = units.names[worst], FOLLOW_SPEED_DEG_S * units.per_degree[worst]
-    too_fast = (
+    speed_problem = (
         f"at up to {peak:.0f} {unit}/s, expected at most {limit:.4g} {unit}/s: give it more time"
     )
-    return "" if peak <= limit else too_fast
+    return "" if peak <= limit else speed_problem

@@ -13,7 +13,7 @@ from handctl.core.tick_types import TickEvent, Vector
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
 
-APPROACH_S = 2.0
+APPROACH_DURATION_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
 APPROACH_RATE_N_PER_S = 20.0
 """Rate of the tension during the approach to the first recorded tension [N/s]."""
@@ -100,7 +100,7 @@ class PlaybackProgram:
                 if progress.phase == "live"
                 else (progress, events)
             )
-        if progress.phase == "approach" and t - progress.since < APPROACH_S:
+        if progress.phase == "approach" and t - progress.since < APPROACH_DURATION_S:
             return progress, ()
         if progress.phase == "approach":
             progress = replace(progress, phase="playback", since=t, step=0)
@@ -128,7 +128,9 @@ class PlaybackProgram:
                 )
             else:
                 end = np.asarray(digit.joints_to_coordinates @ first)
-                path = MinimumJerk(coordinates_by_excursion(digit, estimate), end, APPROACH_S)
+                path = MinimumJerk(
+                    coordinates_by_excursion(digit, estimate), end, APPROACH_DURATION_S
+                )
                 goals.append(DigitGoal(GoalKind.MOTION, path, since=t))
         progress = replace(progress, goals=tuple(goals), phase="approach", since=t)
         return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)

@@ -133,10 +133,10 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     torque.
     """
     balance = model.redundancy.balance[tendons]
-    least = model.floor[tendons] + TIGHTEN_MARGIN_N
+    min_tension = model.floor[tendons] + TIGHTEN_MARGIN_N
     # The pretension of a spool pair keeps its tendons taut.
-    least = np.where(model.is_pair[tendons], 0.0, least)
-    return np.asarray(balance * (least / balance).max() if balance.all() else least)
+    min_tension = np.where(model.is_pair[tendons], 0.0, min_tension)
+    return np.asarray(balance * (min_tension / balance).max() if balance.all() else min_tension)
 
 
 def pull_tensions(
@@ -156,8 +156,8 @@ def pull_tensions(
         digit = model.digits[d]
         load = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
         return np.asarray(tension / np.abs(load).max() * load)
-    opens = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
-    return np.where(opens, model.redundancy.balance[tendons], tension)
+    is_antagonist = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
+    return np.where(is_antagonist, model.redundancy.balance[tendons], tension)
 
 
 def tension_goal(
@@ -206,7 +206,7 @@ def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vecto
     return digit.coordinates_of(estimate.excursion[digit.tendons])
 
 
-def motion_to(
+def goal_to_move_to_angle(
     digit: DigitModel, estimate: HandEstimate, angle: float | Vector, duration: float, t: float
 ) -> DigitGoal:
     """Return a goal that moves all coordinates of a digit to one angle, or each to its own [rad], in a time [s]."""

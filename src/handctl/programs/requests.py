@@ -45,13 +45,13 @@ class StopRequest(RequestBase):
     do: Literal["stop"]
 
 
-class CutRequest(RequestBase):
+class CutTorqueRequest(RequestBase):
     """Remove the torque at once."""
 
     do: Literal["cut"]
 
 
-class ClearRequest(RequestBase):
+class ClearFaultsRequest(RequestBase):
     """Clear latched faults. A hand that was disarmed by these faults stays disarmed."""
 
     do: Literal["clear"]
@@ -82,7 +82,7 @@ class AliveRequest(RequestBase):
     """Name of the client that is alive. A client that does not command the hand is ignored."""
 
 
-class MoveDigits(CommandBase):
+class MoveDigitsRequest(CommandBase):
     """Move digits or joints to angles. The angle of a digit applies to all its joints."""
 
     do: Literal["move"]
@@ -91,7 +91,7 @@ class MoveDigits(CommandBase):
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
-class StayRequest(CommandBase):
+class StopMotionRequest(CommandBase):
     """Bring the moving digits to rest at their present positions.
 
     Digits that hold a tension continue.
@@ -100,13 +100,13 @@ class StayRequest(CommandBase):
     do: Literal["stay"]
 
 
-class LeaveRequest(CommandBase):
+class GiveUpCommandRequest(CommandBase):
     """Give the command back. The digits come to rest, and another client may command."""
 
     do: Literal["leave"]
 
 
-class OpenStream(CommandBase):
+class OpenStreamRequest(CommandBase):
     """Begin a stream of targets. A stream that is already open ends."""
 
     do: Literal["stream"]
@@ -141,13 +141,13 @@ class GraspRequest(CommandBase):
     """The task, as in a task file."""
 
 
-class ReleaseGrasp(CommandBase):
+class ReleaseGraspRequest(CommandBase):
     """End the hold of a task, and carry out the phases of the task after the hold."""
 
     do: Literal["release"]
 
 
-class CloseStream(CommandBase):
+class CloseStreamRequest(CommandBase):
     """End a stream. Its digits come to rest where they are."""
 
     do: Literal["stream_end"]
@@ -155,7 +155,7 @@ class CloseStream(CommandBase):
     """Name of the stream."""
 
 
-class HoldTension(CommandBase):
+class HoldTensionRequest(CommandBase):
     """Hold tensions. The tension of a digit applies to all its tendons."""
 
     do: Literal["hold"]
@@ -163,7 +163,7 @@ class HoldTension(CommandBase):
     rate_N_per_s: float = Field(100.0, gt=0, le=5000)
 
 
-class SetGains(RequestBase):
+class SetGainsRequest(RequestBase):
     """Change gains of the running controller."""
 
     do: Literal["gains"]
@@ -172,9 +172,10 @@ class SetGains(RequestBase):
 
 
 Request = (
-    ArmRequest | StopRequest | CutRequest | ClearRequest | MoveDigits | HoldTension | StayRequest | LeaveRequest
-    | GraspRequest | ReleaseGrasp | OpenStream
-    | CloseStream | AliveRequest | SetGains
+    ArmRequest | StopRequest | CutTorqueRequest | ClearFaultsRequest | MoveDigitsRequest | HoldTensionRequest
+    | StopMotionRequest | GiveUpCommandRequest
+    | GraspRequest | ReleaseGraspRequest | OpenStreamRequest
+    | CloseStreamRequest | AliveRequest | SetGainsRequest
 )  # fmt: skip
 
 _ACCEPTED_PREFIX = "asked: "
@@ -216,7 +217,7 @@ def events_for_request(
     return texts
 
 
-_TARGET_START = '{"do": "target", '
+_TARGET_REQUEST_PREFIX = '{"do": "target", '
 """Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
@@ -227,7 +228,7 @@ def target_request_text(target: StreamTarget) -> str:
     """
     stream, number, sent_ns, values = target
     listed = json.dumps(list(values))
-    return f'{_TARGET_START}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+    return f'{_TARGET_REQUEST_PREFIX}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
 
 
 def request_text(request: TickRequest) -> str:
@@ -237,10 +238,10 @@ def request_text(request: TickRequest) -> str:
 
 def is_stream_target(text: str) -> bool:
     """Return True if the text of a request is a target of a stream."""
-    return text.startswith(_TARGET_START)
+    return text.startswith(_TARGET_REQUEST_PREFIX)
 
 
-def without_targets(
+def requests_and_stream_targets(
     requests: tuple[TickRequest, ...],
 ) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
     """Return the requests that are no targets of a stream, and the targets, both in their order."""
@@ -254,20 +255,20 @@ def without_targets(
     return tuple(others), tuple(targets)
 
 
-_ALIVE_START = '{"do": "alive", '
+_ALIVE_REQUEST_PREFIX = '{"do": "alive", '
 """Start of the text of ``AliveRequest``."""
 
 
 def alive_request_text(client: str) -> str:
     """Return the text of the request that renews the lease of a client, see ``AliveRequest``."""
-    return f'{_ALIVE_START}"client": "{client}"}}'
+    return f'{_ALIVE_REQUEST_PREFIX}"client": "{client}"}}'
 
 
 def is_routine_request(request: TickRequest) -> bool:
     """Return True for a request that clients send many times during a run: a streamed target or a sign of life."""
     if isinstance(request, StreamTarget):
         return True
-    return is_stream_target(request) or request.startswith(_ALIVE_START)
+    return is_stream_target(request) or request.startswith(_ALIVE_REQUEST_PREFIX)
 
 
 def parse_target(request: TickRequest) -> StreamTarget | None:

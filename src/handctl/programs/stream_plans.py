@@ -16,7 +16,7 @@ from handctl.core.tick_types import Vector
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import static_torque
 from handctl.programs.program import ProgramProgress
-from handctl.programs.requests import OpenStream
+from handctl.programs.requests import OpenStreamRequest
 
 MOTION_MARGIN_TICKS = 2
 """Number of control periods by which a motion to a target is prolonged.
@@ -51,12 +51,12 @@ class StreamPlan:
     Attributes:
         name: name of the stream, which every target of the stream repeats.
         client: client that opened the stream.
-        space: kind of values in a target, see ``requests.OpenStream``.
+        space: kind of values in a target, see ``requests.OpenStreamRequest``.
         names: names of the joints, digits or tendons to which the values of a target belong.
         interpolation: motion from one target to the next: "linear" or "minimum_jerk".
         period: time from one target to the next [s].
         horizon: time from the sending of a target until the hand should reach this target [s].
-        softness: stiffness of the streamed digits [N m/rad]. If it is None, the gains determine the
+        joint_stiffness: stiffness of the streamed digits [N m/rad]. If it is None, the gains determine the
             stiffness.
         damping_ratio: damping ratio of the streamed digits, divided by the damping ratio with the
             gains.
@@ -69,11 +69,11 @@ class StreamPlan:
     interpolation: str
     period: float
     horizon: float
-    softness: float | None = None
+    joint_stiffness: float | None = None
     damping_ratio: float = 1.0
 
     @property
-    def moves(self) -> bool:
+    def is_angle_stream(self) -> bool:
         """Return True for a stream of angles, and False for a stream of tensions or forces."""
         return TARGET_UNIT_BY_SPACE[self.space] == "deg"
 
@@ -116,16 +116,16 @@ class TargetMapping(NamedTuple):
 
     Attributes:
         matrix: (C, V) coordinate [rad] per target value [deg], or [m] per value [mm].
-        driven: (C,) True where the stream sets the coordinate.
+        is_streamed: (C,) True where the stream sets the coordinate.
         digits: indices of the digits with a coordinate that the stream sets.
-        held: indices of the streamed digits whose tendons cannot hold every posture, see
+        digits_not_fully_holdable: indices of the streamed digits whose tendons cannot hold every posture, see
             ``nearest_holdable_posture``.
     """
 
     matrix: Vector
-    driven: NDArray[np.bool_]
+    is_streamed: NDArray[np.bool_]
     digits: tuple[int, ...]
-    held: tuple[int, ...]
+    digits_not_fully_holdable: tuple[int, ...]
 
 
 @functools.lru_cache(maxsize=16)
@@ -152,13 +152,13 @@ def mapping_of_stream(
             columns = [element_names.index(hand.joints[digit.joints][j]) for j in given]
             values[places, columns] = np.linalg.pinv(digit.coupling[given])
             digits.append(d)
-    driven = np.abs(values).max(axis=1) > 1e-12
+    is_streamed = np.abs(values).max(axis=1) > 1e-12
     held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
-    inverse = np.concatenate([digit.coordinate_units.inverse for digit in model.digits])
-    return TargetMapping(values * inverse[:, None], driven, tuple(digits), held)
+    si_factor = np.concatenate([digit.coordinate_units.si_factor for digit in model.digits])
+    return TargetMapping(values * si_factor[:, None], is_streamed, tuple(digits), held)
 
 
-def stream_problem(model: HandModel, request: OpenStream) -> str:
+def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
     """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
     right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -180,7 +180,7 @@ def stream_problem(model: HandModel, request: OpenStream) -> str:
     return ""
 
 
-def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
+def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
     """Return the stream that a request opens, or the reason why the request is refused."""
     if reason := stream_problem(model, request):
         return reason
@@ -219,9 +219,9 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         return coordinates
     angles = coordinates.copy()
     for _ in range(HOLDABLE_NEWTON_STEPS):
-        to_tension = digit.at_angles(digit.coupling @ angles).torque_to_tension
-        slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
-        tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
+        torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
+        slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
+        tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
         missing = floor + FLOOR_MARGIN_N - tension
         short = missing > 1e-6
         if not short.any():
@@ -241,12 +241,14 @@ def _is_held_by_each_tendon(digit: DigitModel) -> bool:
 
 def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
     """Return the indices of the digits that a stream commands."""
-    if stream.moves:
+    if stream.is_angle_stream:
         return mapping_of_stream(model, stream.space, stream.names).digits
     hand = model.hand
     if stream.space == "tip_force":
         return tuple(sorted(hand.digit_names.index(name) for name in stream.names))
-    return tuple(sorted({model.digit_of[hand.tendon_names.index(name)] for name in stream.names}))
+    return tuple(
+        sorted({model.digit_of_tendon[hand.tendon_names.index(name)] for name in stream.names})
+    )
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
@@ -259,7 +261,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
-    if stream.softness is None:
+    if stream.joint_stiffness is None:
         return stiffness, damping
     for d in streamed_digits(model, stream):
         digit = model.digits[d]
@@ -267,8 +269,10 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         # the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
-        full = arms * mass * model.motion.stiffness[digit.tendons]
-        stiffness[digit.tendons] = np.clip(stream.softness / full, MIN_STIFFNESS_FRACTION, 1.0)
+        full_stiffness = arms * mass * model.motion.stiffness[digit.tendons]
+        stiffness[digit.tendons] = np.clip(
+            stream.joint_stiffness / full_stiffness, MIN_STIFFNESS_FRACTION, 1.0
+        )
         damping[digit.tendons] = np.minimum(
             stream.damping_ratio * np.sqrt(stiffness[digit.tendons]), 1.0
         )
@@ -299,7 +303,7 @@ def target_tensions(
         # force times its lever.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
-        arms = digit.at_angles(angles).reduced_moment_arms
+        arms = digit.with_moment_arms_at(angles).reduced_moment_arms
         tension[tendons] = tensions_for_torque(
             arms, torque, model.floor[tendons], model.ceiling[tendons]
         )[0]
@@ -324,18 +328,20 @@ def streamed_goals(
             goals[d] = DigitGoal(GoalKind.MOTION, StreamedTrajectory())
             contact[d] = False
         else:
-            goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy(), rate=STREAMED_RATE)
+            goals[d] = DigitGoal(
+                GoalKind.TENSION, tension=tension[d].copy(), rate=RATE_OF_STREAMED_GOALS
+            )
     return replace(progress, goals=tuple(goals), contact=tuple(contact))
 
 
-STREAMED_RATE = 0.0
+RATE_OF_STREAMED_GOALS = 0.0
 """Rate of the goal of a digit with streamed tensions [N/s].
 
 The rate has no effect, because the targets contain the setpoints.
 """
 
 
-def progress_at_rest(
+def progress_with_stopped_digits(
     progress: ProgramProgress,
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
@@ -356,7 +362,7 @@ def progress_at_rest(
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
-        if goal.kind == GoalKind.TENSION and goal.rate == STREAMED_RATE:
+        if goal.kind == GoalKind.TENSION and goal.rate == RATE_OF_STREAMED_GOALS:
             goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
         if goal.kind == GoalKind.MOTION and (
             isinstance(goal.trajectory, StreamedTrajectory) or not only_streamed
@@ -365,7 +371,7 @@ def progress_at_rest(
             end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
             goals[d] = DigitGoal(
                 GoalKind.MOTION,
-                continued_move(reference[d], end, STOP_DURATION_S, reach[d]),
+                move_that_continues_motion(reference[d], end, STOP_DURATION_S, reach[d]),
                 since=t,
             )
     return replace(progress, goals=tuple(goals))
@@ -377,7 +383,7 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
-def continued_move(
+def move_that_continues_motion(
     reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference, and ends at rest.
@@ -398,16 +404,18 @@ def continued_move(
     blend = duration
     while True:
         move = MinimumJerk(position, end, duration, BlendTrajectory(rate, acceleration, blend))
-        course = np.array([move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS])
-        inside = (course >= np.minimum(reach[0], position)).all() and (
-            course <= np.maximum(reach[1], position)
+        sampled_positions = np.array(
+            [move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS]
+        )
+        inside = (sampled_positions >= np.minimum(reach[0], position)).all() and (
+            sampled_positions <= np.maximum(reach[1], position)
         ).all()
         if inside or blend <= SHORTEST_BLEND_S:
             return move
         blend = max(0.5 * blend, SHORTEST_BLEND_S)
 
 
-def is_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
+def is_target_plausible(stream: StreamPlan, values: tuple[float, ...]) -> bool:
     """Return True if a target has the right number of values, and every value is finite and plausible."""
     outlier = MAX_TARGET_VALUES_BY_SPACE[stream.space]
     return len(values) == len(stream.names) and all(abs(value) <= outlier for value in values)

@@ -164,14 +164,14 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """
     with np.errstate(all="ignore"):
         try:
-            return curve_through(times_s, angles).peak_speed()
+            return interpolating_curve(times_s, angles).peak_speed()
         # The library scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
 
 @functools.lru_cache(maxsize=32)
-def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
+def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through given angles [rad] at given times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
@@ -220,10 +220,10 @@ def load_trajectory(path: Path) -> Task:
         ConfigError: the file cannot be read, the times do not increase, or an angle or a speed is
             out of range.
     """
-    return trajectory_from(read_toml(path), str(path))
+    return task_from_trajectory_file(read_toml(path), str(path))
 
 
-def trajectory_from(file_content: Mapping[str, Any], source_name: str) -> Task:
+def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str) -> Task:
     """Make a task from the content of a trajectory file.
 
     Raises:
@@ -300,23 +300,23 @@ def check_task(
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
             value = getattr(phase, key, None)
             key_path = f"{task_name}: phase[{i}].{key}"
-            per_digit = value if isinstance(value, dict) else {}
+            value_by_digit = value if isinstance(value, dict) else {}
             joints = _digit_of_joint(digit_shapes) if key == "angle_deg" else {}
-            for name in sorted(per_digit.keys() - {*digits, *joints}):
+            for name in sorted(value_by_digit.keys() - {*digits, *joints}):
                 joint = f", or a joint such as {next(iter(joints))}" if joints else ""
                 raise ConfigError(
                     f"no digit {name!r}", key_path, "one of " + ", ".join(digits) + joint
                 )
-            for name in sorted(per_digit.keys() & joints.keys()):
-                if joints[name] in per_digit:
+            for name in sorted(value_by_digit.keys() & joints.keys()):
+                if joints[name] in value_by_digit:
                     raise ConfigError(
                         f"{joints[name]} and {name}", key_path, "either the digit or its joints"
                     )
             if key.endswith("deg") and isinstance(phase, FollowPhase):
                 continue
-            for digit, setting in per_digit.items():
+            for digit, setting in value_by_digit.items():
                 _check_count(digit, setting, digit_shapes, key_path)
-            values = per_digit.values() if isinstance(value, dict) else [value]
+            values = value_by_digit.values() if isinstance(value, dict) else [value]
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
             if (
@@ -342,11 +342,11 @@ def _check_count(
     count = shape.coordinates if key_path.endswith("deg") else shape.tendons
     if len(value) == count:
         return
-    noun = "coordinate" if key_path.endswith("deg") else "tendon"
+    value_name = "coordinate" if key_path.endswith("deg") else "tendon"
     expected = (
-        f"one number, or {count}: it has {count} {noun}s"
+        f"one number, or {count}: it has {count} {value_name}s"
         if count > 1
-        else f"one number: it has one {noun}"
+        else f"one number: it has one {value_name}"
     )
     raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 

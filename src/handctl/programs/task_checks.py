@@ -21,8 +21,8 @@ from handctl.programs.task import (
     Task,
     TaskPhase,
     check_task,
-    curve_through,
     end_angles,
+    interpolating_curve,
     joint_values,
     shapes_of_digits,
     value_for_digit,
@@ -58,7 +58,7 @@ def check_task_for_hand(
     )
     check_tip_force(task, hand, task_name)
     check_slip_limit(task, hand, task_name)
-    digits = digits or DigitModel.all_from_hand(hand)
+    digits = digits or DigitModel.models_of_hand(hand)
     check_joint_range(task, hand, task_name, digits)
     check_speed(task, digits, task_name)
 
@@ -75,22 +75,22 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
         ConfigError: the duration of a move is too short.
     """
     digits = {model.name: model for model in models}
-    zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
+    zero_coordinates = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
     spans: dict[str, CoordinateRange] = {
-        name: (zero, zero) for name, zero in zeros.items()
+        name: (zero, zero) for name, zero in zero_coordinates.items()
     }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
             _check_curves(phase, models, f"{task_name}: phase[{i}].angle_deg")
         for digit, span in spans.items():
             low, high = span
-            from_low = _coordinates_after(phase, digits[digit], low)
-            from_high = _coordinates_after(phase, digits[digit], high)
-            if from_low is None or from_high is None:
+            end_from_low = _coordinates_after(phase, digits[digit], low)
+            end_from_high = _coordinates_after(phase, digits[digit], high)
+            if end_from_low is None or end_from_high is None:
                 continue
             if isinstance(phase, MovePhase):
                 units = digits[digit].coordinate_units
-                ways = np.maximum(np.abs(from_low - low), np.abs(high - from_high))
+                ways = np.maximum(np.abs(end_from_low - low), np.abs(high - end_from_high))
                 worst = int(np.argmax(ways / units.per_degree))
                 # The speed limit of a prismatic joint is that of a hinge with a usual moment arm.
                 travel = float((ways / units.per_degree)[worst])
@@ -108,11 +108,11 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
                     raise ConfigError(
                         f"{phase.duration_s:g}", f"{task_name}: phase[{i}].duration_s", expected
                     )
-            touches = isinstance(phase, ClosePhase)  # a close phase may end at any angle
+            is_close_phase = isinstance(phase, ClosePhase)  # a close phase may end at any angle
             ends = (
-                (np.minimum(low, from_low), np.maximum(high, from_high))
-                if touches
-                else (from_low, from_high)
+                (np.minimum(low, end_from_low), np.maximum(high, end_from_high))
+                if is_close_phase
+                else (end_from_low, end_from_high)
             )
             spans[digit] = ends
 
@@ -130,7 +130,7 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: s
             if angles is None or not units.is_prismatic[j]:
                 continue
             limit = FOLLOW_SPEED_DEG_S * units.per_degree[j]
-            peak = curve_through(phase.time_s, angles).peak_speed()
+            peak = interpolating_curve(phase.time_s, angles).peak_speed()
             if peak > limit:
                 right = f"at most {limit:.4g} mm/s on the way"
                 raise ConfigError(f"{name} reaches {peak:.0f} mm/s", task_name, right)
@@ -181,7 +181,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
     Raises:
         ConfigError: the joints of a digit cannot reach an angle of the task together.
     """
-    reaches = {
+    range_and_units = {
         digit.name: (digit.coordinate_units.displayed(digit.reach), digit.coordinate_units.names)
         for digit in digits
     }
@@ -192,7 +192,7 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
             _check_joints(
                 phase, digit, hand.digit_named(digit.name), f"{task_name}: phase[{i}].angle_deg"
             )
-        for name, ((low, high), names) in reaches.items():
+        for name, ((low, high), names) in range_and_units.items():
             for row in _reached_angles(phase, name):
                 for angle, lower, upper, unit in zip(
                     *np.broadcast_arrays(row, low, high), names, strict=True

@@ -21,7 +21,7 @@ from handctl.programs.program import (
     ProgramProgress,
     ProgressAndEvents,
     coordinates_by_excursion,
-    motion_to,
+    goal_to_move_to_angle,
     pull_tensions,
     released_tensions,
     slack_tendons,
@@ -36,8 +36,8 @@ from handctl.programs.task import (
     MovePhase,
     ReleasePhase,
     Task,
-    curve_through,
     end_angles,
+    interpolating_curve,
     joint_values,
     value_for_digit,
 )
@@ -46,7 +46,7 @@ FOLLOW_START_DEG = 4.0
 """Largest accepted distance of a digit from the start of a curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
-RELEASED_WITHIN_N = 2.0
+MAX_TENSION_ABOVE_RELEASE_N = 2.0
 """Distance above the tension of a release within which a tendon counts as released [N]."""
 RELEASE_TIMEOUT_S = 10.0
 """Longest time that a release may take [s]."""
@@ -58,7 +58,7 @@ touch no object, the estimated force is 0.33 N. Such fingers still detect a cont
 """
 ARRIVAL_DURATION_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived [s]."""
-ARRIVED_THRESHOLD_FACTOR = 2.0
+CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL = 2.0
 """Factor on the contact threshold of a digit that has arrived.
 
 A digit at rest touches no new object, and creeping friction can resemble a contact.
@@ -100,8 +100,8 @@ class TaskProgram:
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task. The tendons of the hand are already taut."""
-        untouched = (0,) * len(model.digits)
-        return self._enter_phase(model, replace(progress, step=0, touching=untouched), estimate, t)
+        no_touches = (0,) * len(model.digits)
+        return self._enter_phase(model, replace(progress, step=0, touching=no_touches), estimate, t)
 
     def _advance_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
@@ -166,12 +166,12 @@ class TaskProgram:
         if isinstance(phase, HoldPhase) and not any(contact):
             events.append(TickEvent("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = (
-            GripState.at_hold_start(model, goals, estimate, t)
+            GripState.at_start_of_hold(model, goals, estimate, t)
             if isinstance(phase, HoldPhase) and any(contact)
             else None
         )
-        untouched = (0,) * len(names)
-        progress = replace(progress, goals=goals, touching=untouched, grip=grip)
+        no_touches = (0,) * len(names)
+        progress = replace(progress, goals=goals, touching=no_touches, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _digit_goal(
@@ -195,7 +195,7 @@ class TaskProgram:
             return (
                 previous
                 if angle is None
-                else motion_to(digit, estimate, units.si(angle), phase.duration_s, t)
+                else goal_to_move_to_angle(digit, estimate, units.si(angle), phase.duration_s, t)
             )
         if isinstance(phase, FollowPhase):
             curve = _curve_of_digit(phase, digit, estimate)
@@ -208,11 +208,11 @@ class TaskProgram:
                 return previous
             # A speed in deg/s for hinges is used in mm/s for prismatic joints.
             moved = units.si(angle) - coordinates_by_excursion(digit, estimate)
-            travel = float(np.abs(units.as_angles(moved)).max())
+            travel = float(np.abs(units.as_equivalent_angles(moved)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
             )
-            return motion_to(digit, estimate, units.si(angle), duration, t)
+            return goal_to_move_to_angle(digit, estimate, units.si(angle), duration, t)
         if not progress.contact[d]:
             return previous
         if isinstance(phase, ReleasePhase):
@@ -244,10 +244,10 @@ class TaskProgram:
         q = estimate.q[digit.joints]
         # In the coordinates of the digit, the torque is the sum of springs, gravity, and the tip
         # force times its lever.
-        torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
+        torque = digit.coupling.T @ model.link_tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
-        arms = digit.at_angles(q).reduced_moment_arms
+        arms = digit.with_moment_arms_at(q).reduced_moment_arms
         return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _advance_hold(
@@ -292,16 +292,16 @@ class TaskProgram:
             threshold = contact_threshold(
                 goals[d], model.digits[d].joint_count, gains.threshold_N, t
             )
-            above = closing and forces[d] > threshold + blind_tip_force(model, d)
+            above = closing and forces[d] > threshold + contact_margin_without_cells(model, d)
             touching[d] = touching[d] + 1 if above else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
                 # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
                 side = model.redundancy.side[tendons]
-                pulled = np.maximum(side * estimate.tension[tendons], side * start)
-                closes = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
-                start = np.where(closes, side * pulled, start)
+                pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
+                is_closing = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
+                start = np.where(is_closing, side * pulling_tension, start)
                 goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
                 events.append(
                     TickEvent(
@@ -331,11 +331,13 @@ class TaskProgram:
                 for goal in progress.goals
                 if goal.kind == GoalKind.MOTION and goal.trajectory is not None
             ]
-            longest = max(
+            longest_duration = max(
                 (goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0
             )
             return (
-                elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
+                elapsed >= min(longest_duration + SETTLE_AFTER_CLOSE_S, phase.timeout_s)
+                if moving
+                else True
             )
         late = elapsed > RELEASE_TIMEOUT_S
         return elapsed >= phase.settle_s and (
@@ -349,8 +351,8 @@ class TaskProgram:
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ReleasePhase):
             return ()
-        waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
-        text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
+        waiting_time_s = max(phase.settle_s, RELEASE_TIMEOUT_S)
+        text = f"{phase.name}: above {phase.tension_N:g} N after {waiting_time_s:g} s, and going on"
         return tuple(
             [
                 TickEvent("warn", "phase", name, text)
@@ -377,7 +379,7 @@ def _still_tensioned(
     model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
     """Return the names of tension-controlled digits whose tension is still above the tension of the release phase."""
-    limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
+    limit = np.maximum(phase.tension_N, model.redundancy.balance) + MAX_TENSION_ABOVE_RELEASE_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
         name
@@ -440,26 +442,26 @@ def _curve_of_digit(
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
-        inverse = digit.coordinate_units.inverse.tolist()
+        si_factor = digit.coordinate_units.si_factor.tolist()
         rows = phase.angle_deg[digit.name]
-        if len(set(inverse)) > 1:
-            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, inverse), count)
-        angles = tuple(inverse[0] * angle for angle in rows)
-        return replace(curve_through(phase.time_s, angles), coordinates=count)
+        if len(set(si_factor)) > 1:
+            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, si_factor), count)
+        angles = tuple(si_factor[0] * angle for angle in rows)
+        return replace(interpolating_curve(phase.time_s, angles), coordinates=count)
     given = joint_values(phase.angle_deg, digit)
     if not given:
         return None
     now = coordinates_by_excursion(digit, estimate)
-    inverse = digit.joint_units.inverse[list(given)]
+    si_factor = digit.joint_units.si_factor[list(given)]
     points = [
-        digit.with_joint_angles(dict(zip(given, inverse * row, strict=True)), now)
+        digit.with_joint_angles(dict(zip(given, si_factor * row, strict=True)), now)
         for row in zip(*given.values(), strict=True)
     ]
     return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)
-def blind_tip_force(model: HandModel, d: int) -> float:
+def contact_margin_without_cells(model: HandModel, d: int) -> float:
     """Return the margin that tendons without load cell add to digit d's contact threshold [N], 0 with load cells."""
     digit = model.digits[d]
     margin = float(model.blind_margin[digit.tendons].mean())
@@ -467,8 +469,8 @@ def blind_tip_force(model: HandModel, d: int) -> float:
         return 0.0
     # The response contains the tension of each tendon per tip force, for the open digit. The
     # estimated tip force is the least-squares fit of this response to the estimated tensions.
-    response = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
-    return margin / float(np.linalg.norm(response))
+    tension_per_tip_force = digit.torque_to_tension @ joint_lever(digit, digit.joint_min)
+    return margin / float(np.linalg.norm(tension_per_tip_force))
 
 
 def contact_threshold(goal: DigitGoal, joints: int, stated_threshold: float, t: float) -> float:
@@ -485,4 +487,6 @@ def contact_threshold(goal: DigitGoal, joints: int, stated_threshold: float, t: 
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
     )
-    return stated_threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * stated_threshold
+    return (
+        stated_threshold if is_moving else CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL * stated_threshold
+    )

@@ -80,8 +80,9 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
     metadata = log.header.metadata
-    wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
-    here = f"handctl {version('handctl')}, code {code_identity()}"
+    names = (metadata.get(key, UNKNOWN_IDENTITY) for key in ("version", "code"))
+    writing_version = "handctl {}, code {}".format(*names)
+    reading_version = f"handctl {version('handctl')}, code {code_identity()}"
     return printable_text(
-        f"the log, written by {wrote}"
-    ), f"a log that this one can execute: {here}"
+        f"the log, written by {writing_version}"
+    ), f"a log that this one can execute: {reading_version}"

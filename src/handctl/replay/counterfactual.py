@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handctl.core.tick_types import TickEvent, TickIn, TickOut
 from handctl.log.read.reader import RunLog
 from handctl.output_files import save_figure
-from handctl.replay.run_comparison import rms_and_peak
+from handctl.replay.run_comparison import rms_and_peak_difference
 
 Array = NDArray[np.float64]
 LOGGED_COLOR = "#3b6fb6"
@@ -50,10 +50,10 @@ class CommandCollector:
     def comparable_ticks(self, log: RunLog) -> int:
         """Return the number of ticks before the mode or the reaction to faults first differs from the log."""
         mode, action = np.array(self._reactions).T
-        differs = (mode != log.mode) | (action != log.action)
-        return int(np.argmax(differs)) if differs.any() else len(differs)
+        is_different = (mode != log.mode) | (action != log.action)
+        return int(np.argmax(is_different)) if is_different.any() else len(is_different)
 
-    def faults_at(self, tick_index: int) -> list[str]:
+    def texts_of_faults_in_tick(self, tick_index: int) -> list[str]:
         """Return the texts of the faults that became active in the tick with a given index."""
         return [event.text for at, event in self._faults if at == tick_index]
 
@@ -82,10 +82,11 @@ def command_change(
     tension = (commands.tendon_tensions - log.field("tension_goal"))[:tick_count]
     return {
         "motor_torque_N_m": {
-            name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
+            name: rms_and_peak_difference(torque[:, i]) for i, name in enumerate(log.header.motors)
         },
         "tension_N": {
-            name: rms_and_peak(tension[:, i]) for i, name in enumerate(log.header.tendons)
+            name: rms_and_peak_difference(tension[:, i])
+            for i, name in enumerate(log.header.tendons)
         },
     }
 
@@ -127,11 +128,15 @@ def draw_commands(
             commands.motor_torques,
         ),
     )
-    for column, (unit, names, was, now) in enumerate(pairs):
+    for column, (unit, names, logged_values, new_values) in enumerate(pairs):
         for i, name in enumerate(names):
             axes = rows[i, column]
-            axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
-            axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
+            axes.plot(
+                log.times, logged_values[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged"
+            )
+            axes.plot(
+                log.times, new_values[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains"
+            )
             if tick_count < len(log.times):
                 axes.axvspan(
                     log.times[tick_count], log.times[-1], color="0.85", label="not comparable"

@@ -67,8 +67,8 @@ def find_episode(
         ConfigError: the dataset or the episode does not exist, the episode contains no angles for
             some joint of the hand, or an angle or a speed is out of range.
     """
-    info = _read_info(dataset_folder)
-    rate = info.get("fps")
+    dataset_info = _read_info(dataset_folder)
+    rate = dataset_info.get("fps")
     if (
         not isinstance(rate, int | float)
         or not FRAME_RATE_RANGE_HZ[0] <= rate <= FRAME_RATE_RANGE_HZ[1]
@@ -79,10 +79,10 @@ def find_episode(
             f"{FRAME_RATE_RANGE_HZ[0]:g} to {FRAME_RATE_RANGE_HZ[1]:g} Hz",
         )
     where = f"{dataset_folder}: episode {episode_index}"
-    actions = _read_actions(dataset_folder, info, episode_index)
+    actions = _read_actions(dataset_folder, dataset_info, episode_index)
     if not 2 <= len(actions) <= MAX_EPISODE_S * rate:
         raise ConfigError(f"{len(actions)} frames", where, f"2 to {MAX_EPISODE_S * rate:.0f}")
-    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset_folder), hand, where)
+    angles = _clip_to_range(_joint_angles(actions, dataset_info, hand, dataset_folder), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
             raise ConfigError(
@@ -110,15 +110,15 @@ def _read_info(dataset_folder: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > MAX_INFO_BYTES:
             raise ConfigError("too large", str(path), right)
-        info = json.loads(path.read_text("utf-8"))
+        dataset_info = json.loads(path.read_text("utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", str(path), right) from None
     except (ValueError, RecursionError):
         raise ConfigError("is no JSON", str(path), right) from None
-    version = info.get("codebase_version") if isinstance(info, dict) else None
+    version = dataset_info.get("codebase_version") if isinstance(dataset_info, dict) else None
     if not isinstance(version, str) or not version.startswith(VERSION_PREFIX):
         raise ConfigError(f"version {_value_text(version)}", str(path), right)
-    return dict(info)
+    return dict(dataset_info)
 
 
 def _read_actions(
@@ -206,18 +206,18 @@ def _joint_angles(
         ConfigError: the actions lack a joint of the hand.
     """
     where = f"{_info_path(dataset_folder)}: features.action.names"
-    wanted = position_names(hand.joints, hand.prismatic_joints)
+    expected_names = position_names(hand.joints, hand.prismatic_joints)
     try:
         names = list(dataset_info["features"]["action"]["names"])
     except (KeyError, TypeError):
-        raise ConfigError("no names", where, f"{wanted[0]} and so on") from None
+        raise ConfigError("no names", where, f"{expected_names[0]} and so on") from None
     if len(names) != actions.shape[1]:
         raise ConfigError(
             f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value"
         )
-    if missing := [name for name in wanted if name not in names]:
+    if missing := [name for name in expected_names if name not in names]:
         raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
-    return actions[:, [names.index(name) for name in wanted]]
+    return actions[:, [names.index(name) for name in expected_names]]
 
 
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
@@ -230,8 +230,10 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     """
     low, high = hand.joint_limits
     units = hand.display_units
-    beyond = units.displayed(np.maximum(low - angles_of_frames, angles_of_frames - high))
-    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
+    distance_beyond_range = units.displayed(
+        np.maximum(low - angles_of_frames, angles_of_frames - high)
+    )
+    wrong = ~(distance_beyond_range <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
@@ -244,10 +246,12 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
 
 def _limit_rate(angles: Array, max_step: Array) -> Array:
     """Return angles (frames, J) that follow the given angles, but change by at most `max_step` (J,) [rad] per frame."""
-    slowed = angles.copy()
-    for i in range(1, len(slowed)):
-        slowed[i] = slowed[i - 1] + np.clip(angles[i] - slowed[i - 1], -max_step, max_step)
-    return slowed
+    limited_angles = angles.copy()
+    for i in range(1, len(limited_angles)):
+        limited_angles[i] = limited_angles[i - 1] + np.clip(
+            angles[i] - limited_angles[i - 1], -max_step, max_step
+        )
+    return limited_angles
 
 
 def _smooth_curve(

@@ -42,7 +42,7 @@ class LogExecution:
         wall_s: time that the re-execution took, without the time for the design of the gains [s].
         cpu_s: processor time of all processes together [s]. A single core without other work would
             need this time.
-        logged_s: duration of the recorded run [s].
+        logged_duration_s: duration of the recorded run [s].
     """
 
     ticks: int
@@ -53,12 +53,12 @@ class LogExecution:
     largest_difference: TickDifference | None
     wall_s: float
     cpu_s: float
-    logged_s: float
+    logged_duration_s: float
 
     @property
-    def times_real_time(self) -> float:
+    def real_time_factor(self) -> float:
         """Return the duration of the recorded run divided by the time of the re-execution."""
-        return self.logged_s / self.wall_s if self.wall_s else math.inf
+        return self.logged_duration_s / self.wall_s if self.wall_s else math.inf
 
 
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
@@ -103,21 +103,21 @@ def execute_log(
 
     with gc_disabled():
         if worker_count > 1 and not gains and not observer:
-            tally = run_parallel(runner, worker_count, progress or _ignore_progress)
+            difference_tally = run_parallel(runner, worker_count, progress or _ignore_progress)
         else:
-            _, tally = runner.execute_part(
+            _, difference_tally = runner.execute_part(
                 0, len(log), runner.controller.initial_state(), observer, add_progress
             )
     wall = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (
-        tally.ticks,
-        tally.differing_ticks,
-        tally.different_decisions,
-        tally.first_difference,
-        tally.first_state_difference,
-        tally.largest_difference,
+        difference_tally.ticks,
+        difference_tally.differing_ticks,
+        difference_tally.different_decisions,
+        difference_tally.first_difference,
+        difference_tally.first_state_difference,
+        difference_tally.largest_difference,
     )
     return LogExecution(*parts, wall, cpu, length)
 

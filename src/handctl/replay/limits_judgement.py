@@ -32,7 +32,7 @@ from handctl.safety.safety_limits import (
 TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 
 
-class NewLimits(Document):
+class LimitsFile(Document):
     """Content of a limits file.
 
     If the file does not contain a limit, the limit of the run applies.
@@ -47,7 +47,7 @@ class NewLimits(Document):
     temperature_hard_degC: float | None = Field(None, gt=0, le=200)
 
 
-class LimitStop(NamedTuple):
+class StoppingFault(NamedTuple):
     """Fault that would stop the hand with the new limits.
 
     Attributes:
@@ -56,7 +56,7 @@ class LimitStop(NamedTuple):
         instance: motor, tendon or bus that has the fault.
         value: reading that exceeds the limit, in the unit of the limit.
         action: reaction to the fault.
-        in_logged_run: True if the fault also occurred in this tick with the limits of the run
+        occurs_in_logged_run: True if the fault also occurred in this tick with the limits of the run
             itself.
     """
 
@@ -67,7 +67,7 @@ class LimitStop(NamedTuple):
     instance: str
     value: float
     action: str
-    in_logged_run: bool
+    occurs_in_logged_run: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,17 +77,17 @@ class LimitsJudgement:
     Attributes:
         ticks: number of judged ticks.
         stopped: number of ticks in which the new limits demand HOLD or a more severe reaction.
-        stopped_logged: number of ticks in which the limits of the run demanded HOLD or a more
+        ticks_stopped_by_old_limits: number of ticks in which the limits of the run demanded HOLD or a more
             severe reaction.
         stops: the fault with which each stop begins, in order.
-        by_fault: number of stops for each fault, by the id of the fault.
+        stop_count_by_fault: number of stops for each fault, by the id of the fault.
     """
 
     ticks: int
     stopped: int
-    stopped_logged: int
-    stops: tuple[LimitStop, ...]
-    by_fault: dict[str, int]
+    ticks_stopped_by_old_limits: int
+    stops: tuple[StoppingFault, ...]
+    stop_count_by_fault: dict[str, int]
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
@@ -96,34 +96,34 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
-    new = load_document(path, NewLimits)
+    new = load_document(path, LimitsFile)
     old = controller.derived.limits
     period = controller.model.period
     trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
     for name in trips.keys() - set(old.tendons):
         raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
     rows = zip(old.tendons, old.tension_trip, strict=True)
-    trip = tuple(trips.get(name, was) for name, was in rows)
+    trip = tuple(trips.get(name, old_trip) for name, old_trip in rows)
     if isinstance(new.tension_trip_N, float):
         trip = (new.tension_trip_N,) * len(trip)
-    silent = new.silent_ms
-    stalled = new.stalled_ms
-    soft = new.temperature_soft_degC
-    hard = new.temperature_hard_degC
+    max_silence_ms = new.silent_ms
+    max_stall_ms = new.stalled_ms
+    soft_temperature = new.temperature_soft_degC
+    hard_temperature = new.temperature_hard_degC
     return replace(
         old,
         tension_trip=trip,
-        silent_ticks=tick_count_for_time(silent / 1e3, period, MIN_SILENT_TICKS)
-        if silent
+        silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
+        if max_silence_ms
         else old.silent_ticks,
-        one_silent_ticks=tick_count_for_time(silent / 1e3, period, MIN_SILENT_TICKS)
-        if silent
+        one_silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
+        if max_silence_ms
         else old.one_silent_ticks,
-        stalled_ticks=tick_count_for_time(stalled / 1e3, period, MIN_STALLED_TICKS)
-        if stalled
+        stalled_ticks=tick_count_for_time(max_stall_ms / 1e3, period, MIN_STALLED_TICKS)
+        if max_stall_ms
         else old.stalled_ticks,
-        temperature_soft=soft or old.temperature_soft,
-        temperature_hard=hard or old.temperature_hard,
+        temperature_soft=soft_temperature or old.temperature_soft,
+        temperature_hard=hard_temperature or old.temperature_hard,
     )
 
 
@@ -156,41 +156,47 @@ def _judge_ticks(
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
     """Judge each tick from its logged state, but debounce and latch faults with the new limits."""
-    other = replace(controller, other_limits=limits)
+    judging_controller = replace(controller, other_limits=limits)
     state = controller.initial_state()
-    shadow = other.initial_state()
-    stops: list[LimitStop] = []
-    ticks = stopped = stopped_logged = 0
+    judging_state = judging_controller.initial_state()
+    stops: list[StoppingFault] = []
+    ticks = stopped_ticks = ticks_stopped_by_old_limits = 0
     for logged in log.ticks():
         entry = logged.tick_in
         # In every tick, the controller starts from the state that it had in the recorded run. Only
         # the debounce counters and latched faults that follow from the new limits are carried from
         # tick to tick.
         judged = state.copy()
-        judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
-        judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
+        judged.view("fault_ticks")[...] = judging_state.view("fault_ticks")
+        judged.decide(
+            latched=judging_state.latched,
+            reported_faults=judging_state.decisions.reported_faults,
+        )
         try:
-            shadow, verdict = other.tick(judged, entry)
+            judging_state, verdict = judging_controller.tick(judged, entry)
             state, out = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
         logged_faults = {
-            _fault_id(event) + event.where for event in out.events if event.name == "fault"
+            _fault_id_in_text(event) + event.where for event in out.events if event.name == "fault"
         }
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
-        stopped += verdict.action >= SafetyAction.HOLD
-        stopped_logged += out.action >= SafetyAction.HOLD
+        stopped_ticks += verdict.action >= SafetyAction.HOLD
+        ticks_stopped_by_old_limits += out.action >= SafetyAction.HOLD
         for event in verdict.events:
-            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= SafetyAction.HOLD:
-                fault = FAULT_BY_ID[_fault_id(event)]
+            if (
+                event.name == "fault"
+                and FAULT_BY_ID[_fault_id_in_text(event)].action >= SafetyAction.HOLD
+            ):
+                fault = FAULT_BY_ID[_fault_id_in_text(event)]
                 t_s = entry.t_ns / 1e9
                 # The text of a fault event ends with the reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
-                in_log = fault.id + event.where in logged_faults
+                is_in_log = fault.id + event.where in logged_faults
                 stops.append(
-                    LimitStop(
+                    StoppingFault(
                         entry.k,
                         t_s,
                         fault.id,
@@ -198,13 +204,15 @@ def _judge_ticks(
                         event.where,
                         value,
                         fault.action.name,
-                        in_log,
+                        is_in_log,
                     )
                 )
     counts = Counter(stop.fault for stop in stops)
-    return LimitsJudgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
+    return LimitsJudgement(
+        ticks, stopped_ticks, ticks_stopped_by_old_limits, tuple(stops), dict(counts)
+    )
 
 
-def _fault_id(event: TickEvent) -> str:
+def _fault_id_in_text(event: TickEvent) -> str:
     """Return the id of the fault that the text of a fault event names."""
     return event.text.partition(" ")[0]

@@ -44,10 +44,10 @@ def _check_counters(log: RunLog) -> Iterator[str]:
     if (steps < 1).any():
         yield f"tick {int(log.k[1:][steps < 1][0])} follows a later tick"
     for gap in log.gaps:
-        if gap.first_after <= gap.last_before:
+        if gap.first_tick_after <= gap.last_tick_before:
             continue
-        count = gap.first_after - gap.last_before - 1
-        yield f"gap: {count} ticks are missing between {gap.last_before} and {gap.first_after}"
+        count = gap.first_tick_after - gap.last_tick_before - 1
+        yield f"gap: {count} ticks are missing between {gap.last_tick_before} and {gap.first_tick_after}"
 
 
 def _check_clock(log: RunLog) -> Iterator[str]:
@@ -66,24 +66,24 @@ def _check_frames(log: RunLog) -> Iterator[str]:
 
     The time stamp of such a frame comes from another clock than the clock of the controller.
     """
-    future = 0
+    late_stamp_count = 0
     last = -1
     for tick in log.ticks():
         now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
-        early = sum(frame.t_ns > now for frame in tick.tick_in.frames)
-        if early and not future:
+        late_stamps_in_tick = sum(frame.t_ns > now for frame in tick.tick_in.frames)
+        if late_stamps_in_tick and not late_stamp_count:
             last = tick.tick_in.k
-        future += early
-    if future:
-        yield f"{future} frames are stamped later than the tick that read them, first in tick {last}"
+        late_stamp_count += late_stamps_in_tick
+    if late_stamp_count:
+        yield f"{late_stamp_count} frames are stamped later than the tick that read them, first in tick {last}"
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:
     """Check the identity of the hand, and check that no hash of the controller's state occurs twice."""
-    logged = log.header.metadata.get("identity", "")
-    computed = logged_hand(log).identity
-    if logged != computed:
-        yield f"hand.toml has identity {computed[:12]}, the header states {logged[:12]}"
+    logged_identity = log.header.metadata.get("identity", "")
+    computed_identity = logged_hand(log).identity
+    if logged_identity != computed_identity:
+        yield f"hand.toml has identity {computed_identity[:12]}, the header states {logged_identity[:12]}"
     hashes = {tick.state_hash for tick in log.ticks()}
     if len(hashes) != len(log):
         yield f"{len(log) - len(hashes)} state hashes are duplicates"
@@ -109,6 +109,6 @@ def _check_chain(log: RunLog) -> Iterator[str]:
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
         yield f"the hash chain breaks at tick {broken[0]}{others}: this tick, or the hash before it, was changed"
-    final = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
-    if final and final != before.hex():
-        yield f"the hash chain ends with {before.hex()}, the end record states {final}"
+    final_hash = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
+    if final_hash and final_hash != before.hex():
+        yield f"the hash chain ends with {before.hex()}, the end record states {final_hash}"

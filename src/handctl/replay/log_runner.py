@@ -48,8 +48,8 @@ def relative_error(difference: TickDifference) -> float:
     computed = difference.computed
     if isinstance(logged, str) or isinstance(computed, str):
         return 0.0
-    apart = abs(logged - computed)
-    return math.inf if math.isnan(apart) else apart / max(1.0, abs(logged))
+    distance = abs(logged - computed)
+    return math.inf if math.isnan(distance) else distance / max(1.0, abs(logged))
 
 
 @dataclass(slots=True)
@@ -66,18 +66,18 @@ class DifferenceTally:
     first_state_difference: TickDifference | None = None
     largest_difference: TickDifference | None = None
 
-    def merged_with(self, later: "DifferenceTally") -> "DifferenceTally":
+    def merged_with_later_tally(self, later_tally: "DifferenceTally") -> "DifferenceTally":
         """Add the tally of a later part of the log to this tally, and return the sum."""
-        both = DifferenceTally(
-            self.ticks + later.ticks,
-            self.differing_ticks + later.differing_ticks,
-            self.different_decisions + later.different_decisions,
-            self.first_difference or later.first_difference,
-            self.first_state_difference or later.first_state_difference,
+        merged_tally = DifferenceTally(
+            self.ticks + later_tally.ticks,
+            self.differing_ticks + later_tally.differing_ticks,
+            self.different_decisions + later_tally.different_decisions,
+            self.first_difference or later_tally.first_difference,
+            self.first_state_difference or later_tally.first_state_difference,
             self.largest_difference,
         )
-        both._keep_larger(later.largest_difference)
-        return both
+        merged_tally._update_largest_difference(later_tally.largest_difference)
+        return merged_tally
 
     def add_tick(self, tick_differences: list[TickDifference], same_decisions: bool) -> None:
         """Add the differences of one tick.
@@ -91,9 +91,9 @@ class DifferenceTally:
         self.first_difference = self.first_difference or tick_differences[0]
         for difference in tick_differences:
             if difference.ulps is not None:
-                self._keep_larger(difference)
+                self._update_largest_difference(difference)
 
-    def _keep_larger(self, other: TickDifference | None) -> None:
+    def _update_largest_difference(self, other: TickDifference | None) -> None:
         """Replace the largest difference by another difference if the other is larger."""
         if other and (
             self.largest_difference is None
@@ -134,7 +134,7 @@ class LogRunner:
     def execute_part(
         self,
         first_tick: int,
-        end_tick: int,
+        tick_end: int,
         state: ControllerState,
         observer: TickObserver | None,
         progress: ProgressCallback | None,
@@ -143,7 +143,7 @@ class LogRunner:
 
         Args:
             first_tick: index of the first tick of the part.
-            end_tick: index after the last tick of the part.
+            tick_end: index after the last tick of the part.
             state: state of the controller before the first tick.
             observer: function called with the input and the output of every tick.
             progress: function called at intervals with the number of ticks executed since the last
@@ -155,46 +155,55 @@ class LogRunner:
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
         """
-        tally = DifferenceTally()
+        difference_tally = DifferenceTally()
         tick = self.controller.tick
-        for logged, numbers in self._logged_ticks(first_tick, end_tick):
+        for logged, numbers in self._logged_ticks(first_tick, tick_end):
             try:
                 state, out = tick(state, logged.tick_in)
             except ValueError as error:
                 raise refusal_error(error, logged.tick_in.k) from None
-            tally.ticks += 1
-            if progress and tally.ticks % TICKS_PER_PROGRESS_REPORT == 0:
+            difference_tally.ticks += 1
+            if progress and difference_tally.ticks % TICKS_PER_PROGRESS_REPORT == 0:
                 progress(TICKS_PER_PROGRESS_REPORT)
             if observer:
                 observer(logged.tick_in, out)
             if not are_outputs_equal(logged, numbers, out):
-                tally.add_tick(
+                difference_tally.add_tick(
                     list(differing_fields(self.telemetry_columns, logged, numbers, out)),
                     are_decisions_equal(logged, out),
                 )
-                if tally.first_state_difference is None and logged.tick_in.k in self.snapshots:
-                    tally.first_state_difference = self._state_difference(logged, state)
-        return state, tally
+                if (
+                    difference_tally.first_state_difference is None
+                    and logged.tick_in.k in self.snapshots
+                ):
+                    difference_tally.first_state_difference = self._state_difference(logged, state)
+        return state, difference_tally
 
-    def _logged_ticks(self, first_tick: int, end_tick: int) -> Iterator[tuple[TickRecord, bytes]]:
+    def _logged_ticks(self, first_tick: int, tick_end: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index `first_tick` to `end_tick` - 1, each with its telemetry."""
-        firsts = self.log.first_of_chunk
+        firsts = self.log.first_tick_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
         # the part are dropped below.
-        chunk, last = np.searchsorted(firsts, (first_tick, end_tick), side="right") - 1
+        chunk, last = np.searchsorted(firsts, (first_tick, tick_end), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
-        both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
-        return islice(both, first_tick - int(firsts[chunk]), end_tick - int(firsts[chunk]))
+        ticks_and_telemetry = zip(
+            self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True
+        )
+        return islice(
+            ticks_and_telemetry, first_tick - int(firsts[chunk]), tick_end - int(firsts[chunk])
+        )
 
     def _state_difference(
         self, logged: TickRecord, state: ControllerState
     ) -> TickDifference | None:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
-            was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
+            snapshot_state = restore_state(
+                self.controller.derived.layout, self.snapshots[logged.tick_in.k]
+            )
         except ValueError:
             return None  # if another version wrote the state, its fields are different
-        return state_difference(self.log.header, logged, was, state)
+        return state_difference(self.log.header, logged, snapshot_state, state)
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:

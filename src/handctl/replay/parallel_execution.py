@@ -69,12 +69,12 @@ class ProgressCounts:
         progress.
         """
 
-        def count_ticks(ticks: int) -> None:
+        def add_executed_ticks(ticks: int) -> None:
             self._done[process_index] += ticks
             if process_index == 0:
                 self.report_total()
 
-        return count_ticks
+        return add_executed_ticks
 
     def report_total(self) -> None:
         """Report the number of ticks that all processes have executed."""
@@ -116,9 +116,9 @@ def run_parallel(
                 _, remainder = runner.execute_part(
                     worker.part.start, len(runner.log), state, None, counts.counter_of_process(0)
                 )
-                return total.merged_with(remainder)
-            state, tally = result
-            total = total.merged_with(tally)
+                return total.merged_with_later_tally(remainder)
+            state, difference_tally = result
+            total = total.merged_with_later_tally(difference_tally)
         return total
     finally:
         for worker in running:
@@ -169,23 +169,27 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
 
 
 def _start_worker(
-    runner: LogRunner, part: LogPart, count_ticks: Callable[[int], None]
+    runner: LogRunner, part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> WorkerProcess:
     """Start the execution of a part in a forked copy of this process."""
-    return WorkerProcess(*run_in_forked_copy(lambda: _result_json(runner, part, count_ticks)), part)
+    return WorkerProcess(
+        *run_in_forked_copy(lambda: _result_json(runner, part, add_executed_ticks)), part
+    )
 
 
-def _result_json(runner: LogRunner, part: LogPart, count_ticks: Callable[[int], None]) -> str:
+def _result_json(
+    runner: LogRunner, part: LogPart, add_executed_ticks: Callable[[int], None]
+) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
     If the text is empty, the calling process executes the part itself, finds the damage and reports
     the error.
     """
     try:
-        state, tally = runner.execute_part(*part, None, count_ticks)
+        state, difference_tally = runner.execute_part(*part, None, add_executed_ticks)
     except LogError:
         return ""
-    return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})
+    return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(difference_tally)})
 
 
 def _wait_for_result(
@@ -208,11 +212,13 @@ def _wait_for_result(
         return None
     result: dict[str, Any] = json.loads(data)
     *numbers, first, state, largest = result["tally"]
-    tally = DifferenceTally(
+    difference_tally = DifferenceTally(
         *numbers,
         *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
     )
-    return restore_state(runner.controller.derived.layout, bytes.fromhex(result["state"])), tally
+    return restore_state(
+        runner.controller.derived.layout, bytes.fromhex(result["state"])
+    ), difference_tally
 
 
 def _kill_worker(worker: WorkerProcess) -> None:

@@ -65,8 +65,10 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
         IncomparableError: the two logs are of different hands.
         LogError: the ticks of a log are out of order.
     """
-    theirs = b.header.metadata
-    check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
+    second_metadata = b.header.metadata
+    check_same_hand(
+        a, second_metadata.get("hand", "?"), second_metadata.get("identity", "?"), where
+    )
     for names in ("joints", "tendons", "motors", "digits"):
         if getattr(a.header, names) != getattr(b.header, names):
             raise IncomparableError(
@@ -80,10 +82,14 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
         if name not in second:
             continue
         other = second[name]
-        lasted = (part.end_s - part.start_s, other.end_s - other.start_s)
-        moves = part.name not in PASSIVE_PHASES and min(lasted) > 0
-        shared = compare_runs(a, part.start_s, b, other.start_s, min(lasted)) if moves else {}
-        phases[name] = {"duration_s": list(lasted), **shared}
+        durations_s = (part.end_s - part.start_s, other.end_s - other.start_s)
+        is_moving_phase = part.name not in PASSIVE_PHASES and min(durations_s) > 0
+        shared = (
+            compare_runs(a, part.start_s, b, other.start_s, min(durations_s))
+            if is_moving_phase
+            else {}
+        )
+        phases[name] = {"duration_s": list(durations_s), **shared}
     gains = a.header.gains.keys() | b.header.gains.keys()
     return {
         "gains": {

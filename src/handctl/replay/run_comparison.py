@@ -75,13 +75,13 @@ def compare_signals(
     rows = min(len(signal_before), len(signal_after))
     change = signal_after[:rows] - signal_before[:rows]
     return {
-        name: rms_and_peak(change[:, i])
+        name: rms_and_peak_difference(change[:, i])
         | {"delay_s": signal_delay(signal_before[:rows, i], signal_after[:rows, i], period)}
         for i, name in enumerate(names)
     }
 
 
-def rms_and_peak(signal_difference: Array) -> dict[str, float]:
+def rms_and_peak_difference(signal_difference: Array) -> dict[str, float]:
     """Return the RMS and the peak of a difference. NaN values are ignored.
 
     If all values are NaN, the RMS and the peak are NaN.
@@ -104,28 +104,31 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
     """
     if np.isnan(signal_before).any() or np.isnan(signal_after).any():
         return float("nan")
-    reach = min(round(MAX_DELAY_S / period), len(signal_before) // 4)
-    if reach < 1 or not np.ptp(signal_before) > MIN_SIGNAL_SPAN * np.abs(signal_before).max():
+    max_shift = min(round(MAX_DELAY_S / period), len(signal_before) // 4)
+    if max_shift < 1 or not np.ptp(signal_before) > MIN_SIGNAL_SPAN * np.abs(signal_before).max():
         return float("nan")
-    inner = slice(reach, len(signal_before) - reach)
-    # `roll` moves rows from one end of a signal to the other end. The slice `inner` excludes these
+    compared_rows = slice(max_shift, len(signal_before) - max_shift)
+    # `roll` moves rows from one end of a signal to the other end. The slice `compared_rows` excludes these
     # rows.
     residual = np.array(
         [
-            np.var(np.roll(signal_after, -shift)[inner] - signal_before[inner])
-            for shift in range(-reach, reach + 1)
+            np.var(np.roll(signal_after, -shift)[compared_rows] - signal_before[compared_rows])
+            for shift in range(-max_shift, max_shift + 1)
         ]
     )
     best = int(np.argmin(residual))
-    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
-        signal_before[inner]
+    if not 0 < best < 2 * max_shift or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
+        signal_before[compared_rows]
     ):
         return float("nan")
-    earlier, lowest, later = residual[best - 1 : best + 2]
+    variance_before, lowest, variance_after = residual[best - 1 : best + 2]
     # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
     # not positive, the minimum is flat, and the best shift is not refined.
-    bend = earlier - 2.0 * lowest + later
-    return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
+    bend = variance_before - 2.0 * lowest + variance_after
+    return float(
+        (best - max_shift + (0.5 * (variance_before - variance_after) / bend if bend > 0 else 0.0))
+        * period
+    )
 
 
 def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
@@ -143,7 +146,7 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
 
 
 def compare_runs(
-    a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float
+    a: RunLog, first_start_s: float, b: RunLog, second_start_s: float, duration: float
 ) -> dict[str, Any]:
     """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
 
@@ -151,9 +154,9 @@ def compare_runs(
 
     Args:
         a: first run.
-        start_a: start of the interval in the first run [s].
+        first_start_s: start of the interval in the first run [s].
         b: second run, of the same hand.
-        start_b: start of the interval in the second run [s].
+        second_start_s: start of the interval in the second run [s].
         duration: length of both intervals [s].
     """
     period = a.header.period_ns * 1e-9
@@ -162,15 +165,15 @@ def compare_runs(
     for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
         before, after = (
             factor * resampled_field(*run, times)
-            for run in ((a, field, start_a), (b, field, start_b))
+            for run in ((a, field, first_start_s), (b, field, second_start_s))
         )
         rows = compare_signals(a.header.axis_names(axis), before, after, period)
         sliding = prismatic_joints(a.header) if field == "q" else frozenset()
         result[f"{axis}_{unit}"] = {name: row for name, row in rows.items() if name not in sliding}
         if sliding:
-            to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
+            factors_to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
             result[f"{axis}_mm"] = {
-                name: dict(zip(row, (to_mm * list(row.values())).tolist(), strict=True))
+                name: dict(zip(row, (factors_to_mm * list(row.values())).tolist(), strict=True))
                 for name, row in rows.items()
                 if name in sliding
             }

@@ -94,9 +94,11 @@ def differing_fields(
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
 
-    def text_difference(field: str, was: object, now: object) -> Iterator[TickDifference]:
-        if was != now:
-            yield TickDifference(k, t_s, field, "", str(was), str(now))
+    def text_difference(
+        field: str, logged_value: object, computed_value: object
+    ) -> Iterator[TickDifference]:
+        if logged_value != computed_value:
+            yield TickDifference(k, t_s, field, "", str(logged_value), str(computed_value))
 
     yield from text_difference("mode", logged.mode.name, computed.mode.name)
     yield from text_difference("action", logged.action.name, computed.action.name)
@@ -105,15 +107,17 @@ def differing_fields(
     # logs of earlier versions do not have the last fields
     packed = computed.telemetry.packed()[: len(logged_telemetry)]
     if packed != logged_telemetry:
-        for column, was, now in _changed_numbers(logged_telemetry, packed):
+        for column, logged_value, computed_value in _changed_telemetry_numbers(
+            logged_telemetry, packed
+        ):
             yield TickDifference(
                 k,
                 t_s,
                 columns.field_names[column],
                 columns.element_names[column],
-                was,
-                now,
-                distance_in_ulps(was, now),
+                logged_value,
+                computed_value,
+                distance_in_ulps(logged_value, computed_value),
             )
     yield from text_difference("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
@@ -122,27 +126,30 @@ def differing_fields(
 
 
 def state_difference(
-    header: RunHeader, logged: TickRecord, was: ControllerState, now: ControllerState
+    header: RunHeader,
+    logged: TickRecord,
+    logged_state: ControllerState,
+    computed_state: ControllerState,
 ) -> TickDifference | None:
     """Return the first field in which two states of the controller differ, in the order of the schema.
 
     Args:
         header: header of the log.
         logged: logged tick to which both states belong.
-        was: state from the snapshot in the log.
-        now: computed state.
+        logged_state: state from the snapshot in the log.
+        computed_state: computed state.
     """
     k = logged.tick_in.k
     t_s = logged.tick_in.t_ns / 1e9
-    first = was.layout.difference(was.block, now.block)
+    first = logged_state.layout.difference(logged_state.block, computed_state.block)
     if first:
         field, element, old, new = first
-        axis = was.layout.axis_of(field)
+        axis = logged_state.layout.axis_of(field)
         names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
     for field, old_part, new_part in zip(
-        ControllerDecisions._fields, was.decisions, now.decisions, strict=True
+        ControllerDecisions._fields, logged_state.decisions, computed_state.decisions, strict=True
     ):
         if plain_bytes(old_part) != plain_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
@@ -166,12 +173,14 @@ def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
     The decisions are the mode, the reaction, the phase and the events. The texts of the events are
     not compared, because they contain numbers.
     """
-    was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
-    return (logged.mode, logged.action, logged.phase, was) == (
+    logged_events, computed_events = (
+        [event[:3] for event in events] for events in (logged.events, computed.events)
+    )
+    return (logged.mode, logged.action, logged.phase, logged_events) == (
         computed.mode,
         computed.action,
         computed.phase,
-        now,
+        computed_events,
     )
 
 
@@ -190,7 +199,9 @@ def _frame_text(frame: Frame) -> str:
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
-def _changed_numbers(logged_bytes: bytes, computed_bytes: bytes) -> list[tuple[int, float, float]]:
+def _changed_telemetry_numbers(
+    logged_bytes: bytes, computed_bytes: bytes
+) -> list[tuple[int, float, float]]:
     """Return (column, old, new) for every float64 of the telemetry whose bits differ.
 
     A number that has become NaN also counts as changed.

@@ -50,7 +50,7 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             if len(frame.data) == node.lengths[group] and not silent_ids:
                 fresh = node.answers(
                     frame.data, sync_counter
-                ) and frame.t_ns >= node.earliest_answer_ns(sync_ns)
+                ) and frame.t_ns >= node.earliest_answer_time_ns(sync_ns)
                 late += not fresh
                 fresh_frames += fresh and group < node.tension_frames
         for frame in tick.frames:

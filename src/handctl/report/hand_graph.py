@@ -29,8 +29,8 @@ The constants above are the colours of flexors, extensors, links and load cells.
 MOTOR_COLUMN_X = 0.0
 LOAD_CELL_COLUMN_X = 1.5
 FIRST_JOINT_COLUMN_X = 3.0
-JOINT_STEP = 1.7
-BUS_STEP = 0.35
+JOINT_SPACING = 1.7
+BUS_SPACING = 0.35
 """Horizontal distance of two buses.
 
 The constants above are the columns of the motor, the load cell and the first joint, and the
@@ -52,8 +52,8 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
     rows = sum(1.6 + len(_digit_tendons(hand, digit)) for digit in hand.digit) + 1.0
     joints = max(len(digit.joints) for digit in hand.digit)
-    left = MOTOR_COLUMN_X - 1.6 - BUS_STEP * len(hand.bus)
-    right = FIRST_JOINT_COLUMN_X + JOINT_STEP * joints + 0.6
+    left = MOTOR_COLUMN_X - 1.6 - BUS_SPACING * len(hand.bus)
+    right = FIRST_JOINT_COLUMN_X + JOINT_SPACING * joints + 0.6
     figure = Figure(
         figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
     )
@@ -149,7 +149,7 @@ def _tendon_label(tendon: Tendon) -> str:
 def _joint_xs(digit: Digit) -> Iterator[tuple[str, float]]:
     """Yield the name of each joint of a digit, with the column of the joint in the picture."""
     for i, joint in enumerate(digit.joints):
-        yield joint, FIRST_JOINT_COLUMN_X + JOINT_STEP * i
+        yield joint, FIRST_JOINT_COLUMN_X + JOINT_SPACING * i
 
 
 def _sensor_node(axes: Any, hand: Hand) -> float:
@@ -193,7 +193,7 @@ def _draw_digit(
     )
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
         axes.plot(
-            [x, x + JOINT_STEP],
+            [x, x + JOINT_SPACING],
             [y, y],
             color=LINK_COLOUR,
             linewidth=7,
@@ -201,7 +201,7 @@ def _draw_digit(
             zorder=1,
         )
         axes.text(
-            x + JOINT_STEP / 2,
+            x + JOINT_SPACING / 2,
             y,
             f"{1e3 * length:g} mm",
             ha="center",
@@ -241,9 +241,11 @@ def _draw_tendon(
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
-    means = hand.moment_arms[hand.tendon.index(tendon)]
-    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x}
-    last = max(column_x[joint] for joint in crossed)
+    mean_arms = hand.moment_arms[hand.tendon.index(tendon)]
+    arm_by_joint = {
+        joint: mean_arms[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x
+    }
+    last = max(column_x[joint] for joint in arm_by_joint)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot([MOTOR_COLUMN_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
     axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
@@ -270,21 +272,21 @@ def _draw_tendon(
         va="center",
         fontsize=6.5,
     )
-    for joint, arm in crossed.items():
+    for joint, arm in arm_by_joint.items():
         # The moment arm of a flexor is written below the joint, and the moment arm of an extensor
         # above it.
         side = -1.0 if arm > 0.0 else 1.0
-        shade = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
-        axes.plot(column_x[joint], y, "o", color=shade, markersize=4.5, zorder=2)
+        joint_colour = FLEXOR_COLOUR if arm > 0.0 else EXTENSOR_COLOUR
+        axes.plot(column_x[joint], y, "o", color=joint_colour, markersize=4.5, zorder=2)
         axes.text(
             column_x[joint], y + 0.3 * side, _moment_arm_text(hand, tendon, joint), ha="center", va="center",
-            fontsize=7, color=shade,
+            fontsize=7, color=joint_colour,
         )  # fmt: skip
 
 
 def _bus_x(bus: int) -> float:
     """Return the column of a bus in the picture."""
-    return MOTOR_COLUMN_X - 0.9 - BUS_STEP * bus
+    return MOTOR_COLUMN_X - 0.9 - BUS_SPACING * bus
 
 
 def _draw_buses(axes: Any, hand: Hand, line_ends: dict[str, list[float]]) -> None:

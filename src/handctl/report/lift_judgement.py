@@ -45,14 +45,14 @@ def judge_lift(
         truth is None
         or not truth.has_column(TABLE_DEPTH_COLUMN)
         or not len(t_ns)
-        or not truth.covers_times(t_ns)
+        or not truth.covers_any_time(t_ns)
     ):
         return unknown
     inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
     sunk = truth.values[inside, truth.columns.index(TABLE_DEPTH_COLUMN)]
-    positions = truth.columns_at(["object/x", "object/y", "object/z"], truth.t_ns[inside])[
-        sunk > 0.0
-    ]
+    positions = truth.interpolated_columns(
+        ["object/x", "object/y", "object/z"], truth.t_ns[inside]
+    )[sunk > 0.0]
     slid = float("nan")
     if len(positions):
         slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
@@ -63,8 +63,8 @@ def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
     """Return the times [ns] of the ticks from the start of the first hold phase to the end of the last hold phase."""
     changes = log.phases
     ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
-    both = zip(changes, ends, strict=True)
-    spans = [(change.k, end) for change, end in both if change.name in hold_phases]
+    changes_and_ends = zip(changes, ends, strict=True)
+    spans = [(change.k, end) for change, end in changes_and_ends if change.name in hold_phases]
     if not spans:
         return log.t_ns[:0]
     return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]

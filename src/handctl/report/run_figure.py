@@ -82,13 +82,13 @@ def draw_run(
     layout = ConstrainedLayoutEngine(w_pad=LAYOUT_PAD_INCH)
     figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout=layout)
     FigureCanvasAgg(figure)
-    halves = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
-    grid = halves[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
+    figure_grid = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
+    grid = figure_grid[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
     figure.suptitle(title)
     _draw_angles(grid[0], log, hand, truth, offset_ns)
     _draw_tensions(grid[1], log, hand, truth, offset_ns)
     _draw_forces(grid[2], log, hand, truth, offset_ns)
-    late = [figure.add_subplot(halves[1])] if timed else []
+    late = [figure.add_subplot(figure_grid[1])] if timed else []
     for axes in late:
         axes.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
         axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
@@ -141,9 +141,9 @@ def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> No
     Later, the tendons have no tension and the joints may move far.
     """
     lines = [line.get_data() for axes in axes_row for line in axes.lines]
-    visible = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
-    low = np.fmin.reduce(visible, initial=np.inf)
-    high = np.fmax.reduce(visible, initial=-np.inf)
+    visible_values = np.concatenate([y[(x >= start_s) & (x <= end_s)] for x, y in lines])
+    low = np.fmin.reduce(visible_values, initial=np.inf)
+    high = np.fmax.reduce(visible_values, initial=-np.inf)
     if low < high:
         axes_row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
@@ -152,7 +152,7 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
     """Return the sample lines of the legend, and the meaning of each line as text."""
     from matplotlib.lines import Line2D
 
-    marks = [
+    samples_and_texts = [
         (
             Line2D([], [], color=DIGIT_COLOURS[0], linewidth=1.8),
             "estimate, for tensions and forces with its 1-sigma band",
@@ -160,13 +160,13 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
         (Line2D([], [], color=COMMAND_COLOUR, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
-        marks.append(
+        samples_and_texts.append(
             (
                 Line2D([], [], color=PLANT_COLOUR, linewidth=0.8),
                 "plant, for forces the sum of all contact forces",
             )
         )
-    return [mark for mark, _ in marks], [text for _, text in marks]
+    return [mark for mark, _ in samples_and_texts], [text for _, text in samples_and_texts]
 
 
 def _draw_angles(
@@ -177,7 +177,9 @@ def _draw_angles(
     goal, estimate = (factors * mean_angles(hand, log.field(name)) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
-        table = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
+        table = truth.interpolated_columns(
+            [f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns
+        )
         real = factors * mean_angles(hand, table)
     for d, (axes, colour) in enumerate(zip(axes_row, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
@@ -207,17 +209,19 @@ def _draw_tensions(
         names = hand.tendon_names[tendons]
         # TENDON_OPACITIES is repeated so that every tendon has an opacity, even if a digit has more
         # than three tendons.
-        for shade, i, name in zip(
+        for opacity, i, name in zip(
             TENDON_OPACITIES * len(names), range(tendons.start, tendons.stop), names, strict=False
         ):
             axes.plot(
-                log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name
+                log.times, estimate[:, i], color=colour, alpha=opacity, linewidth=1.2, label=name
             )
             low = estimate[:, i] - sigma[:, i]
             high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
             real = (
-                None if truth is None else truth.column_at(f"tension/{name}", log.t_ns + offset_ns)
+                None
+                if truth is None
+                else truth.interpolated_column(f"tension/{name}", log.t_ns + offset_ns)
             )
             _draw_command_and_truth(axes, log, goal[:, i], real)
         if len(names) > 1:
@@ -245,7 +249,7 @@ def _draw_forces(
             # The truth file contains the three components of the contact force. The estimate
             # contains only the size of the contact force, without the direction.
             parts = [
-                truth.column_at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
+                truth.interpolated_column(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
                 for axis in "xyz"
             ]
             _draw_command_and_truth(
@@ -262,16 +266,16 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
     # The name of a fault gets its place before the names of phases. So there is always space for
     # the fault.
-    marks = [
+    time_marks = [
         (event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR) for event in faults[:1]
     ]
-    marks += [
+    time_marks += [
         (change.t_ns / 1e9, change.name, PHASE_MARK_COLOUR)
         for change in log.phases
         if change.name not in PASSIVE_PHASES
     ]
-    positions = _mark_positions([t_s for t_s, _, _ in marks], axes_grid[0, 0].get_xlim())
-    for (t_s, name, colour), position in zip(marks, positions, strict=True):
+    positions = _mark_positions([t_s for t_s, _, _ in time_marks], axes_grid[0, 0].get_xlim())
+    for (t_s, name, colour), position in zip(time_marks, positions, strict=True):
         for axes in axes_grid.flat:
             axes.axvline(t_s, color=colour, linewidth=0.6)
         if position:

@@ -168,12 +168,12 @@ def _colour_legend(hand: Hand) -> str:
     """Return the legend of the hand pictures as HTML."""
     from handctl.report.run_figure import digit_colours
 
-    marks = (
+    legend_entries = (
         f'<span style="color:{colour}">&#9679;</span> {_escaped_text(name)}'
         for name, colour in zip(hand.digit_names, digit_colours(hand), strict=True)
     )
     note = "drawn with the estimated joint angles; arrows are the estimated force of the object on a fingertip"
-    return "<p>" + " &nbsp; ".join(marks) + f"; {note}</p>"
+    return "<p>" + " &nbsp; ".join(legend_entries) + f"; {note}</p>"
 
 
 def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> str:
@@ -182,8 +182,8 @@ def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: in
         picture = Path(folder) / "run.png"
         draw_run(picture, log, hand, truth, offset_ns, "")
         data = base64.b64encode(picture.read_bytes()).decode()
-    alt = "angles, tensions, contact forces and lateness over time"
-    return f'<img alt="{alt}" src="data:image/png;base64,{data}">'
+    alternative_text = "angles, tensions, contact forces and lateness over time"
+    return f'<img alt="{alternative_text}" src="data:image/png;base64,{data}">'
 
 
 def _fault_counts(log: RunLog) -> str:
@@ -216,8 +216,10 @@ def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
 
 def _event_table(log: RunLog) -> str:
     """Return the HTML table of the events of a run."""
-    hidden = len(log.events) - MAX_EVENTS
-    more = f"<p>and {hidden} more: handctl log info</p>" if hidden > 0 else ""
+    hidden_event_count = len(log.events) - MAX_EVENTS
+    more = (
+        f"<p>and {hidden_event_count} more: handctl log info</p>" if hidden_event_count > 0 else ""
+    )
     rows = (
         f'<tr class="{_escaped_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td>'
         f"<td>{_escaped_text(event.level)}</td>"

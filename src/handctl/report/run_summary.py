@@ -56,7 +56,7 @@ def summarise_run(
     Returns:
         the numbers and texts, by name.
     """
-    truth = truth if truth and truth.covers_times(log.t_ns + offset_ns) else None
+    truth = truth if truth and truth.covers_any_time(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
@@ -105,7 +105,7 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     windows = []
     changes = log.phases
-    kinds = _kinds_of_phases(log)
+    kinds = _kind_by_phase_name(log)
     for i, change in enumerate(changes):
         # The phases of a task can have any names, so the kind of a phase comes from the task. Other
         # programs call their hold phases "hold".
@@ -115,13 +115,13 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
         inside = (log.k >= change.k) & (log.k < end)
         window = inside & in_contact & _settled_mask(inside & moving, inside, log)
         if not window.any() and inside.any():
-            far = np.abs(goal - goal[inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
-            window = inside & in_contact & _settled_mask(inside & far, inside, log)
+            is_far_from_target = np.abs(goal - goal[inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
+            window = inside & in_contact & _settled_mask(inside & is_far_from_target, inside, log)
         windows.append(window)
     return windows
 
 
-def _kinds_of_phases(log: RunLog) -> dict[str, str]:
+def _kind_by_phase_name(log: RunLog) -> dict[str, str]:
     """Return the kind of each phase of the task in a log, by name of the phase.
 
     The result is empty if the log has no valid task.
@@ -190,32 +190,43 @@ def judge_tracking(
     }
     if truth is None:
         return unknown
-    joint_angles = truth.columns_at([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
+    joint_angles = truth.interpolated_columns(
+        [f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns
+    )
     real = mean_angles(hand, joint_angles)
-    touched = _touch_mask(truth, hand, log, offset_ns)
+    touched = _contact_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
-    per_digit = {
+    error_by_digit = {
         name: float(hand.displayed_mean(name).displayed(root_mean_square(error[:, d]))[0])
         for d, name in enumerate(hand.digit_names)
     }
-    scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
-    digit_of = np.repeat(np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit])
-    joints = np.where((free & ~touched)[:, digit_of], log.field("q_goal") - joint_angles, np.nan)
-    per_joint = {
+    unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    digit_of_joint = np.repeat(
+        np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
+    )
+    joints = np.where(
+        (free & ~touched)[:, digit_of_joint], log.field("q_goal") - joint_angles, np.nan
+    )
+    error_by_joint = {
         name: hand.display_units.factor[j] * root_mean_square(joints[:, j])
         for j, name in enumerate(hand.joints)
     }
     return {
-        "tracking_rmse_rad": root_mean_square(error / scales), "tracking_rmse_deg": per_digit,
-        "tracking_rmse_joint_deg": per_joint
+        "tracking_rmse_rad": root_mean_square(error / unit_scales), "tracking_rmse_deg": error_by_digit,
+        "tracking_rmse_joint_deg": error_by_joint
     }  # fmt: skip
 
 
-def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
+def _contact_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
     """Return a mask (ticks, D) that is True where the digit has a contact in the simulated plant."""
     t_ns = log.t_ns + offset_ns
     force = [
-        np.sqrt(sum(truth.column_at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz"))
+        np.sqrt(
+            sum(
+                truth.interpolated_column(f"contact_force/{name}/{axis}", t_ns) ** 2
+                for axis in "xyz"
+            )
+        )
         for name in hand.digit_names
     ]
     return np.column_stack(force) > 0.05
@@ -245,9 +256,9 @@ def judge_tension(
     if truth is None:
         return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
-    real = truth.columns_at(names, log.t_ns + offset_ns)
+    real = truth.interpolated_columns(names, log.t_ns + offset_ns)
     # When a tick uses a load-cell reading, the reading is one control period old.
-    before = truth.columns_at(names, log.t_ns - log.header.period_ns + offset_ns)
+    before = truth.interpolated_columns(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
     taut = active_mask[:, None] & ((real > 0.5) | hand.is_pair)
     error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
@@ -269,7 +280,7 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     digit that carries other digits is also excluded.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
-    digit_of = np.repeat(
+    digit_of_tendon = np.repeat(
         np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
     )
     side = [
@@ -277,8 +288,8 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
         for name in hand.digit_names
     ]
     carries = np.array([name in hand.carrier_digits for name in hand.digit_names])
-    pulls = (np.concatenate(side) != 0.0) & ~carries[digit_of]
-    return np.asarray((log.field("contact") > 0.0)[:, digit_of] & pulls)
+    can_hold_tension = (np.concatenate(side) != 0.0) & ~carries[digit_of_tendon]
+    return np.asarray((log.field("contact") > 0.0)[:, digit_of_tendon] & can_hold_tension)
 
 
 def judge_grasp(
@@ -301,9 +312,9 @@ def judge_grasp(
     """
     settled = np.any(hold_masks, axis=0) if hold_masks else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[settled]
-    means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
+    mean_forces = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
     result: dict[str, Any] = {
-        "tip_equivalent_force_n": dict(zip(hand.digit_names, means.tolist(), strict=True))
+        "tip_equivalent_force_n": dict(zip(hand.digit_names, mean_forces.tolist(), strict=True))
     }
     if truth is None or not settled.any():
         return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
@@ -313,7 +324,8 @@ def judge_grasp(
             np.mean(
                 np.sqrt(
                     sum(
-                        truth.column_at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2
+                        truth.interpolated_column(f"contact_force/{name}/{axis}", t_ns[settled])
+                        ** 2
                         for axis in "xyz"
                     )
                 )
@@ -322,13 +334,13 @@ def judge_grasp(
         for name in hand.digit_names
     }
     motion = float("nan")
-    on_table = (
+    is_object_on_table = (
         truth.has_column(TABLE_DEPTH_COLUMN)
-        and not truth.column_at(TABLE_DEPTH_COLUMN, t_ns[settled]).any()
+        and not truth.interpolated_column(TABLE_DEPTH_COLUMN, t_ns[settled]).any()
     )
-    if truth.has_column("object/x") and not on_table:
+    if truth.has_column("object/x") and not is_object_on_table:
         paths = [
-            truth.columns_at(["object/x", "object/y", "object/z"], t_ns[hold])
+            truth.interpolated_columns(["object/x", "object/y", "object/z"], t_ns[hold])
             for hold in hold_masks
             if hold.any()
         ]
@@ -367,20 +379,20 @@ def judge_angles(
     sigma = log.field("q_sigma")[inside]
     error = np.full_like(q, np.nan)
     if truth is not None:
-        error = q - truth.columns_at(
+        error = q - truth.interpolated_columns(
             [f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns
         )
     angles = {}
     for name, joints in hand.digit_joints.items():
         finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
-        within = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
+        is_within_two_sigma = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
         unit = hand.displayed_mean(name)
         scale = 1.0 if unit.is_prismatic[0] else hand.display_units.scale[joints]
         angles[name] = {
             "source": angle_source(hand, name),
             "sigma_deg": float(unit.factor[0] * root_mean_square(sigma[:, joints] / scale)),
             "error_deg": float(unit.factor[0] * root_mean_square(error[:, joints] / scale)),
-            "inside": float(within[finite].mean()) if finite.any() else float("nan"),
+            "inside": float(is_within_two_sigma[finite].mean()) if finite.any() else float("nan"),
         }
         if unit.is_prismatic[0]:
             angles[name]["unit"] = unit.names[0]

@@ -44,7 +44,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 
     The arrows show the forces of the object on the fingertips.
     """
-    moments = _phase_middles(log)
+    moments = _middle_ticks_of_phases(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _new_figure(
@@ -128,13 +128,15 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import to_rgb
 
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    bright = 0.55 + 0.45 * np.abs(normals @ LIGHT_DIRECTION)
+    unit_normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    unit_normals /= np.maximum(
+        np.linalg.norm(unit_normals, axis=1, keepdims=True), np.finfo(float).tiny
+    )
+    brightness = 0.55 + 0.45 * np.abs(unit_normals @ LIGHT_DIRECTION)
     # Points that are drawn at the same place of the picture differ only in z. The viewer looks
     # towards positive z.
     order = np.argsort(-triangles[:, :, 2].mean(axis=1))
-    faces = np.clip(bright[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
+    faces = np.clip(brightness[order, None] * np.array(to_rgb(colour)), 0.0, 1.0)
     # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would take
     # many megabytes.
     axes.add_collection(
@@ -202,16 +204,16 @@ def _draw_scale_bar(
     axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 
 
-def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
+def _middle_ticks_of_phases(log: RunLog) -> list[tuple[str, int]]:
     """Return the name and the index of the middle tick of each phase in which the hand is active."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
-    middles = [
+    middle_ticks = [
         (c.name, int(np.searchsorted(log.k, (c.k + end) // 2)))
         for c, end in zip(changes, ends, strict=True)
     ]
     inside = [
-        (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
+        (name, i) for name, i in middle_ticks if name not in PASSIVE_PHASES and i < len(log)
     ]  # the log may contain the ticks in a different order
     return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][
         : 2 * POSES_PER_ROW
@@ -227,15 +229,15 @@ def draw_lateness(log: RunLog) -> str:
     if not late.any():
         return "<p>No tick began late: this run was in virtual time.</p>"
     figure, (axes,) = _new_figure(1, 6.0, 2.2)
-    quarter = log.header.period_ns / 4e3
+    quarter_period_us = log.header.period_ns / 4e3
     axes.hist(
         late,
-        bins=np.linspace(0.0, max(quarter, float(late.max(initial=0.0))), 80),
+        bins=np.linspace(0.0, max(quarter_period_us, float(late.max(initial=0.0))), 80),
         color=DIGIT_COLOURS[0],
     )
-    axes.axvline(quarter, color=DIGIT_COLOURS[3], linewidth=0.8)
+    axes.axvline(quarter_period_us, color=DIGIT_COLOURS[3], linewidth=0.8)
     axes.text(
-        quarter,
+        quarter_period_us,
         0.9,
         " quarter period ",
         ha="right",

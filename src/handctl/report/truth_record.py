@@ -39,11 +39,11 @@ class TruthRecord:
         """Return True if the record has a column with this name."""
         return name in self.columns
 
-    def covers_times(self, t_ns: NDArray[np.int64]) -> bool:
+    def covers_any_time(self, t_ns: NDArray[np.int64]) -> bool:
         """Return True if at least one of the given times lies within the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
-    def column_at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def interpolated_column(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return a column of the record, interpolated at times on the clock of the simulator [ns].
 
         At times outside of the record, the result is NaN.
@@ -67,9 +67,11 @@ class TruthRecord:
             right=np.nan,
         )
 
-    def columns_at(self, column_names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    def interpolated_columns(
+        self, column_names: list[str], t_ns: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
         """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
-        return np.column_stack([self.column_at(name, t_ns) for name in column_names])
+        return np.column_stack([self.interpolated_column(name, t_ns) for name in column_names])
 
 
 def read_truth(path: Path) -> TruthRecord:
@@ -146,29 +148,29 @@ def truth_path_of(log_path: Path) -> Path:
     return log_path.with_suffix(".truth")
 
 
-def find_truth(named_file: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
+def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
     """Return the true values of a run, from the named file or from the file next to the log of a lockstep run.
 
     If no file is named and there is no truth file of this run next to the log, return None.
 
     Args:
-        named_file: truth file that the user has named, or None if the user has named no file.
+        given_file: truth file that the user has named, or None if the user has named no file.
         log_path: path of the log.
         log: open log of the run.
 
     Raises:
         LogError: the named file belongs to another run, or a truth file cannot be read.
     """
-    beside = truth_path_of(log_path)
-    if named_file is None and not (log.header.deterministic and beside.is_file()):
+    file_next_to_log = truth_path_of(log_path)
+    if given_file is None and not (log.header.deterministic and file_next_to_log.is_file()):
         return None
-    truth = read_truth(named_file or beside)
-    if truth.covers_times(log.t_ns + log.header.truth_offset_ns):
+    truth = read_truth(given_file or file_next_to_log)
+    if truth.covers_any_time(log.t_ns + log.header.truth_offset_ns):
         return truth
-    if named_file is None:
+    if given_file is None:
         return None
     problem = "was recorded at another time than the log"
-    raise LogError(problem, str(named_file), "the truth of the same run, in lockstep")
+    raise LogError(problem, str(given_file), "the truth of the same run, in lockstep")
 
 
 def _complete_rows(file_content: bytes, column_count: int) -> bytes:

@@ -285,9 +285,9 @@ class ControlLoop(Generic[S]):
 
         If a queue is full of commands and refuses some of these frames, they are sent again.
         """
-        alone = len(self.buses) == 1
+        is_single_bus = len(self.buses) == 1
         left = [
-            (bus, [f for f in self.cut_frames if f.bus == index or alone])
+            (bus, [f for f in self.cut_frames if f.bus == index or is_single_bus])
             for index, bus in enumerate(self.buses)
         ]
         for _ in range(TORQUE_CUT_ATTEMPTS):

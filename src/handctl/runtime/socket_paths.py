@@ -73,23 +73,23 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
     try:
         for number, part in enumerate(parts[1:], 1):
             here /= part
-            private = number >= len(parts) - private_path_parts
+            is_private = number >= len(parts) - private_path_parts
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
                 # Only symbolic links that root has created are followed, such as /tmp on macOS.
-                if private or state.st_uid != 0 or link_count == MAX_SYMBOLIC_LINKS:
+                if is_private or state.st_uid != 0 or link_count == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(
                     target.joinpath(*parts[number + 1 :]), private_path_parts, link_count + 1
                 )
-            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
+            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if is_private else FOLDER_OPEN_FLAGS
             # This path is relative to the parent folder that has been checked. Therefore it has no
             # effect if somebody renames the parent folder.
             child_fd = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = child_fd
-            (_refuse_shared_folder if private else _refuse_unsafe_folder)(here, at)
+            (_refuse_shared_folder if is_private else _refuse_unsafe_folder)(here, at)
     except OSError as error:
         raise BusError(
             f"cannot be used: {error.strerror}", str(here), PRIVATE_FOLDER_TEXT

@@ -30,7 +30,7 @@ def status_of_tick(entry: TickIn, out: TickOut, commander_name: str | None) -> d
         "events": [
             {"name": event.name, "where": event.where, "text": event.text} for event in out.events
         ],
-        "contact": [touches > 0.5 for touches in numbers.contact.tolist()],
+        "contact": [contact_value > 0.5 for contact_value in numbers.contact.tolist()],
     }
 
 

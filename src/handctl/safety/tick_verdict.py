@@ -187,17 +187,17 @@ def filter_error_frames(
         has_node_answered: True if any node has ever answered, or if a motor may make torque. The fault
             B18 cannot occur if this is True.
     """
-    kept, error = [], None
+    kept_frames, error = [], None
     for one in event_reports:
         if one[0] != "error_frame":
-            kept.append(one)
+            kept_frames.append(one)
         elif (
             error is None
             and not has_node_answered
             and any(word in one[1] for word in MISSING_ACKNOWLEDGE_TEXTS)
         ):
             error = one
-    return [*kept, error] if error else kept
+    return [*kept_frames, error] if error else kept_frames
 
 
 def second_controller_reports(sign_texts: Iterable[str]) -> list[EventReport]:

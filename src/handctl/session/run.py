@@ -23,7 +23,7 @@ from handctl.log.header import TRUTH_OFFSET_KEY, RunHeader
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshot_topic import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
-from handctl.programs.live_session import LiveProgram, preload_spline
+from handctl.programs.live_session import LiveProgram, import_spline_functions
 from handctl.programs.program import Program
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
@@ -118,7 +118,7 @@ def make_controller(
     with plan.show_progress("compiling the controller, once") as report_progress:
         compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
-        preload_spline()
+        import_spline_functions()
     return run_setup.make_controller(
         plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once
     )

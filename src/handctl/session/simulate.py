@@ -275,9 +275,14 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
             hand of the model.
     """
     target_hand = hand or model.hand
-    zeros = np.zeros(model.tendon_count)
+    zero_vector = np.zeros(model.tendon_count)
     return Controller(
-        model, make_drives(target_hand), make_sensors(target_hand), program, zeros, zeros
+        model,
+        make_drives(target_hand),
+        make_sensors(target_hand),
+        program,
+        zero_vector,
+        zero_vector,
     )
 
 

@@ -17,12 +17,12 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.gain_bounds import LIVE_SECTIONS, different_values, values_by_key
+from handctl.core.gains.gain_bounds import LIVE_SECTIONS, changed_gain_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import phase_of_each
+from handctl.log.read.timeline import phase_of_each_tick
 from handctl.programs.gains_exercise import move_amplitude
 from handctl.report.run_summary import mean_angles
 from handctl.report.truth_record import TruthRecord
@@ -207,10 +207,10 @@ class VerifyObserver:
         lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
         lag_by_digit = {
             name: float(np.nanmax(lag[joints], initial=0.0))
-            for (name, joints), touches in zip(
+            for (name, joints), contact_seconds in zip(
                 self.hand.digit_joints.items(), numbers.contact, strict=True
             )
-            if touches > 0.0
+            if contact_seconds > 0.0
         }
         if max(lag_by_digit.values(), default=0.0) <= BLOCKED_LAG_RAD:
             return ()
@@ -239,7 +239,7 @@ class VerifyObserver:
         # If a request does not set the force of some tendon, the running controller keeps the
         # present force of this tendon. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {
-            key: new for key, (_, new) in different_values(present_gains, gains).items()
+            key: new for key, (_, new) in changed_gain_values(present_gains, gains).items()
         }
         values = {
             key: value
@@ -271,9 +271,9 @@ class VerifyObserver:
     def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
         """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
         units = self.hand.display_units
-        touches = np.repeat(telemetry.contact > 0.0, self._joint_counts)
+        is_touching = np.repeat(telemetry.contact > 0.0, self._joint_counts)
         lag = np.abs(telemetry.q_goal - telemetry.q) / units.scale
-        error = np.where(touches | np.isnan(lag), 0.0, lag)
+        error = np.where(is_touching | np.isnan(lag), 0.0, lag)
         joint = int(error.argmax())
         if error[joint] <= self.limits.max_tracking_error_rad:
             return ""
@@ -379,7 +379,7 @@ def scores_by_round(
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
     starts = [change.k for change in log.phases if change.name == "settle"]
-    phase = phase_of_each(log.phases, log.k)
+    phase = phase_of_each_tick(log.phases, log.k)
     angle = np.where(log.field("contact") > 0.0, np.nan, digit_angles(hand, log.field("q_goal")))
     if truth is None:
         real = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))

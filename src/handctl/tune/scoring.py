@@ -195,10 +195,10 @@ def score_run(
     )
     real = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
-    touches = _true_touch_mask(hand, truth, t_ns)
-    angle = np.where(touches, np.nan, digit_angles(hand, goal))
+    is_touching = _true_touch_mask(hand, truth, t_ns)
+    angle = np.where(is_touching, np.nan, digit_angles(hand, goal))
     score = score_ticks(t_ns, phase, angle, tension_goal, torque, real)
-    is_touching_in_move = touches[phase == "move"].any(axis=0).tolist()
+    is_touching_in_move = is_touching[phase == "move"].any(axis=0).tolist()
     blocked = ", ".join(compress(hand.digit_names, is_touching_in_move))
     if np.isnan(score.tracking_deg):
         reason = f"no move to score: {blocked} blocked in all moves"
@@ -209,7 +209,7 @@ def score_run(
 def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return a mask (ticks, D), True where a digit truly touches another digit or an object."""
     force = [
-        truth.columns_at([f"contact_force/{name}/{axis}" for axis in "xyz"], t_ns)
+        truth.interpolated_columns([f"contact_force/{name}/{axis}" for axis in "xyz"], t_ns)
         for name in hand.digit_names
     ]
     return np.asarray(np.linalg.norm(force, axis=-1).T > TOUCH_FORCE_N)
@@ -236,8 +236,8 @@ def digit_angles(hand: Hand, q: Array) -> Array:
         hand: description of the hand.
         q: (ticks, J) joint angles [rad, or m of prismatic joints].
     """
-    scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
-    angles: Array = mean_angles(hand, q) / np.array(scales)
+    unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    angles: Array = mean_angles(hand, q) / np.array(unit_scales)
     return angles
 
 
@@ -258,8 +258,10 @@ class GroundTruth(NamedTuple):
     def from_record(truth: TruthRecord, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
         """Return the true values at times on the clock of the simulator [ns]."""
         return GroundTruth(
-            digit_angles(hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)),
-            truth.columns_at([f"tension/{name}" for name in hand.tendon_names], t_ns),
+            digit_angles(
+                hand, truth.interpolated_columns([f"q/{joint}" for joint in hand.joints], t_ns)
+            ),
+            truth.interpolated_columns([f"tension/{name}" for name in hand.tendon_names], t_ns),
         )
 
 

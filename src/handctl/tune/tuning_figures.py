@@ -123,7 +123,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     feasible_trials = [trial for trial in result.trials if trial.is_feasible]
     first = result.trials[0]
     effort = [trial.score.effort_Nm_per_s for trial in feasible_trials]
-    dots = left.scatter(
+    trial_points = left.scatter(
         [trial.score.tracking_deg for trial in feasible_trials],
         [trial.score.tension_N for trial in feasible_trials],
         c=effort,
@@ -131,7 +131,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         cmap="viridis",
     )
     if feasible_trials:
-        figure.colorbar(dots, ax=left, label="effort [N m/s]")
+        figure.colorbar(trial_points, ax=left, label="effort [N m/s]")
     front_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
     left.plot(
         [trial.score.tracking_deg for trial in front_trials],
@@ -219,7 +219,7 @@ def draw_verify(
     if truth is not None:
         t_ns = log.t_ns + offset_ns
         true_angle = mean_angles(
-            hand, truth.columns_at([f"q/{joint}" for joint in hand.joints], t_ns)
+            hand, truth.interpolated_columns([f"q/{joint}" for joint in hand.joints], t_ns)
         )[:, 0]
         angle.plot(
             log.times,
@@ -230,7 +230,7 @@ def draw_verify(
         )
         tension.plot(
             log.times,
-            truth.column_at(f"tension/{hand.tendon_names[0]}", t_ns),
+            truth.interpolated_column(f"tension/{hand.tendon_names[0]}", t_ns),
             color=TRUTH_COLOR,
             linewidth=0.7,
             label="true tension of the plant",

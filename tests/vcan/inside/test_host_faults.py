@@ -24,7 +24,7 @@ from handctl.errors import LogError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import HoldTension
+from handctl.programs.requests import HoldTensionRequest
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run import RunOutcome, make_controller, run_live
 from handctl.session.run_plan import RunPlan
@@ -104,7 +104,7 @@ def run_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, Tr
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
-        HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
+        HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
         FAULT_AFTER_S + PULL_AFTER_FAULT_S,
     )
     with simulated_hand_process(path, plan.buses, TIME_SCALE, work_folder / "truth"):

@@ -53,9 +53,13 @@ def test_an_fd_frame_arrives_as_sent(payload_length: int) -> None:
 
 
 def test_frames_of_one_bus_do_not_reach_the_other() -> None:
-    with raw_socket("vcan0") as sender, raw_socket("vcan0") as same, raw_socket("vcan1") as other:
+    with (
+        raw_socket("vcan0") as sender,
+        raw_socket("vcan0") as same_bus_socket,
+        raw_socket("vcan1") as other,
+    ):
         sender.send(CLASSICAL_FRAME.pack(1, 0, b""))
-        assert len(same.recv(FD_FRAME.size)) == CLASSICAL_FRAME.size
+        assert len(same_bus_socket.recv(FD_FRAME.size)) == CLASSICAL_FRAME.size
         other.setblocking(False)
         with pytest.raises(BlockingIOError):
             other.recv(FD_FRAME.size)

@@ -29,7 +29,7 @@ from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import HoldTension
+from handctl.programs.requests import HoldTensionRequest
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.session.exit_codes import ExitCode
@@ -76,15 +76,17 @@ def simulated_hand_process(
         str(time_scale),
         "--homed",
     ]
-    ours, theirs = os.pipe()
+    parent_pipe, child_pipe = os.pipe()
     child = multiprocessing.get_context("fork").Process(
-        target=run_simulator_in_child, args=(words, theirs)
+        target=run_simulator_in_child, args=(words, child_pipe)
     )
     child.start()
-    os.close(theirs)
+    os.close(child_pipe)
     try:
-        assert select.select([ours], [], [], READY_TIMEOUT_S)[0], "firmware_sim did not start"
-        assert os.read(ours, 4096).startswith(b"firmware_sim: ready")
+        assert select.select([parent_pipe], [], [], READY_TIMEOUT_S)[0], (
+            "firmware_sim did not start"
+        )
+        assert os.read(parent_pipe, 4096).startswith(b"firmware_sim: ready")
         yield
         child.terminate()
         child.join(EXIT_TIMEOUT_S)
@@ -92,7 +94,7 @@ def simulated_hand_process(
     finally:
         child.kill()
         child.join()
-        os.close(ours)
+        os.close(parent_pipe)
 
 
 class HandDrives:
@@ -195,7 +197,7 @@ def run_pull(
     load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(bus_options), time_scale=time_scale)
     program = JogProgram(
-        HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S
+        HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S
     )
     with simulated_hand_process(hand_path, bus_options, time_scale, work_folder / "truth"):
         outcome = run_live(

@@ -62,16 +62,16 @@ def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProces
     for number, time_scale in enumerate(TIME_SCALES):
         place = work_folder / str(number)
         place.mkdir()
-        ran = run_handctl(place, time_scale)
-        if ran.returncode == 0:
+        result = run_handctl(place, time_scale)
+        if result.returncode == 0:
             break
         simulator = (place / "simulator").read_text()
         is_undisturbed = "slips=0" in simulator and not any(
-            row in ran.stderr for row in STALL_FAULTS
+            row in result.stderr for row in STALL_FAULTS
         )
-        assert not is_undisturbed, ran.stderr + ran.stdout + simulator
-    assert ran.returncode == 0, ran.stderr + ran.stdout
-    return ran, place
+        assert not is_undisturbed, result.stderr + result.stdout + simulator
+    assert result.returncode == 0, result.stderr + result.stdout
+    return result, place
 
 
 @pytest.mark.timeout(900)

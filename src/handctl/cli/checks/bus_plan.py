@@ -64,10 +64,10 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
     Each line contains the command that corrects the bit rate.
     """
-    from handctl.runtime.buses.interface_setup import wrong_rate_text
+    from handctl.runtime.buses.interface_setup import wrong_bit_rate_text
 
     lines = [
-        wrong_rate_text(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
+        wrong_bit_rate_text(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
         for spec, bus in zip(specs, hand.bus, strict=True)
         if spec.startswith("socketcan:")
     ]

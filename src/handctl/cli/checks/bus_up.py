@@ -9,7 +9,11 @@ from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.buses.interface_setup import CommandWords, interface_names, set_up_commands
+from handctl.runtime.buses.interface_setup import (
+    CommandWords,
+    interface_names,
+    interface_setup_commands,
+)
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
@@ -69,7 +73,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
             spec,
             f"an adapter that is plugged in; handctl bus doctor --bus {spec}",
         )
-    return set_up_commands(channel, section.bitrate, section.data_bitrate, exists)
+    return interface_setup_commands(channel, section.bitrate, section.data_bitrate, exists)
 
 
 def _check_root(commands: list[CommandWords]) -> None:

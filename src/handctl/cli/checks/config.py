@@ -27,7 +27,7 @@ from handctl.hand.file.error_text import (
     SECTION_PATTERN,
     FileMistake,
     group_mistakes,
-    with_paths_of_file,
+    with_paths_in_hand_file,
 )
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
@@ -93,7 +93,9 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
     path = hand_path(args.hand)
     hand, mistakes, origins = inspect_content(read_toml(path))
     if hand is not None:
-        mistakes += group_mistakes(with_paths_of_file(mesh_mistakes(hand, path.parent), origins))
+        mistakes += group_mistakes(
+            with_paths_in_hand_file(mesh_mistakes(hand, path.parent), origins)
+        )
     errors = [mistake.error(str(path)) for mistake in mistakes]
     checks: list[Callable[[], object]] = []
     if hand is None:
@@ -106,7 +108,7 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             check()
         except ConfigError as error:
             in_hand = SECTION_PATTERN.fullmatch(error.where)
-            placed = with_paths_of_file(
+            placed = with_paths_in_hand_file(
                 [FileMistake(error.what, error.where, error.right)], origins
             )
             errors.append(placed[0].error(str(path)) if in_hand else error)

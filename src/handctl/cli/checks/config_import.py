@@ -28,9 +28,9 @@ from handctl.drives.motor_description import (
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.imported_file import (
-    ANSWER_NAMES,
+    IMPORT_ANSWER_NAMES,
     DescribedHand,
-    TendonAnswers,
+    ImportAnswers,
     imported_hand_text,
     usable_tendons,
 )
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
     described, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
     tendons, unread = usable_tendons(described)
-    answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWER_NAMES})
+    answers = ImportAnswers(**{name: getattr(args, name) for name in IMPORT_ANSWER_NAMES})
     if not args.yes:
         answers = _ask_questions(answers, {"tendons", "pulley_mm"} if tendons else set())
     _check_answers(answers)
@@ -124,7 +124,9 @@ def read_hand_description(
     model = read_model_file(path, kind)
     notes = list(model["notes"])
     links = [
-        ModelLink.from_values(link, _mesh_of_link(link["name"], link["meshes"], output_path, notes))
+        ModelLink.from_plain_values(
+            link, _mesh_of_link(link["name"], link["meshes"], output_path, notes)
+        )
         for link in model["links"]
     ]
     digits, palm, origin = digits_of_links(links, str(path))
@@ -138,7 +140,7 @@ def read_hand_description(
         palm=palm,
         digits=digits,
         tendons=model["tendons"],
-        palm_mesh=palm_mesh and palm_mesh.in_frame(palm, origin),
+        palm_mesh=palm_mesh and palm_mesh.seen_from_frame(palm, origin),
     )
     return described, notes
 
@@ -164,11 +166,11 @@ def _mesh_of_link(
         notes.append(
             f"mesh {Path(meshes[i]['file']).name} of {link_name} is left out: a link can have only one mesh"
         )
-    chosen = ModelMesh.from_values(meshes[largest])
+    chosen = ModelMesh.from_plain_values(meshes[largest])
     return replace(chosen, file=relative_path(Path(chosen.file), output_path))
 
 
-def _ask_questions(answers: TendonAnswers, known_keys: set[str]) -> TendonAnswers:
+def _ask_questions(answers: ImportAnswers, known_keys: set[str]) -> ImportAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
@@ -185,7 +187,7 @@ def _ask_questions(answers: TendonAnswers, known_keys: set[str]) -> TendonAnswer
     return replace(answers, motor_type=ask_motor_type(answers.protocol, answers.motor_type))
 
 
-def _check_answers(answers: TendonAnswers) -> None:
+def _check_answers(answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
     All other mistakes are found when the new hand file is checked.

@@ -18,7 +18,7 @@ from handctl.cli.console.questions import (
 from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
 from handctl.hand.file.new_file import (
-    HandAnswers,
+    NewHandAnswers,
     check_answers,
     new_hand_text,
     opposition_warnings,
@@ -76,9 +76,9 @@ def run(args: argparse.Namespace) -> int:
                 f"--{option.replace('_', '-')}",
                 "--urdf or --mjcf with it",
             )
-    given = {one.name: getattr(args, one.name) for one in fields(HandAnswers)}
+    given = {one.name: getattr(args, one.name) for one in fields(NewHandAnswers)}
     answers = replace(
-        HandAnswers(), **{name: value for name, value in given.items() if value is not None}
+        NewHandAnswers(), **{name: value for name, value in given.items() if value is not None}
     )
     if not args.yes:
         answers = _ask_questions(args, answers)
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswers:
+def _ask_questions(args: argparse.Namespace, answers: NewHandAnswers) -> NewHandAnswers:
     """Ask the questions that no option answers. An empty answer selects the default.
 
     Raises:

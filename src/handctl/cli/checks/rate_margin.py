@@ -79,7 +79,7 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
-    force = gains.forces_of(name)[0]
+    force = gains.force_weights_of_tendon(name)[0]
     own = force != gains.motion.force_N
     key = f"tendon.{name}.motion_force_N" if own else "motion.force_N"
     right = None if own else _largest_force_with_margin(hand, gains, rate_hz)

@@ -97,10 +97,14 @@ def _add_identity(
         notes.append("does not offer cyclic synchronous torque (0x6502 bit 9)")
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
-    if rated := identity_numbers.get("rated_torque"):
-        options["rated_torque_N_m"] = rated * MILLI
-        origins["rated_torque_N_m"] = f"from {rated} in 0x6076, if that is in mN m; EPOS4: uN m"
-        notes.append(f"rated torque {rated} taken as mN m; EPOS4 counts in uN m: rated_torque_unit")
+    if rated_torque := identity_numbers.get("rated_torque"):
+        options["rated_torque_N_m"] = rated_torque * MILLI
+        origins["rated_torque_N_m"] = (
+            f"from {rated_torque} in 0x6076, if that is in mN m; EPOS4: uN m"
+        )
+        notes.append(
+            f"rated torque {rated_torque} taken as mN m; EPOS4 counts in uN m: rated_torque_unit"
+        )
     if counts := identity_numbers.get("counts"):
         options["counts_per_turn"] = counts
     identity = (

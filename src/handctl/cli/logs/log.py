@@ -46,8 +46,8 @@ def _print_info(args: argparse.Namespace) -> int:
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness_us(log),
             "clock_steps": [step._asdict() for step in clock_steps(log.clock_pairs)],
-            "missing": sum(gap.first_after - gap.last_before - 1 for gap in log.gaps),
-            "gaps": [[gap.last_before, gap.first_after] for gap in log.gaps],
+            "missing": sum(gap.first_tick_after - gap.last_tick_before - 1 for gap in log.gaps),
+            "gaps": [[gap.last_tick_before, gap.first_tick_after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
             "events": [
                 f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}"
@@ -105,7 +105,7 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
 
 def _check_log(args: argparse.Namespace) -> int:
     from handctl.replay.log_check import check_log
-    from handctl.replay.log_damage import first_damage
+    from handctl.replay.log_damage import describe_first_damage
 
     try:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
@@ -113,7 +113,7 @@ def _check_log(args: argparse.Namespace) -> int:
             ticks = len(log)
             lossy = bool(log.warning)
     except LogError as error:
-        problems = [str(error), *filter(None, [first_damage(args.log)])]
+        problems = [str(error), *filter(None, [describe_first_damage(args.log)])]
         ticks = 0
         lossy = False
     if args.json:

@@ -64,7 +64,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         "ticks": execution.ticks,
         "differing": execution.differing_ticks,
         "undecided": execution.different_decisions,
-        "missing": [[gap.last_before + 1, gap.first_after - 1] for gap in log.gaps],
+        "missing": [[gap.last_tick_before + 1, gap.first_tick_after - 1] for gap in log.gaps],
         "warning": log.warning,
         "first": execution.first_difference._asdict() if execution.first_difference else None,
         "state": execution.first_state_difference._asdict()
@@ -78,7 +78,7 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         "code_logged": logged_by[1],
         "wall_s": execution.wall_s,
         "cpu_s": execution.cpu_s,
-        "times_real_time": execution.times_real_time,
+        "times_real_time": execution.real_time_factor,
     }
     if args.json:
         print_json(result)
@@ -92,11 +92,11 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         ):
             if one:
                 print_escaped(f"{word}: {_difference_line(one)}")
-        print_escaped(f"{execution.wall_s:.2f} s, {execution.times_real_time:.1f} times real time")
+        print_escaped(f"{execution.wall_s:.2f} s, {execution.real_time_factor:.1f} times real time")
         if execution.differing_ticks and log.gaps:
             gap = log.gaps[0]
             print_escaped(
-                f"ticks {gap.last_before + 1} to {gap.first_after - 1} are missing in the log, "
+                f"ticks {gap.last_tick_before + 1} to {gap.first_tick_after - 1} are missing in the log, "
                 "so the ticks after them differ"
             )
         if execution.differing_ticks and logged_by != here:
@@ -163,7 +163,7 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
     )
     change = command_change(log, commands, compared)
-    faults = commands.faults_at(compared)
+    faults = commands.texts_of_faults_in_tick(compared)
     if args.json:
         first = execution.first_difference._asdict() if execution.first_difference else None
         counts = {

@@ -9,13 +9,13 @@ from typing import Any
 from handctl.cli.console.options import print_escaped, print_json, warn_if_lossy
 from handctl.cli.console.progress import progress_bar
 from handctl.log.read.reader import RunLog
-from handctl.replay.limits_judgement import LimitStop, judge_by_limits
+from handctl.replay.limits_judgement import StoppingFault, judge_by_limits
 
 
-def _stop_fields(stop: LimitStop) -> dict[str, Any]:
+def _stop_fields(stop: StoppingFault) -> dict[str, Any]:
     """Return the fields of the JSON output for a stop."""
     fields = stop._asdict()
-    fields["logged"] = fields.pop("in_logged_run")
+    fields["logged"] = fields.pop("occurs_in_logged_run")
     return fields
 
 
@@ -30,18 +30,23 @@ def run(args: argparse.Namespace) -> int:
         counts = {
             "ticks": judgement.ticks,
             "stopped": judgement.stopped,
-            "stopped_logged": judgement.stopped_logged,
+            "stopped_logged": judgement.ticks_stopped_by_old_limits,
         }
         print_json(
-            {"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops}
+            {
+                "log": str(args.recorded),
+                **counts,
+                "by_fault": judgement.stop_count_by_fault,
+                "stops": stops,
+            }
         )
         return code
     print_escaped(
         f"{judgement.ticks} ticks; these limits demand a stop in {judgement.stopped} of them, "
-        f"the limits of the run in {judgement.stopped_logged}"
+        f"the limits of the run in {judgement.ticks_stopped_by_old_limits}"
     )
     for stop in judgement.stops:
-        also = "as in the run" if stop.in_logged_run else "new"
+        also = "as in the run" if stop.occurs_in_logged_run else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
             f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"

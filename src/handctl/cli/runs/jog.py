@@ -10,7 +10,7 @@ from handctl.cli.runs import jog_drive
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.programs.live_session import JogProgram
-from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.session.calibration import ensure_calibration
 from handctl.session.run import make_controller, run_live
 from handctl.session.run_plan import commissioning_log_path, default_log_path
@@ -75,10 +75,10 @@ def _jog_program(
             "angle_deg": {args.digit: args.angle},
             "duration_s": args.duration / 2,
         }
-        return JogProgram(validate_content(goal, MoveDigits, "--angle"), args.duration)
+        return JogProgram(validate_content(goal, MoveDigitsRequest, "--angle"), args.duration)
     if args.tension > max_tension:
         raise ConfigError(
             f"{args.tension:g} N", "--tension", f"at most tension_max_N = {max_tension:g} N"
         )
     goal = {"do": "hold", "tension_N": {args.digit: args.tension}}
-    return JogProgram(validate_content(goal, HoldTension, "--tension"), args.duration)
+    return JogProgram(validate_content(goal, HoldTensionRequest, "--tension"), args.duration)

@@ -14,7 +14,7 @@ from handctl.cli.console.options import (
     add_output_option,
 )
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
-from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 
 EXAMPLES = {
     "fault": CommandExample("handctl fault campaign --row N04 --calm 0"),
@@ -92,7 +92,12 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     text = "protocol of the drives (default: mit)"
-    parser.add_argument("--protocol", default="mit", choices=[*GUARDED_PROTOCOLS, "all"], help=text)
+    parser.add_argument(
+        "--protocol",
+        default="mit",
+        choices=[*VERIFIABLE_PROTOCOLS, "all"],
+        help=text,
+    )
     add_jobs_option(parser, 2, "number of scenarios at a time")
     parser.add_argument(
         "--quick", action="store_true", help="run a sample of the campaign, in less than a minute"
@@ -118,7 +123,7 @@ def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--protocol",
         default="mit",
-        choices=GUARDED_PROTOCOLS,
+        choices=VERIFIABLE_PROTOCOLS,
         help="protocol of the drives (default: mit)",
     )
     count = "number of random fault sequences (default: 30)"

@@ -33,7 +33,7 @@ VERDICT_COLOURS = {
     ErrataVerdict.EQUAL: "green",
     ErrataVerdict.ROUNDED: "blue",
     ErrataVerdict.TRUNCATED: "magenta",
-    ErrataVerdict.BOUND: "cyan",
+    ErrataVerdict.LOWER_BOUND: "cyan",
     ErrataVerdict.WRONG: "bold red",
     ErrataVerdict.UNDECIDABLE: "yellow",
 }

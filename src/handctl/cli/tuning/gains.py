@@ -11,8 +11,8 @@ from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.gain_bounds import (
     GainBounds,
-    bounds_after_check,
-    different_values,
+    changed_gain_values,
+    checked_gain_bounds,
     gains_with_values,
     values_by_key,
 )
@@ -48,7 +48,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print the value, the source, the meaning and the bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
-    gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
+    gain_bounds = {key: checked_gain_bounds(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
     if args.json:
         rows = {
@@ -81,7 +81,7 @@ def gain_meaning(gain: GainBounds) -> str:
 
     Both come from the first line of the gain's description.
     """
-    return gain.why.partition("\n")[0]
+    return gain.meaning.partition("\n")[0]
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
@@ -104,12 +104,12 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
     one, other = (_gains_to_compare(word, hand) for word in sides)
-    changed = different_values(one, other)
+    changed = changed_gain_values(one, other)
     if args.json:
         print_json({"sides": sides, "changed": changed})
         return ExitCode.DONE
-    for key, (was, now) in changed.items():
-        print(f"{key:<38} {was:g} -> {now:g}")
+    for key, (old_value, new_value) in changed.items():
+        print(f"{key:<38} {old_value:g} -> {new_value:g}")
     print(
         f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}"
     )
@@ -239,7 +239,7 @@ def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     before = by_number.get(
         entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
     )
-    changed = list(different_values(before, entry.file.gains))
+    changed = list(changed_gain_values(before, entry.file.gains))
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
     made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
     return made_and_sources + (f"; changes {few}" if few else "; changes nothing")

@@ -248,7 +248,9 @@ def _report_results(
         new = {name: one.calibration_entry(log, made) for name, one in tendons.items()}
         any_identified = any_identified or any(one is not None for one in new.values())
         identified |= {
-            name: one.beside(identified.get(name)) for name, one in new.items() if one is not None
+            name: one.merged_with_older(identified.get(name))
+            for name, one in new.items()
+            if one is not None
         }
     written = (
         calibration is not None and not args.no_write and (any_identified or not (spoilt or met))

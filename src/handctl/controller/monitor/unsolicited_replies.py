@@ -34,7 +34,7 @@ def detect_unsolicited_replies(
 ) -> tuple[str, ...]:
     """Detect the unsolicited and the duplicate replies of a tick.
 
-    The function writes the numbers of duplicates into the field ``DUPLICATES``.
+    The function writes the numbers of duplicates into the field ``DUPLICATE_REPLIES``.
 
     Args:
         drives: drives of the hand.
@@ -68,7 +68,7 @@ def _detect_duplicate_answers(
     state: ControllerState,
     frames: Sequence[Frame],
 ) -> None:
-    """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
+    """Write the load cells' duplicate answers to ``DUPLICATE_REPLIES``, and count late ones in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (
         state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
@@ -77,7 +77,7 @@ def _detect_duplicate_answers(
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (excused or not (sensors.has_counter or answered[group])):
             state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
-            state.set_run_integer(s.STALE_NOW, max(state.run_integer(s.STALE_NOW), 1))
+            state.set_run_integer(s.STALE_FRAME_NOW, max(state.run_integer(s.STALE_FRAME_NOW), 1))
         elif count > 1:
             counter = last_state.run_integer(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
@@ -97,7 +97,7 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
     result is also True after a tick without an answer, and after a tick that this host has missed.
     """
     return bool(
-        last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
+        last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLY_BITS, -1]
         & (1 << LATE_ANSWER_WINDOW_TICKS) - 1
     )
 

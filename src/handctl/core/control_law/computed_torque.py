@@ -34,11 +34,14 @@ from handctl.core.control_law.digit_reference import (
     MOTION,
     NO_TRAJECTORY,
     TENSION,
-    is_stream_running,
-    is_tendon_streamed,
+    follows_streamed_angles,
+    is_target_stream_running,
 )
-from handctl.core.control_law.friction_band import predict_moving_tension, update_friction_state
-from handctl.core.control_law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
+from handctl.core.control_law.friction_band import (
+    predict_tension_of_moving_tendon,
+    update_friction_state,
+)
+from handctl.core.control_law.null_space import INTEGRAL_LIMIT_N, raise_goals_to_tension_floor
 from handctl.core.control_law.servo_commands import (
     begin_servo_commands,
     command_torque_only,
@@ -46,11 +49,11 @@ from handctl.core.control_law.servo_commands import (
     servo_force,
     write_servo_command,
 )
-from handctl.core.estimation.blocked_digits import MAX_PRESS_N
+from handctl.core.estimation.blocked_digits import MAX_BLOCKED_EXTRA_TENSION_N
 from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.take_up import SLACK_BELOW_N
+from handctl.core.estimation.take_up import MAX_SLACK_TENSION_N
 from handctl.core.estimation.varying_moment_arms import (
     arm_slope,
     carrier_excursion,
@@ -67,12 +70,12 @@ Matrix = NDArray[np.float64]
 
 MOTOR_FRICTION_SPEED_M_S = 2.5e-3
 """Tendon speed at which motor friction is fully developed [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
-UNWIND_FRACTION = 0.3
+MAX_UNWINDING_FORCE_FRACTION = 0.3
 """Largest motor force that pays out a tendon, as a fraction of the torque limit.
 
 This force is enough to brake a rotor, and too little to throw a tendon off its spool.
 """
-TRIM_TIME_S = 0.2
+TRIM_DECAY_TIME_S = 0.2
 """Time constant with which the trim, an added motor force, fades after a change of gains [s].
 
 Motion feedback and tension loop are faster, so they can follow.
@@ -109,7 +112,7 @@ RELAX_FLOOR_N = 5.0
 
 
 @kernel_helper
-def command_no_torque(x: StateTables, c: ConstantTables) -> None:
+def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """Command zero torque for every motor.
 
     If a tension loop begins later, its setpoint starts at the tension of that time.
@@ -120,13 +123,13 @@ def command_no_torque(x: StateTables, c: ConstantTables) -> None:
         x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
             s.PLANNED_TENSION, n
         ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
-        x.tendon[s.TRIM, n] = x.tendon[s.TORQUE, n] = 0.0
+        x.tendon[s.TRIM_FORCE, n] = x.tendon[s.TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
         x.tendon[s.FRICTION_SLIDER, n] = math.nan
     for j in range(x.joint.shape[1]):
         x.joint[s.JOINT_TORQUE, j] = 0.0
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
-    x.run_int[s.TRIMMED] = x.run_int[s.HOLDING] = 0
+    x.run_int[s.TRIM_ACTIVE] = x.run_int[s.SAFETY_HOLD_ACTIVE] = 0
 
 
 @kernel_helper
@@ -141,21 +144,21 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
         c: constants of the hand.
         hold: True if the safety monitor demands the hold.
     """
-    if hold and not x.run_int[s.HOLDING]:
+    if hold and not x.run_int[s.SAFETY_HOLD_ACTIVE]:
         for n in range(x.tendon.shape[1]):
             held = max(x.tendon[s.TENSION, n], c.tendon[h.TENSION_FLOOR, n])
             if c.tendon_int[h.IS_SPOOL_PAIR, n]:
                 held = abs(x.tendon[s.TENSION, n])
-            x.tendon[s.HOLD_LIMIT, n] = held + HOLD_MARGIN_N
-    x.run_int[s.HOLDING] = hold
+            x.tendon[s.HOLD_TENSION_LIMIT, n] = held + HOLD_MARGIN_N
+    x.run_int[s.SAFETY_HOLD_ACTIVE] = hold
 
 
 @kernel_helper
-def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
+def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
     """Return the tension limits (N,) that apply at present, in addition to those of the hand file [N].
 
     If a drive is warm, the limit falls from the ceiling at the soft temperature to the floor at the
-    hard temperature. If a digit is blocked, the limit is ``MAX_PRESS_N`` above the tension that the
+    hard temperature. If a digit is blocked, the limit is ``MAX_BLOCKED_EXTRA_TENSION_N`` above the tension that the
     trajectory requires. While the safety monitor makes the hand hold its position, the limit is
     ``HOLD_MARGIN_N`` above the tension at the beginning. For a spool pair, the limit applies to the
     net tension in both directions.
@@ -171,9 +174,9 @@ def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             planned = abs(planned)
         if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned > 0.0:
-            limit[n] = min(limit[n], planned + MAX_PRESS_N)
-        if x.run_int[s.HOLDING]:
-            limit[n] = min(limit[n], x.tendon[s.HOLD_LIMIT, n])
+            limit[n] = min(limit[n], planned + MAX_BLOCKED_EXTRA_TENSION_N)
+        if x.run_int[s.SAFETY_HOLD_ACTIVE]:
+            limit[n] = min(limit[n], x.tendon[s.HOLD_TENSION_LIMIT, n])
     return limit
 
 
@@ -183,12 +186,12 @@ def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
     A drive that reports no temperature counts as cool.
     """
-    soft = c.run[h.TEMPERATURE_SOFT]
-    hard = c.run[h.TEMPERATURE_HARD]
+    soft_limit = c.run[h.TEMPERATURE_SOFT]
+    hard_limit = c.run[h.TEMPERATURE_HARD]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
-        temperature = soft
-    fraction = min(max((hard - temperature) / (hard - soft), 0.0), 1.0)
+        temperature = soft_limit
+    fraction = min(max((hard_limit - temperature) / (hard_limit - soft_limit), 0.0), 1.0)
     low = 0.0 if c.tendon_int[h.IS_SPOOL_PAIR, n] else c.tendon[h.TENSION_FLOOR, n]
     high = c.tendon[h.TENSION_CEILING, n]
     return low + fraction * (high - low)
@@ -216,54 +219,56 @@ def write_motor_torques(
         ticks: number of control periods since the last tick, which is 1 if no tick was missed.
     """
     begin_servo_commands(x, c)
-    limit = present_tension_limits(x, c)
+    limit = temporary_tension_limits(x, c)
     count = x.tendon.shape[1]
     load = np.zeros(count)
-    winding, terms, internal = _motion_terms(x, c, trajectory, limit)
+    winding, motion_terms, null_space_terms = _motion_force_terms(x, c, trajectory, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
-        _, own_rate, acceleration = _goal_along_tendon(c, n, trajectory)
-        carried_rate, carried_acceleration = _goal_of_carriers(c, n, trajectory)
+        _, own_rate, acceleration = _tendon_motion_on_trajectory(c, n, trajectory)
+        carried_rate, carried_acceleration = _tendon_motion_by_carriers(c, n, trajectory)
         rate = own_rate + carried_rate
         acceleration += carried_acceleration
         force = 0.0
         x.tendon[s.TENSION_GOAL, n] = math.nan
         setpoint = x.tendon[s.TENSION, n]
         integral = 0.0
-        by_drive = _is_moved_by_drive(x, c, n)
+        is_drive_controlled = _is_position_controlled_by_drive(x, c, n)
         if kind == MOTION:
-            force = _motion_force(x, c, n, terms[0, n], terms[1, n], rate, acceleration)
+            force = _motion_force(
+                x, c, n, motion_terms[0, n], motion_terms[1, n], rate, acceleration
+            )
             if c.tendon_int[h.HAS_SURPLUS, n]:
-                integral = internal[1, n]
-                force += internal[0, n] + integral
+                integral = null_space_terms[1, n]
+                force += null_space_terms[0, n] + integral
             load[n] = x.tendon[s.REQUIRED_TENSION, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
-            force += _force_for_carriers(c, n, carried_rate, carried_acceleration)
+            force += _feedforward_for_carrying_digits(c, n, carried_rate, carried_acceleration)
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
-            force += x.tendon[s.TRIM, n]
-        largest = min(limit[n], c.tendon[h.TENSION_CEILING, n]) if by_drive else limit[n]
+            force += x.tendon[s.TRIM_FORCE, n]
+        largest = min(limit[n], c.tendon[h.TENSION_CEILING, n]) if is_drive_controlled else limit[n]
         command_force = _limited_force(c, n, force, largest)
         if relax_rate > 0.0:
-            command_force = _relaxing_force(
-                x, c, n, command_force, _relaxing_force_limit(x, c, n, relax_rate, ticks), open_loop
+            command_force = _force_during_relaxation(
+                x, c, n, command_force, _relaxation_envelope(x, c, n, relax_rate, ticks), open_loop
             )
-        _write_filter_force(x, c, n, command_force, carried_acceleration)
+        _write_force_for_tension_filter(x, c, n, command_force, carried_acceleration)
         x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
-        if by_drive:
-            write_servo_command(x, c, n, own_rate, force - terms[1, n], command_force)
+        if is_drive_controlled:
+            write_servo_command(x, c, n, own_rate, force - motion_terms[1, n], command_force)
         elif n < x.servo.shape[1]:
             command_torque_only(x, n)
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
-            predict_moving_tension(x, c, n, rate, winding[n])
+            predict_tension_of_moving_tendon(x, c, n, rate, winding[n])
             update_friction_state(x, c, n, winding[n])
         else:
             x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = x.tendon[s.FRICTION_SLIDER, n] = math.nan
-    _fade_trim(x, c)
+    _decay_trim_forces(x, c)
     _write_joint_torques(x, c, trajectory, load)
 
 
@@ -287,8 +292,8 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
 
 
 @kernel_helper
-def _write_filter_force(
-    x: StateTables, c: ConstantTables, n: int, force: float, carried: float
+def _write_force_for_tension_filter(
+    x: StateTables, c: ConstantTables, n: int, force: float, carrier_acceleration: float
 ) -> None:
     """Write the motor force from which the tension filter predicts the motion of the rotor.
 
@@ -297,14 +302,14 @@ def _write_filter_force(
         c: constants of the hand.
         n: index of the tendon.
         force: motor force during the coming control period [N].
-        carried: acceleration of the tendon caused by the trajectories of digits that carry its
+        carrier_acceleration: acceleration of the tendon caused by the trajectories of digits that carry its
             digit [m/s2].
     """
     x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
         # In the filter, the spool travel does not include the motion of carrying digits. So the
         # force for that motion is subtracted.
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
         )
@@ -342,7 +347,7 @@ def _write_joint_torques(
 
 
 @kernel_helper
-def _relaxing_force(
+def _force_during_relaxation(
     x: StateTables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
 ) -> float:
     """Return the motor force of a tendon while the hand relaxes [N].
@@ -365,7 +370,7 @@ def _relaxing_force(
 
 
 @kernel_helper
-def _motion_terms(
+def _motion_force_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
     """Return pulley efficiencies, and the goal, feedback, null-space force and integral of each tendon [N].
@@ -382,14 +387,14 @@ def _motion_terms(
     """
     count = x.tendon.shape[1]
     efficiency = np.ones(count)
-    terms = np.zeros((2, count))
-    internal = np.zeros((2, count))
+    motion_terms = np.zeros((2, count))
+    null_space_terms = np.zeros((2, count))
     surplus = False
     for n in range(count):
         if x.tendon_int[s.GOAL_KIND, n] != MOTION:
             continue
         efficiency[n] = winding_efficiency(c, n, trajectory[0])
-        excursion, rate, _ = _goal_along_tendon(c, n, trajectory)
+        excursion, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
@@ -411,7 +416,7 @@ def _motion_terms(
         # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
         # the tendon is wound up, and 1 / efficiency while the tendon is paid out.
         winding = math.tanh(
-            (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
+            (rate + _tendon_motion_by_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
@@ -419,18 +424,18 @@ def _motion_terms(
             required = net_tension_at_spool(
                 x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed
             )
-            terms[0, n] = min(max(required, -ceiling), ceiling)
+            motion_terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
-            terms[0, n] = min(
+            motion_terms[0, n] = min(
                 max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling
             )
-        terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
-        if _is_moved_by_drive(x, c, n):
-            terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
+        motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
+        if _is_position_controlled_by_drive(x, c, n):
+            motion_terms[1, n] = servo_force(x, c, n, excursion, rate, motion_terms[0, n])
     if surplus:
-        raise_tensions_to_floor(x, c, limit, terms, internal)
-    _take_up_slack(x, c, trajectory, terms, internal)
-    return efficiency, terms, internal
+        raise_goals_to_tension_floor(x, c, limit, motion_terms, null_space_terms)
+    _take_up_slack(x, c, trajectory, motion_terms, null_space_terms)
+    return efficiency, motion_terms, null_space_terms
 
 
 @kernel_helper
@@ -439,28 +444,33 @@ def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
 
     A spool pair is never slack.
     """
-    if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
         return False
     return (
-        x.tendon_int[s.REGIME, n] == SLACK_REGIME or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+        x.tendon_int[s.REGIME, n] == SLACK_REGIME
+        or x.tendon[s.MEASURED_TENSION, n] < MAX_SLACK_TENSION_N
     )
 
 
 @kernel_helper
-def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
+def _is_position_controlled_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon controls the position itself, and the tendon is not taking up slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
 @kernel_helper
-def _take_up_speed(rate: float) -> float:
+def _slack_take_up_speed(rate: float) -> float:
     """Return the speed at which a spool takes up slack [m/s], given the tendon's rate on the trajectory [m/s]."""
     return max(rate, 0.0) + TAKE_UP_SPEED_M_S
 
 
 @kernel_helper
 def _take_up_slack(
-    x: StateTables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
+    x: StateTables,
+    c: ConstantTables,
+    trajectory: Matrix,
+    motion_terms: Matrix,
+    null_space_terms: Matrix,
 ) -> None:
     """Replace the feedback on slack tendons, so that their spools wind the tendons up at a low speed.
 
@@ -469,35 +479,35 @@ def _take_up_slack(
     pays out is reduced, so that springs or the antagonist open the digit first.
 
     These rules apply to digits that follow streamed angles. In other motions, only feedback that
-    pays out a slack tendon is replaced, see ``_is_paid_out_while_slack``.
+    pays out a slack tendon is replaced, see ``_would_pay_out_slack_tendon``.
 
     Args:
         x: state tables.
         c: constants of the hand.
         trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
-        terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
-        internal: (2, N) forces in the null space, and integrals of the tension errors [N], modified
+        motion_terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
+        null_space_terms: (2, N) forces in the null space, and integrals of the tension errors [N], modified
             in place.
     """
     for n in range(x.tendon.shape[1]):
-        if _is_paid_out_while_slack(x, c, n, terms[1, n]):
-            terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            terms[1, n] *= TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
-        if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
+        if _would_pay_out_slack_tendon(x, c, n, motion_terms[1, n]):
+            motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            motion_terms[1, n] *= TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
+        if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
         if _takes_up_slack(x, c, n):
-            _, rate, _ = _goal_along_tendon(c, n, trajectory)
-            terms[0, n] = floor
-            terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            terms[1, n] *= _take_up_speed(rate) - x.tendon[s.SPEED, n]
-            internal[0, n] = internal[1, n] = 0.0
-        elif terms[1, n] < 0.0:
-            terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
+            _, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
+            motion_terms[0, n] = floor
+            motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
+            motion_terms[1, n] *= _slack_take_up_speed(rate) - x.tendon[s.SPEED, n]
+            null_space_terms[0, n] = null_space_terms[1, n] = 0.0
+        elif motion_terms[1, n] < 0.0:
+            motion_terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
 
 
 @kernel_helper
-def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
+def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
     """Return True if the feedback of a motion without stream would pay out a slack tendon without load cell.
 
     Neither the motor nor a load cell measures the excursion of a slack tendon without load cell. If
@@ -517,24 +527,26 @@ def _is_paid_out_while_slack(x: StateTables, c: ConstantTables, n: int, feedback
         and c.tendon_int[h.CELL_GROUP, n] < 0
         and not c.tendon_int[h.HAS_SURPLUS, n]
         and not c.tendon_int[h.IS_SPOOL_PAIR, n]
-        and not is_tendon_streamed(x, c, n)
+        and not follows_streamed_angles(x, c, n)
     )
 
 
 @kernel_helper
-def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float, float]:
+def _tendon_motion_on_trajectory(
+    c: ConstantTables, n: int, trajectory: Matrix
+) -> tuple[float, float, float]:
     """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the trajectories of the joints."""
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
-    varying = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
+    has_varying_arm = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         arm = moment_arm(c, n, j, trajectory[0, j])
         excursion += joint_excursion(c, n, j, trajectory[0, j])
         rate += arm * trajectory[1, j]
         acceleration += arm * trajectory[2, j]
-        if varying:
+        if has_varying_arm:
             acceleration += (
                 arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
             )
@@ -542,7 +554,9 @@ def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[f
 
 
 @kernel_helper
-def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float]:
+def _tendon_motion_by_carriers(
+    c: ConstantTables, n: int, trajectory: Matrix
+) -> tuple[float, float]:
     """Return the rate [m/s] and acceleration [m/s2] of a tendon that the trajectories of carrying digits cause."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
@@ -550,7 +564,9 @@ def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[fl
 
 
 @kernel_helper
-def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
+def _feedforward_for_carrying_digits(
+    c: ConstantTables, n: int, rate: float, acceleration: float
+) -> float:
     """Return the motor force with which a tension-controlled tendon follows the digits that carry its digit [N].
 
     Args:
@@ -594,10 +610,10 @@ def _motion_force(
     counted = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
-        rate = _take_up_speed(rate)
+        rate = _slack_take_up_speed(rate)
     # If the drive closes the position loop, the position in its command includes the planned
     # stretch of the tendon. The position loop of the drive then also controls the tension.
-    inner_gain = 0.0 if _is_moved_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    inner_gain = 0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
     return (
         tension
         + feedback
@@ -642,10 +658,10 @@ def _tension_force(
     if slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
         force += c.tendon[h.MOTOR_COULOMB, n]
-        if is_stream_running(x):
+        if is_target_stream_running(x):
             # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
-            raised = max(TAKE_UP_TENSION_N - setpoint, 0.0)
-            force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * raised
+            tension_increase = max(TAKE_UP_TENSION_N - setpoint, 0.0)
+            force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * tension_increase
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
     max_force = x.tendon[s.FORCE_LIMIT, n]
@@ -668,7 +684,7 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
         error: tension error [N].
     """
     integral = x.tendon[s.TENSION_INTEGRAL, n]
-    if is_stream_running(x) and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
+    if is_target_stream_running(x) and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
         return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
     integral += c.run[h.INTEGRAL_GAIN] * error
     return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
@@ -690,7 +706,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _relaxing_force_limit(
+def _relaxation_envelope(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
     """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
@@ -698,8 +714,8 @@ def _relaxing_force_limit(
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last = abs(last)
     last = 0.0 if math.isnan(last) else max(last, 0.0)
-    falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last, c.tendon[h.RELAXED_TENSION, n]), falling) * ROUNDING_FACTOR
+    lowered_limit = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
+    return max(min(last, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
 
 
 @kernel_helper
@@ -709,25 +725,27 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
     With the implicit midpoint rule, friction can stop a motor within a period, but cannot reverse
     its motion.
     """
-    coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
+    frictionless_speed = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
     )
-    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
+    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
+        frictionless_speed / c.tendon[h.FRICTION_STOP_SPEED, n]
+    )
 
 
 @kernel_helper
-def _fade_trim(x: StateTables, c: ConstantTables) -> None:
+def _decay_trim_forces(x: StateTables, c: ConstantTables) -> None:
     """Reduce the trim of each tendon, which is a small force added to the motor force.
 
     Set all trims to 0 when the largest trim is negligible.
     """
-    if not x.run_int[s.TRIMMED]:
+    if not x.run_int[s.TRIM_ACTIVE]:
         return
     largest = 0.0
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.TRIM, n] *= c.run[h.TRIM_DECAY]
-        largest = max(largest, abs(x.tendon[s.TRIM, n]))
+        x.tendon[s.TRIM_FORCE, n] *= c.run[h.TRIM_DECAY]
+        largest = max(largest, abs(x.tendon[s.TRIM_FORCE, n]))
     if largest <= MIN_TRIM_N:
-        x.run_int[s.TRIMMED] = 0
+        x.run_int[s.TRIM_ACTIVE] = 0
         for n in range(x.tendon.shape[1]):
-            x.tendon[s.TRIM, n] = 0.0
+            x.tendon[s.TRIM_FORCE, n] = 0.0

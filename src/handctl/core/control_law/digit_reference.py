@@ -11,7 +11,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import advance_reference
-from handctl.core.estimation.statics import subtract_passing_torque
+from handctl.core.estimation.statics import subtract_torque_of_passing_tendons
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import write_newton_euler
@@ -43,7 +43,7 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
         of the duration.
     """
     t = x.run[s.GOAL_TIME]
-    x.run_int[s.STREAM_LIMITED] = 0
+    x.run_int[s.LIMITED_COORDINATE_COUNT] = 0
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.COORDINATES_FIRST, d]
         end = c.digit_int[h.COORDINATES_END, d]
@@ -53,7 +53,7 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
                     x.coordinate[s.TRAJECTORY + order, k] = 0.0
         if x.digit_int[s.TRAJECTORY_KIND, d] == MINIMUM_JERK:
             duration = x.digit[s.TRAJECTORY_DURATION, d]
-            after = t - x.digit[s.TRAJECTORY_SINCE, d]
+            after = t - x.digit[s.TRAJECTORY_START_TIME, d]
             u = min(max(after / duration, 0.0), 1.0)
             position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
             rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
@@ -65,7 +65,7 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
                 )
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
-                _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
+                _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND_TIME, d])
         if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not is_time_frozen:
             for k in range(first, end):
                 advance_reference(x, c, d, k)
@@ -109,14 +109,14 @@ def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) ->
 def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
     """Return the angles, rates and accelerations of all joints on their trajectories (3, J)."""
     joints = x.joint.shape[1]
-    way = np.zeros((3, joints))
+    trajectory = np.zeros((3, joints))
     for j in range(joints):
         for k in range(x.coordinate.shape[1]):
-            coupled = c.joint_coordinate[h.COUPLING, j, k]
-            if coupled != 0.0:
+            coupling = c.joint_coordinate[h.COUPLING, j, k]
+            if coupling != 0.0:
                 for order in range(3):
-                    way[order, j] += coupled * x.coordinate[s.TRAJECTORY + order, k]
-    return way
+                    trajectory[order, j] += coupling * x.coordinate[s.TRAJECTORY + order, k]
+    return trajectory
 
 
 @kernel_helper
@@ -129,13 +129,13 @@ def is_digit_moving(x: StateTables, c: ConstantTables, d: int) -> bool:
 
 
 @kernel_helper
-def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
+def follows_streamed_angles(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the digit of a tendon follows streamed angles."""
     return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] == STREAMED)
 
 
 @kernel_helper
-def is_stream_running(x: StateTables) -> bool:
+def is_target_stream_running(x: StateTables) -> bool:
     """Return True if a client streams targets for any digit or tendon of the hand."""
     return bool(x.run_int[s.STREAMING] == s.RUNNING_STREAM)
 
@@ -176,7 +176,7 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
         winding = np.zeros(x.tendon.shape[1])
         for n in range(len(winding)):
             winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
-        subtract_passing_torque(c, motion[0], x.tendon[s.TENSION], winding, torque)
+        subtract_torque_of_passing_tendons(c, motion[0], x.tendon[s.TENSION], winding, torque)
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -199,7 +199,7 @@ def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
         tension of this tendon is out of bounds, the bound is used as the tension. The bit of a
         digit with a single tendon is therefore 0.
     """
-    undecided = 0
+    unsolved_digits = 0
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
         end = c.digit_int[h.TENDONS_END, d]
@@ -223,5 +223,5 @@ def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
                     max(x.tendon[s.REQUIRED_TENSION, n], low), high
                 )
         if not good and end - first > 1:
-            undecided |= 1 << d
-    return undecided
+            unsolved_digits |= 1 << d
+    return unsolved_digits

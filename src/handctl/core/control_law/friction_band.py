@@ -38,7 +38,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 
 
 @kernel_helper
-def predict_moving_tension(
+def predict_tension_of_moving_tendon(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
     """Predict for the next tick the tension of a moving tendon, and the rate of the tension.
@@ -56,15 +56,19 @@ def predict_moving_tension(
     period = c.run[h.PERIOD]
     tension = x.tendon[s.TENSION, n]
     load = x.tendon[s.REQUIRED_TENSION, n]
-    accelerating = x.tendon[s.FILTER_FORCE, n] + x.tendon[s.DISTURBANCE, n] - tension
-    coming_speed = x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating
-    coming = max(load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n])
-    wound = period * coming_speed
+    accelerating_force = x.tendon[s.FILTER_FORCE, n] + x.tendon[s.DISTURBANCE, n] - tension
+    mean_speed = (
+        x.tendon[s.SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating_force
+    )
+    next_load = max(
+        load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n]
+    )
+    wound = period * mean_speed
     # 0 means that the tension of the last tick is unknown.
     is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
     known = before != 0.0 if is_pair else before > 0.0
     now = before if known else tension
-    planned = _tension_with_friction(c, n, now, coming, efficiency, wound, MIN_SLIDING_SPEED_M_S)
+    planned = _tension_with_friction(c, n, now, next_load, efficiency, wound, MIN_SLIDING_SPEED_M_S)
     x.tendon[s.PLANNED_TENSION, n] = planned
     x.tendon[s.PLANNED_TENSION_RATE, n] = (planned - before) / period if known else 0.0
 
@@ -89,8 +93,8 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
     """
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     travel = x.tendon[s.TRAVEL, n]
-    slider = x.tendon[s.FRICTION_SLIDER, n]
-    if math.isnan(slider):
+    slider_travel = x.tendon[s.FRICTION_SLIDER, n]
+    if math.isnan(slider_travel):
         x.tendon[s.FRICTION_STATE, n] = math.nan
         x.tendon[s.FRICTION_SLIDER, n] = travel - x.tendon[s.TENSION, n] / stiffness
         return
@@ -98,16 +102,16 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
     if not c.tendon_int[h.IS_SPOOL_PAIR, n]:
         load = max(load, c.tendon[h.TENSION_FLOOR, n])
     sliding_speed = _sliding_speed(x.tendon[s.FRICTION_STATE, n])
-    stretched = stiffness * (travel - slider)
-    tension = _tension_with_friction(c, n, stretched, load, efficiency, 0.0, sliding_speed)
+    elastic_tension = stiffness * (travel - slider_travel)
+    tension = _tension_with_friction(c, n, elastic_tension, load, efficiency, 0.0, sliding_speed)
     x.tendon[s.FRICTION_SLIDER, n] = travel - tension / stiffness
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        lower, upper = _pair_friction_band(c, n, load, efficiency)
-        developed = (2.0 * tension - upper - lower) / (upper - lower + MIN_FRICTION_N)
+        lower, upper = _friction_band_of_pair(c, n, load, efficiency)
+        friction_state = (2.0 * tension - upper - lower) / (upper - lower + MIN_FRICTION_N)
     else:
-        ratio_log = math.log(max(tension, MIN_FRICTION_N) / max(load, MIN_FRICTION_N))
-        developed = -ratio_log / math.log(min(efficiency, MAX_EFFICIENCY))
-    x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
+        log_tension_ratio = math.log(max(tension, MIN_FRICTION_N) / max(load, MIN_FRICTION_N))
+        friction_state = -log_tension_ratio / math.log(min(efficiency, MAX_EFFICIENCY))
+    x.tendon[s.FRICTION_STATE, n] = min(max(friction_state, -1.0), 1.0)
 
 
 @kernel_helper
@@ -155,10 +159,12 @@ def _tension_with_friction(
             present_tension, load, efficiency, wound_length, stiffness, crept_length
         )
     # Whenever a pair moves, one of its tendons is wound and the other is paid out.
-    lower, upper = _pair_friction_band(c, n, load, efficiency)
-    creep = stiffness * crept_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
-    sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
-    return min(max(sticking, lower), upper)
+    lower, upper = _friction_band_of_pair(c, n, load, efficiency)
+    creep_ratio = stiffness * crept_length / (0.5 * (upper - lower) + MIN_FRICTION_N)
+    elastic_tension = (present_tension + stiffness * wound_length + creep_ratio * load) / (
+        1.0 + creep_ratio
+    )
+    return min(max(elastic_tension, lower), upper)
 
 
 @kernel_helper
@@ -181,15 +187,17 @@ def tension_after_period(
         stiffness: stiffness of the tendon [N/m].
         crept_length: largest length by which the tendon can creep in the period [m].
     """
-    creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
+    creep_ratio = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # The motion of the viscous slider is computed by an implicit Euler step, which is stable for
     # any period.
-    sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
-    return min(max(sticking, load * efficiency), load / efficiency)
+    elastic_tension = (present_tension + stiffness * wound_length + creep_ratio * load) / (
+        1.0 + creep_ratio
+    )
+    return min(max(elastic_tension, load * efficiency), load / efficiency)
 
 
 @kernel_helper
-def _pair_friction_band(
+def _friction_band_of_pair(
     c: ConstantTables, n: int, load: float, efficiency: float
 ) -> tuple[float, float]:
     """Return the smallest and the largest net tension of a spool pair with friction [N].

@@ -29,12 +29,12 @@ def write_goals(
     tendon = layout.table(block, "tendon")
     digit = layout.table(block, "digit")
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
-    ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
-    way = layout.table(block, "coordinate")
+    trajectory_kinds = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
+    coordinate = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(
         zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)
     ):
-        kinds[tendons] = int(_kind_of_control(goal))
+        kinds[tendons] = int(_goal_kind_of(goal))
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
             # While the other tendons of a digit pull, a spool pair that moves the digit sideways
             # holds its position.
@@ -45,22 +45,24 @@ def write_goals(
             )
             tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
-        ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
+        trajectory_kinds[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, StreamedTrajectory):
-            ways[d] = STREAMED
+            trajectory_kinds[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
-            ways[d] = MINIMUM_JERK
-            way[s.TRAJECTORY_START, places] = goal.trajectory.start
-            way[s.TRAJECTORY_END, places] = goal.trajectory.end
-            digit[s.TRAJECTORY_SINCE, d] = goal.since
+            trajectory_kinds[d] = MINIMUM_JERK
+            coordinate[s.TRAJECTORY_START, places] = goal.trajectory.start
+            coordinate[s.TRAJECTORY_END, places] = goal.trajectory.end
+            digit[s.TRAJECTORY_START_TIME, d] = goal.since
             digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
             blend = goal.trajectory.blend
-            digit[s.TRAJECTORY_BLEND, d] = blend.duration if blend else 1.0
-            way[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
-            way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
+            digit[s.TRAJECTORY_BLEND_TIME, d] = blend.duration if blend else 1.0
+            coordinate[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
+            coordinate[s.TRAJECTORY_START_ACCELERATION, places] = (
+                blend.acceleration if blend else 0.0
+            )
 
 
-def _kind_of_control(goal: DigitGoal) -> GoalKind:
+def _goal_kind_of(goal: DigitGoal) -> GoalKind:
     """Return the kind of control of a goal.
 
     The kind is LIMP if the goal has no trajectory or tension although its kind requires one.
@@ -76,21 +78,21 @@ def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
     """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
-    for trajectory, since, places in sampled_goals(model, goals):
+    for trajectory, since, places in goals_sampled_by_python(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
             trajectory.motion_at(t - since)
         )
 
 
 @functools.lru_cache(maxsize=16)
-def sampled_goals(
+def goals_sampled_by_python(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
-    rows = zip(goals, model.digit_coordinates, strict=True)
+    goals_and_coordinates = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)
-        for goal, places in rows
+        for goal, places in goals_and_coordinates
         if goal.trajectory is not None
         and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
     )

@@ -25,7 +25,7 @@ Matrix = NDArray[np.float64]
 
 INTEGRAL_LIMIT_N = 8.0
 """Limit of the integral of the tension error, against windup [N]."""
-MAX_ADDED_BALANCE_N = 20.0
+MAX_ADDED_BALANCE_TENSION_N = 20.0
 """Largest balance tension, which makes no torque, that is added when the motion feedback unloads a tendon [N].
 
 Friction of the pulleys grows with balance tensions. Larger ones would lock the joints that the
@@ -34,8 +34,8 @@ feedback has to move.
 
 
 @kernel_helper
-def raise_tensions_to_floor(
-    x: StateTables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
+def raise_goals_to_tension_floor(
+    x: StateTables, c: ConstantTables, limit: Vector, motion_terms: Matrix, null_space_terms: Matrix
 ) -> None:
     """Raise the tension goals in digits with surplus tendons to the tension floor, and write null-space forces.
 
@@ -48,8 +48,8 @@ def raise_tensions_to_floor(
         x: state tables.
         c: constants of the hand.
         limit: (N,) largest tensions allowed at present [N].
-        terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
-        internal: (2, N) result: forces that the tension errors in the null space cause, and
+        motion_terms: (2, N) tension goals and feedback forces of the motion loop [N], modified in place.
+        null_space_terms: (2, N) result: forces that the tension errors in the null space cause, and
             integrals of these errors [N].
     """
     count = x.tendon.shape[1]
@@ -64,44 +64,48 @@ def raise_tensions_to_floor(
         for n in range(first, end):
             # Only the part of the feedback that moves the digit may raise tension goals. The other
             # part of the feedback, in the null space, damps the motion of the motors.
-            feedback[n] = part_explained_by_motion(c, n, terms[1])
-        bound = _largest_balance_factor(c, first, end, limit, terms)
-        fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
-        more = 0.0
+            feedback[n] = part_explained_by_motion(c, n, motion_terms[1])
+        bound = _max_balance_factor(c, first, end, limit, motion_terms)
+        fraction = _fraction_of_feedback(c, first, end, bound, motion_terms, feedback)
+        balance_factor = 0.0
         for n in range(first, end):
-            terms[1, n] -= (1.0 - fraction) * feedback[n]
-            lacking = c.tendon[h.TENSION_FLOOR, n] - terms[0, n] - fraction * feedback[n]
-            more = max(more, lacking / c.tendon[h.BALANCE_TENSION, n])
-        more = min(more, bound)
+            motion_terms[1, n] -= (1.0 - fraction) * feedback[n]
+            missing_tension = (
+                c.tendon[h.TENSION_FLOOR, n] - motion_terms[0, n] - fraction * feedback[n]
+            )
+            balance_factor = max(balance_factor, missing_tension / c.tendon[h.BALANCE_TENSION, n])
+        balance_factor = min(balance_factor, bound)
         for n in range(first, end):
-            terms[0, n] += more * c.tendon[h.BALANCE_TENSION, n]
-            error[n] = terms[0, n] - x.tendon[s.TENSION, n]
+            motion_terms[0, n] += balance_factor * c.tendon[h.BALANCE_TENSION, n]
+            error[n] = motion_terms[0, n] - x.tendon[s.TENSION, n]
             total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first, end):
-            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (
+            null_space_terms[0, n] = c.tendon[h.TENSION_GAIN, n] * (
                 error[n] - part_explained_by_motion(c, n, error)
             )
             integral = total[n] - part_explained_by_motion(c, n, total)
-            internal[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
+            null_space_terms[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
 @kernel_helper
-def _largest_balance_factor(
-    c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix
+def _max_balance_factor(
+    c: ConstantTables, first: int, end: int, limit: Vector, motion_terms: Matrix
 ) -> float:
     """Return the largest factor of the balance tensions that keeps all tendons of a digit within their limits."""
     factor = math.inf
     for n in range(first, end):
-        room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
+        tension_margin = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - motion_terms[0, n]
         factor = min(
-            factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE_TENSION, n]
+            factor,
+            min(max(tension_margin, 0.0), MAX_ADDED_BALANCE_TENSION_N)
+            / c.tendon[h.BALANCE_TENSION, n],
         )
     return factor
 
 
 @kernel_helper
 def _fraction_of_feedback(
-    c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
+    c: ConstantTables, first: int, end: int, bound: float, motion_terms: Matrix, feedback: Vector
 ) -> float:
     """Return the largest fraction of the feedback that keeps all tendons of a digit above the tension floor.
 
@@ -109,12 +113,16 @@ def _fraction_of_feedback(
         c: constants of the hand.
         first, end: tendons of the digit.
         bound: largest factor of the balance tensions.
-        terms: (2, N) tension goals and feedback forces of the motion loop [N].
+        motion_terms: (2, N) tension goals and feedback forces of the motion loop [N].
         feedback: (N,) part of the feedback forces that moves the digit [N].
     """
     fraction = 1.0
     for n in range(first, end):
-        above = terms[0, n] + bound * c.tendon[h.BALANCE_TENSION, n] - c.tendon[h.TENSION_FLOOR, n]
+        above = (
+            motion_terms[0, n]
+            + bound * c.tendon[h.BALANCE_TENSION, n]
+            - c.tendon[h.TENSION_FLOOR, n]
+        )
         if feedback[n] < -max(above, 0.0):
             fraction = min(fraction, max(above, 0.0) / -feedback[n])
     return fraction

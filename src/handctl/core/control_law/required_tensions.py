@@ -10,7 +10,7 @@ import numpy as np
 
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.control_law.tension_allocation import solve_bounded
+from handctl.core.control_law.tension_allocation import solve_bounded_tensions
 from handctl.core.control_law.tension_allocation import tensions_for_torque as allocate_tension
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
@@ -35,20 +35,20 @@ def write_tension_goals(
         block: state block, modified in place.
         action: reaction of the safety monitor, as a number of ``safety.safety_action.SafetyAction``.
     """
-    constants_in = constants.block, constants.layout.places
-    undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)
+    constant_arrays = constants.block, constants.layout.places
+    unsolved_digits = tick_stages.evaluate_goals(block, layout.places, *constant_arrays, action)
     required = layout.view(block, "joint_required")
     # an experiment has replaced the function that computes the inverse dynamics
-    if model.inverse is not required_torque:
-        way = tick_stages.joint_motion(block, layout.places, *constants_in)
+    if model.inverse_dynamics is not required_torque:
+        trajectory = tick_stages.joint_motion(block, layout.places, *constant_arrays)
         for digit in model.digits:
-            required[digit.joints] = model.inverse(
-                digit, *(row[digit.joints].tolist() for row in way)
+            required[digit.joints] = model.inverse_dynamics(
+                digit, *(row[digit.joints].tolist() for row in trajectory)
             )
-        undecided = tick_stages.write_loads(block, layout.places, *constants_in)
-    if undecided:
-        way = tick_stages.joint_motion(block, layout.places, *constants_in)
-        allocate_bounded_tensions(model, layout, constants, block, undecided, way)
+        unsolved_digits = tick_stages.write_loads(block, layout.places, *constant_arrays)
+    if unsolved_digits:
+        trajectory = tick_stages.joint_motion(block, layout.places, *constant_arrays)
+        allocate_bounded_tensions(model, layout, constants, block, unsolved_digits, trajectory)
 
 
 def allocate_bounded_tensions(
@@ -56,7 +56,7 @@ def allocate_bounded_tensions(
     layout: BlockLayout,
     constants: HandConstants,
     block: BlockArray,
-    undecided_digits: int,
+    unsolved_digits: int,
     trajectory: Vector,
 ) -> None:
     """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
@@ -66,16 +66,16 @@ def allocate_bounded_tensions(
         layout: layout of the state block.
         constants: constants of the hand, with the moment arms at the present joint angles.
         block: state block, modified in place.
-        undecided_digits: a number with one bit for each digit. The bit is 1 for these digits.
+        unsolved_digits: a number with one bit for each digit. The bit is 1 for these digits.
         trajectory: (3, J) angles, rates and accelerations of the joints on their trajectories.
     """
     required = layout.view(block, "joint_required")
     load = layout.view(block, "load")
     for d, digit in enumerate(model.digits):
-        if undecided_digits >> d & 1:
+        if unsolved_digits >> d & 1:
             tendons = digit.tendons
             if digit.has_varying_arm:
-                digit = _with_present_arms(digit, constants)
+                digit = _with_present_moment_arms(digit, constants)
             if model.redundancy.surplus[tendons.start]:
                 load[tendons] = _tensions_with_friction(
                     model, digit, required[digit.joints], trajectory[:2, digit.joints]
@@ -84,12 +84,12 @@ def allocate_bounded_tensions(
             required_torque = required[digit.joints] @ digit.coupling
             low = model.floor[tendons]
             high = model.ceiling[tendons]
-            load[tendons] = solve_bounded(
+            load[tendons] = solve_bounded_tensions(
                 digit.reduced_moment_arms, required_torque, low, high, load[tendons]
             )
 
 
-def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
+def _with_present_moment_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
     """Return a copy of a digit's model with the moment arms at the present joint angles."""
     arms = constants.layout.view(constants.block, "moment_arms")[digit.tendons, digit.joints]
     return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
@@ -114,15 +114,15 @@ def _tensions_with_friction(
     arms = digit.moment_arms
     counted = model.gains.motion.friction_share
     winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
-    passes = (arms != 0.0) & ~digit.is_prismatic
+    has_pulley = (arms != 0.0) & ~digit.is_prismatic
     lost = digit.friction[:, None] * (
-        digit.wrap[:, None] + np.cumsum(passes * trajectory[0], axis=1)
+        digit.wrap[:, None] + np.cumsum(has_pulley * trajectory[0], axis=1)
     )
     factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
     low = model.floor[tendons]
     high = model.ceiling[tendons]
-    reduced = (arms * factors) @ digit.coupling
-    tension, _ = allocate_tension(reduced, required @ digit.coupling, low, high)
+    reduced_arms = (arms * factors) @ digit.coupling
+    tension, _ = allocate_tension(reduced_arms, required @ digit.coupling, low, high)
     # The control law later divides the tensions by the mean efficiency over the pulleys. The
     # tensions are therefore multiplied by the mean efficiency here.
     weights = model.pulley_weights[tendons, digit.joints]

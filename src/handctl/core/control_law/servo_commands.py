@@ -53,7 +53,7 @@ The tension filter assumes that the motor force is constant within a period. In 
 loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 Hz and on
 ``orca_like`` at 250 Hz.
 """
-COMMAND_ROWS = 6
+SERVO_COMMAND_ROW_COUNT = 6
 """Number of rows of a command: position, velocity, kp, kd, torque, limit."""
 LIMIT_MARGIN_N = 10.0
 """Force [N] by which the torque limit in a command exceeds the predicted motor force.
@@ -71,11 +71,11 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """
     elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
-        for row in range(COMMAND_ROWS):
-            x.servo[s.SERVO_BEFORE + row, n] = x.servo[s.SERVO_POSITION + row, n]
+        for row in range(SERVO_COMMAND_ROW_COUNT):
+            x.servo[s.LAST_SERVO_COMMAND + row, n] = x.servo[s.SERVO_POSITION + row, n]
             x.servo[s.SERVO_POSITION + row, n] = 0.0
         if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-            x.servo[s.SERVO_BEFORE, n] += elapsed * x.servo[s.SERVO_BEFORE + 1, n]
+            x.servo[s.LAST_SERVO_COMMAND, n] += elapsed * x.servo[s.LAST_SERVO_COMMAND + 1, n]
 
 
 @kernel_helper
@@ -93,7 +93,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon controls the position itself in the present tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
-    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.HOLDING]:
+    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.SAFETY_HOLD_ACTIVE]:
         return False
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
@@ -111,16 +111,16 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp [N m/rad] of a drive's position loop for the present goal, rounded as in the command."""
     step = c.tendon[h.SERVO_KP_STEP, n]
-    wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
-    return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
+    stiffness = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
+    return step * math.floor(min(stiffness, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
 
 
 @kernel_helper
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the damping kd [N m s/rad] of a drive's position loop for the present goal, rounded as in the command."""
     step = c.tendon[h.SERVO_KD_STEP, n]
-    wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
-    return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
+    damping = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
+    return step * math.floor(min(damping, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
 
 
 @kernel_helper
@@ -185,8 +185,10 @@ def write_servo_command(
     """
     spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
-    added = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
-    lead = (force - added - servo_speed_force(x, c, n, rate)) * spool * spool / kp
+    feedforward_force = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    position_lead = (
+        (force - feedforward_force - servo_speed_force(x, c, n, rate)) * spool * spool / kp
+    )
     travel = x.tendon[s.TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -194,13 +196,15 @@ def write_servo_command(
         # errors of this motion have no effect.
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
-    ahead = 0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
-    travel += lead + ahead
+    motion_in_half_period = (
+        0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
+    )
+    travel += position_lead + motion_in_half_period
     x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
     x.servo[s.SERVO_VELOCITY, n] = speed / spool
     x.servo[s.SERVO_KP, n] = kp
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
-    x.servo[s.SERVO_TORQUE, n] = added * spool
+    x.servo[s.SERVO_TORQUE, n] = feedforward_force * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
         x.servo[s.SERVO_LIMIT, n] = (
             min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
@@ -208,7 +212,7 @@ def write_servo_command(
 
 
 @kernel_helper
-def predict_reports(x: StateTables, c: ConstantTables) -> None:
+def predict_reported_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the force [N] that each drive should report in the present tick.
 
     A report contains position, speed and torque at one instant. When a drive sends its report, the
@@ -216,19 +220,19 @@ def predict_reports(x: StateTables, c: ConstantTables) -> None:
     command, and from the position and speed in the report.
     """
     for n in range(x.servo.shape[1]):
-        torque = x.servo[s.SERVO_BEFORE + 4, n]
-        kp = x.servo[s.SERVO_BEFORE + 2, n]
+        torque = x.servo[s.LAST_SERVO_COMMAND + 4, n]
+        kp = x.servo[s.LAST_SERVO_COMMAND + 2, n]
         if kp > 0.0:
-            torque += kp * (x.servo[s.SERVO_BEFORE, n] - x.tendon[s.POSITION, n])
-            torque += x.servo[s.SERVO_BEFORE + 3, n] * (
-                x.servo[s.SERVO_BEFORE + 1, n] - x.tendon[s.VELOCITY, n]
+            torque += kp * (x.servo[s.LAST_SERVO_COMMAND, n] - x.tendon[s.POSITION, n])
+            torque += x.servo[s.LAST_SERVO_COMMAND + 3, n] * (
+                x.servo[s.LAST_SERVO_COMMAND + 1, n] - x.tendon[s.VELOCITY, n]
             )
         limit = c.tendon[h.FORCE_MAX, n]
         if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-            limit = x.servo[s.SERVO_BEFORE + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
+            limit = x.servo[s.LAST_SERVO_COMMAND + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
         known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
             x.tendon[s.MEASURED_FORCE, n]
         )
-        x.servo[s.SERVO_REPORT, n] = (
+        x.servo[s.EXPECTED_SERVO_FORCE, n] = (
             min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if known else math.nan
         )

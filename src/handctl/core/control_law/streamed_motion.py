@@ -45,7 +45,7 @@ def begin_segments(
     block: BlockArray,
     at: TablePlaces,
     target_coordinates: Vector,
-    held_coordinates: Vector,
+    holdable_coordinates: Vector,
     since: float,
     duration: float,
     target_interval: float,
@@ -60,7 +60,7 @@ def begin_segments(
         block: state block, modified in place.
         at: ``BlockLayout.places`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
-        held_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
+        holdable_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
             taut tendons [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
@@ -73,7 +73,7 @@ def begin_segments(
     clipped = False
     for k in range(x.coordinate.shape[1]):
         low, high = x.coordinate[s.STREAM_RANGE, k], x.coordinate[s.STREAM_RANGE + 1, k]
-        target = min(max(held_coordinates[k], low), high)
+        target = min(max(holdable_coordinates[k], low), high)
         clipped |= abs(target - target_coordinates[k]) > CLIP_TOLERANCE
         rate = min(
             max((target - x.coordinate[s.STREAM_TARGET, k]) / target_interval, -max_rate), max_rate
@@ -81,7 +81,7 @@ def begin_segments(
         _write_segment(x, k, target, rate, duration, minimum_jerk == 1)
         x.coordinate[s.STREAM_TARGET_RATE, k] = rate
         x.coordinate[s.STREAM_TARGET, k] = target
-    x.run[s.STREAM_SINCE] = since
+    x.run[s.STREAM_SEGMENT_START] = since
     x.run[s.STREAM_DURATION] = duration
     return clipped
 
@@ -114,14 +114,22 @@ def _write_segment(
     if not minimum_jerk:
         x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
         return
-    squared = duration * duration
-    missing = target - position - duration * rate - 0.5 * squared * acceleration
-    slower = speed - rate - duration * acceleration
-    b = 480.0 * (slower * duration / 10.0 - missing / 4.0) / (squared * squared)
-    c = 480.0 * (missing / 3.0 - slower * duration / 8.0) / (squared * squared * duration)
+    duration_squared = duration * duration
+    missing = target - position - duration * rate - 0.5 * duration_squared * acceleration
+    missing_rate = speed - rate - duration * acceleration
+    b = (
+        480.0
+        * (missing_rate * duration / 10.0 - missing / 4.0)
+        / (duration_squared * duration_squared)
+    )
+    c = (
+        480.0
+        * (missing / 3.0 - missing_rate * duration / 8.0)
+        / (duration_squared * duration_squared * duration)
+    )
     x.coordinate[s.STREAM_SEGMENT + 1, k] = rate
     x.coordinate[s.STREAM_SEGMENT + 2, k] = 0.5 * acceleration
-    x.coordinate[s.STREAM_SEGMENT + 3, k] = (b * duration + c * squared) / 6.0
+    x.coordinate[s.STREAM_SEGMENT + 3, k] = (b * duration + c * duration_squared) / 6.0
     x.coordinate[s.STREAM_SEGMENT + 4, k] = -(b + 2.0 * c * duration) / 24.0
     x.coordinate[s.STREAM_SEGMENT + 5, k] = c / 60.0
 
@@ -129,7 +137,7 @@ def _write_segment(
 @kernel_helper
 def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
-    after = t - x.run[s.STREAM_SINCE]
+    after = t - x.run[s.STREAM_SEGMENT_START]
     if after >= x.run[s.STREAM_DURATION]:
         return x.coordinate[s.STREAM_TARGET, k], 0.0
     position = rate = 0.0
@@ -157,11 +165,11 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
     now = x.run_int[s.T_NS] / 1e9
     aim, aim_rate = position_on_segment(x, k, now)
-    remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
-    end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
+    remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
+    target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
     # This position moves at the rate of the targets, and reaches the latest target at the end of
     # the segment.
-    point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
+    moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
     mean = (aim - position) / period
     allowed = gain * (1.0 + LIMIT_TOLERANCE)
     free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
@@ -170,14 +178,17 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
         and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
     )
     free &= (
-        abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
+        abs(aim_rate - target_rate)
+        <= max_stoppable_speed(abs(moving_target - aim), gain, period) + allowed
     )
     new_rate = aim_rate
     if not free:
-        x.run_int[s.STREAM_LIMITED] += 1
-        apart = point - position - end_rate * period
-        sought = min(max(end_rate + _speed_to(apart, gain, period), slowest), fastest)
-        new_rate = rate + min(max(sought - rate, -gain), gain)
+        x.run_int[s.LIMITED_COORDINATE_COUNT] += 1
+        apart = moving_target - position - target_rate * period
+        required_rate = min(
+            max(target_rate + _stoppable_speed_towards(apart, gain, period), slowest), fastest
+        )
+        new_rate = rate + min(max(required_rate - rate, -gain), gain)
         aim = position + new_rate * period
     x.coordinate[s.TRAJECTORY, k] = aim
     x.coordinate[s.TRAJECTORY + 1, k] = new_rate
@@ -222,16 +233,20 @@ def _allowed_rates(
     fastest = min(
         top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
-    lead = (
+    max_lead = (
         scale
         * MAX_LEAD_RAD
         / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
-    back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
-    ahead = _speed_to(digit + lead - position, gain, period) + max(digit_rate, 0.0)
-    slowest = max(slowest, min(back, fastest))
-    return slowest, min(fastest, max(ahead, slowest))
+    fastest_backward = _stoppable_speed_towards(digit - max_lead - position, gain, period) + min(
+        digit_rate, 0.0
+    )
+    fastest_forward = _stoppable_speed_towards(digit + max_lead - position, gain, period) + max(
+        digit_rate, 0.0
+    )
+    slowest = max(slowest, min(fastest_backward, fastest))
+    return slowest, min(fastest, max(fastest_forward, slowest))
 
 
 @kernel_helper
@@ -247,7 +262,7 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
 
 
 @kernel_helper
-def _speed_to(distance: float, gain: float, period: float) -> float:
+def _stoppable_speed_towards(distance: float, gain: float, period: float) -> float:
     """Return the largest speed towards a point from which a motion can still stop at this point [rad/s].
 
     The distance to the point is positive or negative, and the speed has the same sign.

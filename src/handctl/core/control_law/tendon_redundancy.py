@@ -18,7 +18,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.moment_arms import excursions_at
 
 BoolArray = NDArray[np.bool_]
-MISSING_FRACTION = 1e-3
+MAX_BALANCE_TORQUE_FRACTION = 1e-3
 """Largest torque that balance tensions may make, as a fraction of the largest tension times the mean moment arm."""
 
 
@@ -33,7 +33,7 @@ class TendonRedundancy:
         surplus: True for a tendon of a digit with more tendons than coordinates.
         balance: smallest tensions that make no joint torque, and are all above the tension floor
             [N]. The balance tensions are 0 for a digit without surplus tendons.
-        open_excursion: excursion at the lower joint limits [m].
+        excursion_at_lower_limits: excursion at the lower joint limits [m].
         excursion_range: (2, N) smallest and largest excursion of each tendon within the joint
             limits [m].
     """
@@ -42,7 +42,7 @@ class TendonRedundancy:
     sprung: BoolArray
     surplus: BoolArray
     balance: Vector
-    open_excursion: Vector
+    excursion_at_lower_limits: Vector
     excursion_range: Vector
 
 
@@ -67,10 +67,12 @@ def redundancy_of_hand(
     ]
     return TendonRedundancy(
         side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
-        sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
+        sprung=np.repeat([is_opened_by_springs(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
         balance=np.concatenate(balance),
-        open_excursion=np.concatenate([digit.excursion_at(digit.joint_min) for digit in digits]),
+        excursion_at_lower_limits=np.concatenate(
+            [digit.excursion_at(digit.joint_min) for digit in digits]
+        ),
         excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
     )
 
@@ -93,7 +95,7 @@ def _excursion_range(digit: DigitModel) -> Vector:
     return np.stack((ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)))
 
 
-def is_sprung(digit: DigitModel) -> bool:
+def is_opened_by_springs(digit: DigitModel) -> bool:
     """Return True if springs push every coordinate of a digit towards the lower joint limits."""
     torque = np.asarray(digit.spring_stiffness) * (
         np.asarray(digit.spring_preload) + digit.joint_min
@@ -108,5 +110,5 @@ def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vect
     """
     arms = digit.reduced_moment_arms
     tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
-    bearable = MISSING_FRACTION * float(tension.max() * np.abs(arms).mean())
-    return tension if np.abs(missing).max() <= bearable else floor
+    max_torque = MAX_BALANCE_TORQUE_FRACTION * float(tension.max() * np.abs(arms).mean())
+    return tension if np.abs(missing).max() <= max_torque else floor

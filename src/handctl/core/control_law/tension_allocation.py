@@ -39,7 +39,7 @@ def tensions_for_torque(
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
-        tension = solve_bounded(
+        tension = solve_bounded_tensions(
             moment_arms, torque, floor, ceiling, floor if tension is None else tension
         )
     return tension, torque - moment_arms.T @ tension
@@ -64,13 +64,13 @@ class _AllocationProblem(NamedTuple):
         arms: (n_t, n_c) moment arms divided by their mean.
         mean: mean of the moment arms [m].
         weight: (n_t, n_t) matrix of the quadratic form.
-        unconstrained: (0, n_t) matrix without rows, because the program has no linear constraints.
+        no_constraints: (0, n_t) matrix without rows, because the program has no linear constraints.
     """
 
     arms: Vector
     mean: float
     weight: Vector
-    unconstrained: Vector
+    no_constraints: Vector
 
 
 _cached_problems: dict[int, tuple[Vector, _AllocationProblem]] = {}
@@ -99,7 +99,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     return problem
 
 
-def solve_bounded(
+def solve_bounded_tensions(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
 ) -> Vector:
     """Return the tensions (n_t,) within the bounds that solve the quadratic program, by the solver daqp.
@@ -113,11 +113,16 @@ def solve_bounded(
             bounds that these tensions violate are the first active set of the solver. This halves
             the number of steps of the solver.
     """
-    arms, mean, weight, unconstrained = _cached_problem(moment_arms)
-    linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
+    arms, mean, weight, no_constraints = _cached_problem(moment_arms)
+    gradient_at_zero = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
     # The bounds and the weights are copied, because daqp may change the arrays in its arguments.
     result = solve(
-        weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start
+        weight.copy(),
+        gradient_at_zero,
+        no_constraints,
+        ceiling.copy(),
+        floor.copy(),
+        primal_start=start,
     )
     return np.minimum(np.maximum(np.asarray(result[0], dtype=np.float64), floor), ceiling)

@@ -47,17 +47,17 @@ class BlendTrajectory:
         """Return the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
-        by_speed = np.array((
+        speed_basis = np.array((
             T * s * (1.0 + s * s * (-6.0 + s * (8.0 - 3.0 * s))),
             1.0 + s * s * (-18.0 + s * (32.0 - 15.0 * s)),
             s * (-36.0 + s * (96.0 - 60.0 * s)) / T,
         ))  # fmt: skip
-        by_acceleration = np.array((
+        acceleration_basis = np.array((
             0.5 * T * T * s * s * (1.0 + s * (-3.0 + s * (3.0 - s))),
             0.5 * T * s * (2.0 + s * (-9.0 + s * (12.0 - 5.0 * s))),
             1.0 + s * (-9.0 + s * (18.0 - 10.0 * s)),
         ))  # fmt: skip
-        return np.outer(by_speed, self.speed) + np.outer(by_acceleration, self.acceleration)
+        return np.outer(speed_basis, self.speed) + np.outer(acceleration_basis, self.acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +86,9 @@ class MinimumJerk:
         position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
         acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration)
-        way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
-        way[0] += self.start
-        return way if self.blend is None else np.asarray(way + self.blend.motion_at(t))
+        motion = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
+        motion[0] += self.start
+        return motion if self.blend is None else np.asarray(motion + self.blend.motion_at(t))
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,13 +222,13 @@ class ChirpTrajectory:
         phase = (math.pi * self.low + 0.5 * speed) * s
         sine = math.sin(phase)
         cosine = math.cos(phase)
-        way = size * sine
+        position = size * sine
         velocity = growth * sine + size * speed * cosine
         acceleration = (
             bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
         )
         moving = self.amplitude if s == t else 0.0
-        values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
+        values = (self.centre + self.amplitude * position, moving * velocity, moving * acceleration)
         return _equal_coordinates(values, self.coordinates)
 
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:

@@ -34,7 +34,7 @@ from handctl.safety.faults.bus import (
     MAX_UNKNOWN_FRAMES_PER_S,
 )
 
-Evidence = NDArray[np.float64]
+EvidenceTable = NDArray[np.float64]
 """Result table of all detectors, (faults, instances).
 
 An element is a number that shows the fault, or NaN if the fault is absent.
@@ -42,18 +42,20 @@ An element is a number that shows the fault, or NaN if the fault is absent.
 
 
 @kernel_helper
-def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_bus_faults(
+    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
-    if x.run[s.UNKNOWN_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
-        evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
+    if x.run[s.UNKNOWN_FRAME_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
+        evidence[B10, 0] = x.run[s.UNKNOWN_FRAME_RATE]
     if not armed:
         return
     _detect_overdue_feedback(x, c, evidence)
     _detect_lost_replies(x, evidence)
     _detect_bad_frames(x, evidence)
-    if x.run_int[s.STALE_NOW] == 1:
+    if x.run_int[s.STALE_FRAME_NOW] == 1:
         evidence[B04, 0] = 0.0
-    if x.run_int[s.STALE_NOW] == 2:
+    if x.run_int[s.STALE_FRAME_NOW] == 2:
         evidence[B07, 0] = 1.0
     frames = x.run_int[s.RECEIVED_FRAMES]
     if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED_TICKS]):
@@ -61,26 +63,26 @@ def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: 
 
 
 @kernel_helper
-def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find motors whose feedback is overdue.
 
     If the host missed a tick, feedback is not overdue, because the host requested none.
     """
-    youngest = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
+    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
-        youngest = min(youngest, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
+        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
     for n in range(x.tendon.shape[1]):
         age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
         if age > x.run_int[s.MISSED_TICKS]:
             evidence[B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[B02, n] = age
-        if age >= c.run_int[h.ONE_SILENT_TICKS] and youngest == 0:
+        if age >= c.run_int[h.ONE_SILENT_TICKS] and lowest_age == 0:
             evidence[B17, n] = age
 
 
 @kernel_helper
-def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
+def _detect_lost_replies(x: StateTables, evidence: EvidenceTable) -> None:
     """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
@@ -91,15 +93,15 @@ def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def _detect_bad_frames(x: StateTables, evidence: Evidence) -> None:
+def _detect_bad_frames(x: StateTables, evidence: EvidenceTable) -> None:
     """Find malformed frames, and duplicate replies with equal or different bytes."""
     for node in range(x.node_int.shape[1]):
-        if x.node_int[s.MALFORMED, node] & 1:
-            number = count_set_bits(x.node_int[s.MALFORMED, node])
+        if x.node_int[s.MALFORMED_FRAME_TICKS, node] & 1:
+            number = count_set_bits(x.node_int[s.MALFORMED_FRAME_TICKS, node])
             evidence[B09, node] = number
             if number >= MALFORMED_FRAMES_LIMIT:
                 evidence[B08, node] = number
-        if x.node_int[s.DUPLICATES, node] == 1:
+        if x.node_int[s.DUPLICATE_REPLIES, node] == 1:
             evidence[B05, node] = 0.0
-        if x.node_int[s.DUPLICATES, node] == 2:
+        if x.node_int[s.DUPLICATE_REPLIES, node] == 2:
             evidence[B06, node] = 1.0

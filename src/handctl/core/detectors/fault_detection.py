@@ -26,7 +26,7 @@ from handctl.core.detectors import (
     tension_swings,
     torque_correlation,
 )
-from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.state_block import StateTables, reset_monitor
 from handctl.core.tick_types import ARMING_MODE, CUT_MODE, DISARM_MODE, RELAX_MODE
 from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
@@ -37,8 +37,8 @@ FAULT_ROWS = len(ACTION_NUMBERS)
 @kernel_helper
 def find_and_debounce_faults(
     x: StateTables, c: ConstantTables, initial: StateTables
-) -> tuple[int, Evidence]:
-    """Find the faults of a tick, and write the number of newly active faults to ``NEW_FAULTS``.
+) -> tuple[int, EvidenceTable]:
+    """Find the faults of a tick, and write the number of newly active faults to ``NEW_FAULT_COUNT``.
 
     Args:
         x: state tables.
@@ -70,7 +70,7 @@ def find_and_debounce_faults(
         node_faults.detect_node_faults_under_torque(x, c, evidence)
         tendon_faults.detect_tendon_faults_under_torque(x, c, evidence)
     elif cut:
-        slack_history.update_history_after_cut(x, c, x.run_int[s.TARED] == 1)
+        slack_history.update_history_after_cut(x, c, x.run_int[s.CELLS_TARED] == 1)
         node_faults.detect_tension_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
@@ -81,9 +81,9 @@ def find_and_debounce_faults(
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the memory of the detectors that work while the motors may make torque."""
     missed = x.run_int[s.MISSED_TICKS]
-    tared = x.run_int[s.TARED] == 1
+    tared = x.run_int[s.CELLS_TARED] == 1
     tendon_slip.update_slip(x, c, tared)
-    servo_commands.predict_reports(x, c)
+    servo_commands.predict_reported_forces(x, c)
     residuals.update_residuals(x, c, missed, tared)
     slack_history.update_slack_history(x, c)
     stuck_sensors.update_stuck_counts(x, c, tared)
@@ -93,7 +93,7 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def debounce_faults(x: StateTables, evidence: Evidence) -> int:
+def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
     """Count for each fault the consecutive ticks in which the fault is present.
 
     Return the most severe action of the active faults.
@@ -110,5 +110,5 @@ def debounce_faults(x: StateTables, evidence: Evidence) -> int:
             if ticks >= DEBOUNCE_TICKS[row]:
                 action = max(action, ACTION_NUMBERS[row])
                 fresh += ticks == DEBOUNCE_TICKS[row]
-    x.run_int[s.NEW_FAULTS] = fresh
+    x.run_int[s.NEW_FAULT_COUNT] = fresh
     return action

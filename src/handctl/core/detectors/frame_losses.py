@@ -13,32 +13,32 @@ from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from handctl.safety.faults.node import HALF_RATE_MISSING_REPLIES
 
-AGE_WITHOUT_READING = 1_000_000
+TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
 """Age that is used for a node from which no reading was received so far [ticks]."""
 BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
 """Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1
 """Mask of the used bits of a word with ``BITS_PER_WORD`` bits."""
-SHORT_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
+MALFORMED_WINDOW_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 """Mask of the bits that belong to the last ``MALFORMED_WINDOW_TICKS`` ticks."""
 
 
 @kernel_helper
-def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
+def ticks_overdue(now_ns: int, last_reading_ns: int, send_period_ns: int, period_ns: int) -> int:
     """Return by how many whole ticks a reading of a node is overdue.
 
     A reading from the last period counts as in time.
 
     Args:
         now_ns: time of the tick [ns].
-        heard_ns: time of the latest reading [ns], -1 before the first reading.
-        cyclic_ns: period in which the node sends readings without a request [ns], or 0 if every
+        last_reading_ns: time of the latest reading [ns], -1 before the first reading.
+        send_period_ns: period in which the node sends readings without a request [ns], or 0 if every
             tick requests a reading.
         period_ns: control period [ns].
     """
-    if heard_ns < 0:
-        return AGE_WITHOUT_READING
-    return max((now_ns - cyclic_ns - heard_ns) // period_ns, 0)
+    if last_reading_ns < 0:
+        return TICKS_OVERDUE_BEFORE_FIRST_READING
+    return max((now_ns - send_period_ns - last_reading_ns) // period_ns, 0)
 
 
 @kernel_helper
@@ -57,18 +57,22 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     result is 0 in a hand without load cells.
     """
     group = c.tendon_int[h.CELL_GROUP, n]
-    heard_ns = -1
+    last_reading_ns = -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
-            heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
+            last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_NS, g])
     if c.run_int[h.TENSION_GROUPS] == 0:
         return 0
-    return ticks_overdue(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.PERIOD_NS])
 
 
 @kernel_helper
 def update_loss_counts(
-    x: StateTables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
+    x: StateTables,
+    c: ConstantTables,
+    now_ns: int,
+    unknown_frame_count: int,
+    count_missing_replies: bool,
 ) -> None:
     """Update the counts of lost frames, malformed frames and unknown frames of all nodes.
 
@@ -76,8 +80,8 @@ def update_loss_counts(
         x: state tables.
         c: constants of the hand.
         now_ns: time of the tick [ns].
-        unknown: number of frames with unknown identifiers in the tick.
-        counts_losses: True to count missing replies. Missing replies are counted if the motors may
+        unknown_frame_count: number of frames with unknown identifiers in the tick.
+        count_missing_replies: True to count missing replies. Missing replies are counted if the motors may
             make torque and the host missed no tick.
     """
     tendons = x.tendon.shape[1]
@@ -88,20 +92,24 @@ def update_loss_counts(
         else:
             for n in range(tendons):
                 late |= cell_ticks_overdue(x, c, n, now_ns) > 0
-        recent = x.node_int[s.LOST_REPLIES, node]
-        earlier = x.node_int[s.LOST_REPLIES + 1, node]
+        recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
+        earlier_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
         # The two integers form a shift register: the oldest bit of the first integer moves into the
         # second one.
-        x.node_int[s.LOST_REPLIES + 1, node] = (
-            earlier << 1 | recent >> (BITS_PER_WORD - 1)
+        x.node_int[s.LOST_REPLY_BITS + 1, node] = (
+            earlier_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
-        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
-        misread = x.node_int[s.MALFORMED_NOW, node] != 0
-        x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
+        x.node_int[s.LOST_REPLY_BITS, node] = (
+            recent_bits << 1 | (late and count_missing_replies)
+        ) & WORD_MASK
+        is_malformed = x.node_int[s.MALFORMED_FRAME_NOW, node] != 0
+        x.node_int[s.MALFORMED_FRAME_TICKS, node] = (
+            x.node_int[s.MALFORMED_FRAME_TICKS, node] << 1 | is_malformed
+        ) & MALFORMED_WINDOW_MASK
     # The count of unknown frames decays with a time constant of 1 s. A small count of unknown
     # frames is set to 0, so that the stored value becomes constant.
-    leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
-    x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
+    decayed_rate = x.run[s.UNKNOWN_FRAME_RATE] * (1.0 - c.run[h.PERIOD]) + unknown_frame_count
+    x.run[s.UNKNOWN_FRAME_RATE] = decayed_rate if decayed_rate > 1e-3 else 0.0
 
 
 @kernel_helper
@@ -118,18 +126,18 @@ def count_set_bits(bits: int) -> int:
 @kernel_helper
 def count_lost_replies(x: StateTables, node: int) -> int:
     """Return the number of ticks, among the last ``LOSS_WINDOW_TICKS``, in which a node sent no reply."""
-    return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(
-        x.node_int[s.LOST_REPLIES + 1, node]
+    return count_set_bits(x.node_int[s.LOST_REPLY_BITS, node]) + count_set_bits(
+        x.node_int[s.LOST_REPLY_BITS + 1, node]
     )
 
 
 @kernel_helper
-def misses_every_second(x: StateTables, node: int) -> bool:
+def misses_every_second_reply(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
 
     At most one pair of consecutive replies may be missing.
     """
-    recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
+    recent = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
     return (

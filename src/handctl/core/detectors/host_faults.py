@@ -4,8 +4,8 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.control_law.digit_reference import is_stream_running
-from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.control_law.digit_reference import is_target_stream_running
+from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.host import (
     H01,
@@ -21,10 +21,12 @@ from handctl.safety.faults.host import (
 
 
 @kernel_helper
-def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_host_faults(
+    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the start of the tick, as a fraction of the control period.
-    late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]
+    late = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.PERIOD_NS]
     missed = x.run_int[s.MISSED_TICKS]
     if late > LATE_TICK_FRACTION:
         evidence[H01, 0] = late
@@ -36,7 +38,7 @@ def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
         evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
         if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
-    if armed and is_stream_running(x):
+    if armed and is_target_stream_running(x):
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
             evidence[I11A, 0] = silence_ns / 1e9

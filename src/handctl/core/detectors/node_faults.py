@@ -7,8 +7,8 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors import residuals, stuck_sensors, torque_correlation
-from handctl.core.detectors.bus_faults import Evidence
-from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second
+from handctl.core.detectors.bus_faults import EvidenceTable
+from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second_reply
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD
 from handctl.core.state_block import StateTables
 from handctl.drives.contract import DriveFaultCause, DrivePhase
@@ -57,8 +57,8 @@ _ROW_BY_CAUSE = {
     DriveFaultCause.WATCHDOG: N08,
     DriveFaultCause.VOLTAGE: N10,
     DriveFaultCause.HOT: N11,
-    DriveFaultCause.MISMATCH: N12,
-    DriveFaultCause.LOST: N11,
+    DriveFaultCause.SETTING_MISMATCH: N12,
+    DriveFaultCause.COMMUNICATION_LOST: N11,
     DriveFaultCause.UNKNOWN: N11B,
 }
 ROW_OF_CAUSE = tuple(_ROW_BY_CAUSE[cause] for cause in sorted(DriveFaultCause))
@@ -68,7 +68,9 @@ FAULT_PHASE = int(DrivePhase.FAULT)
 
 
 @kernel_helper
-def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_node_faults(
+    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+) -> None:
     """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
@@ -81,14 +83,14 @@ def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence:
     _detect_drive_errors(x, evidence)
     _detect_silent_sensors(x, c, evidence)
     for node in range(x.node_int.shape[1]):
-        if misses_every_second(x, node):
+        if misses_every_second_reply(x, node):
             evidence[N15, node] = 0.5
-        if x.node_int[s.DUPLICATES, node]:
-            evidence[N13, node] = x.node_int[s.DUPLICATES, node] - 1.0
+        if x.node_int[s.DUPLICATE_REPLIES, node]:
+            evidence[N13, node] = x.node_int[s.DUPLICATE_REPLIES, node] - 1.0
 
 
 @kernel_helper
-def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
+def _detect_drive_errors(x: StateTables, evidence: EvidenceTable) -> None:
     """Find the errors that drives report.
 
     Each cause of an error has its own row in the evidence table.
@@ -101,7 +103,7 @@ def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find load cells and joint encoders from which no reading has arrived for too long."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
@@ -119,7 +121,7 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
 
 
 @kernel_helper
-def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
+def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
     """Find motors and joints whose measured positions were rejected.
 
     In the evidence table, the row for joints follows the row for motors.
@@ -139,7 +141,9 @@ def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_node_faults_under_torque(
+    x: StateTables, c: ConstantTables, evidence: EvidenceTable
+) -> None:
     """Run the detectors of node faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
@@ -150,21 +154,24 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
-        disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
-        tolerated = min(
+        command_difference = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
+        max_difference = min(
             TORQUE_DIFFERENCE_LIMIT_N, TORQUE_DIFFERENCE_LIMIT_FRACTION * c.tendon[h.DRIVE_LIMIT, n]
         )
-        if disobeyed > tolerated or torque_correlation.is_command_contradicted(x, c, n):
-            evidence[N14, n] = disobeyed
-        if x.tendon[s.SWING_S, n] > OSCILLATION_DURATION_S:
-            evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
-        if torque_correlation.is_command_ignored(x, c, n):
+        if (
+            command_difference > max_difference
+            or torque_correlation.does_report_contradict_commands(x, c, n)
+        ):
+            evidence[N14, n] = command_difference
+        if x.tendon[s.SWING_DURATION, n] > OSCILLATION_DURATION_S:
+            evidence[N14B, n] = math.sqrt(x.tendon[s.MEAN_SQUARE_TENSION_SWING, n])
+        if torque_correlation.is_torque_command_ignored(x, c, n):
             evidence[N17, n] = torque_correlation.fraction_of_command_reported(x, n)
     _detect_stuck_encoders(x, c, evidence)
 
 
 @kernel_helper
-def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find encoders whose readings stay constant although the measured motor or joint moves.
 
     In the evidence table, the row for joints follows the row for motors.
@@ -172,10 +179,11 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_SENSOR_TIME_S:
             goal = stuck_sensors.motion_since_reading(
-                x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n]
+                x.tendon[s.FILTERED_GOAL, n], x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]
             )
             tension = stuck_sensors.motion_since_reading(
-                stuck_sensors.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n]
+                stuck_sensors.reference_tension(x, c, n),
+                x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
             if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
@@ -183,7 +191,8 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned = (
                 stuck_sensors.motion_since_reading(
-                    stuck_sensors.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
+                    stuck_sensors.joint_angle_by_spools(x, c, j),
+                    x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j],
                 )
                 / c.joint[h.JOINT_SCALE, j]
                 * DEG_PER_RAD
@@ -193,28 +202,28 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 
 
 @kernel_helper
-def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find tendons that are still under tension after the motor torque was cut.
 
     The tension is visible in the load-cell reading or in the torque that the drive reports. A spool
     that has paid out its tendon is released, although the tendon may still be taut.
     """
-    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
+    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
         if (
             tension > PULL_AFTER_CUT_N
-            and not _has_paid_out(x, c, n)
+            and not _has_spool_paid_out(x, c, n)
             and tension > PULL_AFTER_CUT_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
         ):
             evidence[N16, n] = tension
-        elif _still_reports_torque(x, c, n):
+        elif _reports_torque_after_cut(x, c, n):
             evidence[N16, n] = abs(x.tendon[s.MEASURED_FORCE, n])
 
 
 @kernel_helper
-def _has_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
+def _has_spool_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
     turned = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
     # The comparison with NaN is False, so an unknown position does not count as released.
@@ -222,15 +231,15 @@ def _has_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
+def _reports_torque_after_cut(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a drive still reports the torque that it made before the torque was cut."""
     # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
     # report of such a drive is then old.
     if not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
-    # The last report before the cut is in REPORT_FORCES, which is updated only while the motors may
+    # The last report before the cut is in RECENT_MOTOR_FORCES, which is updated only while the motors may
     # make torque.
-    before = abs(x.tendon[s.REPORT_FORCES + 3, n])
+    before = abs(x.tendon[s.RECENT_MOTOR_FORCES + 3, n])
     reported = abs(x.tendon[s.MEASURED_FORCE, n])
     # A drive that reports its torque in large steps may report one step although it makes no
     # torque.

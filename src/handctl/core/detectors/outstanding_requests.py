@@ -38,18 +38,18 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
         that sent too many replies, ``EXCESS_REPLIES`` is set to the number of its open requests
         plus 1. For all other motors, ``EXCESS_REPLIES`` is set to 0.
     """
-    any_excess = False
+    has_excess_replies = False
     for n in range(x.tendon.shape[1]):
-        replies = x.tendon_int[s.FEEDBACKS_NOW, n]
-        outstanding = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
+        replies = x.tendon_int[s.FEEDBACK_COUNT_NOW, n]
+        open_request_count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         x.tendon_int[s.EXCESS_REPLIES, n] = 0
-        if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
-            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + outstanding
-            any_excess = True
-        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(outstanding - replies, 0)
+        if replies > open_request_count and c.tendon_int[h.ANSWERS_ONCE, n]:
+            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + open_request_count
+            has_excess_replies = True
+        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(open_request_count - replies, 0)
     for g in range(x.group_int.shape[1]):
-        any_excess |= x.group_int[s.GROUP_FRAMES_NOW, g] > 1
-    return any_excess
+        has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_NOW, g] > 1
+    return has_excess_replies
 
 
 @kernel_helper
@@ -66,9 +66,9 @@ def add_requests(x: StateTables, k: int) -> None:
         remaining = 0
         # At most MAX_REQUESTS - 1 old requests are kept, so that the new request has a place.
         for i in range(max(count - MAX_REQUESTS + 1, 0), count):
-            outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
-            if i == count - 1 or k - outstanding < LOSS_WINDOW_TICKS:
-                x.tendon_int[s.REQUEST_TICKS + remaining, n] = outstanding
+            request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
+            if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:
+                x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = request_tick
                 remaining += 1
-        x.tendon_int[s.REQUEST_TICKS + remaining, n] = k
+        x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = k
         x.tendon_int[s.OUTSTANDING_REQUESTS, n] = remaining + 1

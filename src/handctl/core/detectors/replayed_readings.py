@@ -22,7 +22,7 @@ LIMIT_CYCLE_VALUES = 5
 
 The readings of a limit cycle are not independent of each other.
 """
-MIN_LOG_IMPROBABILITY = math.log(1e16)
+MIN_NEGATIVE_LOG_PROBABILITY = math.log(1e16)
 """Threshold for a repetition: negative logarithm of the probability that a run of equal readings occurs by chance.
 
 With noise of 8 counts, two readings are equal in 4 of 100 cases, and a run of 12 equal pairs
@@ -35,19 +35,25 @@ def update_repetitions(x: StateTables, tared: bool) -> None:
     """Compare the load-cell readings of the present tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
-        x.tendon[s.COMPARED_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        x.tendon[s.PRESENT_CELL_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         x.tendon_int[s.LONGEST_REPETITION, n] = 0
     for age in range(MAX_AGE_TICKS):
         for n in range(count):
-            same = x.tendon[s.PAST_READINGS + age, n] == x.tendon[s.COMPARED_READING, n]
-            run = min(x.tendon_int[s.REPETITIONS + age, n] + 1, MAX_AGE_TICKS) if same else 0
-            x.tendon_int[s.REPETITIONS + age, n] = run
+            is_equal_reading = (
+                x.tendon[s.PAST_CELL_READINGS + age, n] == x.tendon[s.PRESENT_CELL_READING, n]
+            )
+            run = (
+                min(x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_AGE_TICKS)
+                if is_equal_reading
+                else 0
+            )
+            x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run
             x.tendon_int[s.LONGEST_REPETITION, n] = max(x.tendon_int[s.LONGEST_REPETITION, n], run)
     for age in range(MAX_AGE_TICKS - 1, 0, -1):
         for n in range(count):
-            x.tendon[s.PAST_READINGS + age, n] = x.tendon[s.PAST_READINGS + age - 1, n]
+            x.tendon[s.PAST_CELL_READINGS + age, n] = x.tendon[s.PAST_CELL_READINGS + age - 1, n]
     for n in range(count):
-        x.tendon[s.PAST_READINGS, n] = x.tendon[s.COMPARED_READING, n]
+        x.tendon[s.PAST_CELL_READINGS, n] = x.tendon[s.PRESENT_CELL_READING, n]
 
 
 @kernel_helper
@@ -56,16 +62,16 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
 
     Return 0 if the load cell does not repeat readings.
     """
-    longest = x.tendon_int[s.LONGEST_REPETITION, n]
+    longest_run = x.tendon_int[s.LONGEST_REPETITION, n]
     # The probability of so many equal readings is compared as a logarithm, because the probability
     # itself is too small a number.
     if (
-        longest < MIN_REPEATED_READINGS
-        or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY
+        longest_run < MIN_REPEATED_READINGS
+        or -longest_run * math.log(_chance_of_equal_readings(x, n)) < MIN_NEGATIVE_LOG_PROBABILITY
     ):
         return 0
     for age in range(MAX_AGE_TICKS):
-        if x.tendon_int[s.REPETITIONS + age, n] == longest:
+        if x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] == longest_run:
             return age + 1
     return 0
 
@@ -78,7 +84,7 @@ def _chance_of_equal_readings(x: StateTables, n: int) -> float:
     for a in range(REPEAT_WINDOW):
         first = True
         for b in range(a):
-            if x.tendon[s.PAST_READINGS + a, n] == x.tendon[s.PAST_READINGS + b, n]:
+            if x.tendon[s.PAST_CELL_READINGS + a, n] == x.tendon[s.PAST_CELL_READINGS + b, n]:
                 pairs += 1
                 first = False
         different += first

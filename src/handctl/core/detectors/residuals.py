@@ -41,7 +41,7 @@ TRUSTED_NOISE_FRACTION = 1.0 / 30.0
 
 Two ticks of a noise of 0.04 rad reach a seventh of the limit. Exchanged power stages stay below a hundredth.
 """
-GAIN_FRACTION = 0.1
+TORQUE_CONSTANT_TOLERANCE = 0.1
 """Relative error of the motor force that the usual tolerance of a motor's torque constant K_t causes."""
 FULL_FRICTION_SPEED_M_S = 5e-3
 """Tendon speed above which friction is fully developed [m/s]."""
@@ -59,23 +59,25 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         tared: True if the zeros of the load cells are known.
     """
     now = np.empty(len(TIME_CONSTANTS_S))
-    initialized = x.run_int[s.RESIDUALS_STARTED] == 1
+    has_started = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
         speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
-        readable = tared and not is_cell_saturated(x, c, n)
-        tension = x.tendon[s.MEASURED_TENSION, n] if readable else math.nan
+        is_cell_usable = tared and not is_cell_saturated(x, c, n)
+        tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded = x.tendon[s.COMMANDED_FORCE, n]
-        made = commanded if math.isnan(force) else force
-        monitored = monitored_tension(x, c, n, tared)
-        if not initialized:
+        motor_force = commanded if math.isnan(force) else force
+        judged_tension = monitored_tension(x, c, n, tared)
+        if not has_started:
             # The two fast filters start at the present tension and at the present motor force.
-            x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
-            x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
-        turned = position - x.tendon[s.LAST_POSITION, n]
+            x.tendon[s.RESIDUAL + TENSION, n] = (
+                0.0 if math.isnan(judged_tension) else judged_tension
+            )
+            x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
+        position_change = position - x.tendon[s.LAST_POSITION, n]
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
         # some millimetres per second, the computed friction has its full value. When the motor is
         # at rest, the computed friction therefore does not change its sign in every tick.
@@ -83,16 +85,16 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
             speed * 1e3
         )
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
-        balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
+        balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         now[BALANCE] = now[QUICK_BALANCE] = balance
-        now[MOTOR_FORCE] = made
+        now[MOTOR_FORCE] = motor_force
         now[COMMAND_DIFFERENCE] = commanded - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            now[COMMAND_DIFFERENCE] = x.servo[s.SERVO_REPORT, n] - force
-        now[TENSION] = monitored
-        now[QUICK_FORCE] = made
+            now[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
+        now[TENSION] = judged_tension
+        now[QUICK_FORCE] = motor_force
         now[SLIP] = x.tendon[s.SLIP, n]
-        now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
+        now[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed. The excess friction is therefore the residual of the
         # force balance, multiplied by the sign of the speed.
         now[EXCESS_FRICTION] = (
@@ -108,7 +110,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
                 )
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
-        x.tendon[s.LAST_POSITION_STEP, n] = turned
+        x.tendon[s.LAST_POSITION_STEP, n] = position_change
 
 
 @kernel_helper
@@ -118,7 +120,7 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     The difference is filtered with 0.2 s. The result is 0 or more.
     """
     difference = abs(x.tendon[s.RESIDUAL + BALANCE, n])
-    return max(difference - _explained_difference(x, c, n, MOTOR_FORCE), 0.0)
+    return max(difference - _max_explained_difference(x, c, n, MOTOR_FORCE), 0.0)
 
 
 @kernel_helper
@@ -131,13 +133,13 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.NOISE_LIMIT]:
         return 0.0
     excess = -x.tendon[s.RESIDUAL + QUICK_BALANCE, n]
-    return max(excess - _explained_difference(x, c, n, QUICK_FORCE), 0.0)
+    return max(excess - _max_explained_difference(x, c, n, QUICK_FORCE), 0.0)
 
 
 @kernel_helper
-def _explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
+def _max_explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
     """Return the largest difference [N] that friction and the tolerance of a filtered motor force explain."""
-    tolerance = GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + force_row, n])
+    tolerance = TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + force_row, n])
     return float(c.tendon[h.MOTOR_COULOMB, n] + tolerance)
 
 
@@ -146,6 +148,6 @@ def excess_friction(x: StateTables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(
         x.tendon[s.RESIDUAL + EXCESS_FRICTION, n]
-        - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]),
+        - TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]),
         0.0,
     )

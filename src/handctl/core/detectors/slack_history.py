@@ -10,7 +10,7 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import SLACK_TENSION_N, TAUT_TENSION_N
 
-LATE_READING_S = 0.08
+MIN_READING_DELAY_AFTER_CUT_S = 0.08
 """Time after a cut of the torque from which each new reading is stored as the tension after the cut [s]."""
 
 
@@ -20,12 +20,12 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
 
     For a spool pair, a tension in the direction of the commanded tension is positive.
     """
-    x.run_int[s.CUT_TICKS] = -1
+    x.run_int[s.TICKS_SINCE_CUT] = -1
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.RESIDUAL + TENSION, n]
         commanded = x.tendon[s.COMMANDED_TENSION, n]
-        pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
-        if pair and commanded < 0.0:
+        is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
+        if is_pair and commanded < 0.0:
             tension = -tension
             commanded = -commanded
         # If no tension is commanded, the history of a tendon is cleared, so that the tendon does
@@ -41,15 +41,15 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             # Both tendons of a spool pair are taut if the net tension is below twice the
             # pretension. So no tendon of a spool pair counts as slack while the commanded net
             # tension is below twice the pretension.
-            loose = tension < SLACK_TENSION_N and commanded > max(
+            is_slack = tension < SLACK_TENSION_N and commanded > max(
                 TAUT_TENSION_N, 2.0 * c.tendon[h.PRETENSION, n]
             )
-            x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
+            x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if is_slack else 0
         is_taut = tension > TAUT_TENSION_N or (
             x.tendon_int[s.IS_TAUT, n] == 1 and tension > SLACK_TENSION_N
         )
         # At least one tendon of a spool pair is always taut.
-        x.tendon_int[s.IS_TAUT, n] = is_taut or pair
+        x.tendon_int[s.IS_TAUT, n] = is_taut or is_pair
 
 
 @kernel_helper
@@ -66,7 +66,7 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
         c: constants of the hand.
         tared: True if the zeros of the load cells are known.
     """
-    ticks = x.run_int[s.CUT_TICKS] + 1
+    ticks = x.run_int[s.TICKS_SINCE_CUT] + 1
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         if ticks == 0:
@@ -76,8 +76,8 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
             )
         elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
             x.tendon[s.TENSION_AT_CUT, n] = tension
-        if ticks * c.run[h.PERIOD] < LATE_READING_S:
+        if ticks * c.run[h.PERIOD] < MIN_READING_DELAY_AFTER_CUT_S:
             x.tendon[s.TENSION_AFTER_CUT, n] = math.nan
         elif not math.isnan(tension):
             x.tendon[s.TENSION_AFTER_CUT, n] = tension
-    x.run_int[s.CUT_TICKS] = ticks
+    x.run_int[s.TICKS_SINCE_CUT] = ticks

@@ -16,20 +16,20 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.control_law.digit_reference import is_tendon_streamed
+from handctl.core.control_law.digit_reference import follows_streamed_angles
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.estimation.varying_moment_arms import joint_excursion
 from handctl.core.state_block import StateTables
 
 MOTOR_FOLLOWING_TIME_CONSTANT_S = 0.1
 """Time constant that is assumed for a motor that follows a jump of its goal, with a large margin [s]."""
-SLOW_GOAL_M_S = 2e-3
+MAX_UNDELAYED_GOAL_SPEED_M_S = 2e-3
 """Speed of a goal below which the motor is assumed to follow without delay [m/s]."""
 ARRIVAL_DISTANCE_M = 0.2e-3
 """Distance between excursion and goal below which a motor has reached its goal [m]."""
-GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
+MIN_GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
 """Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
-PRESSING_TENSION_N = 8.0
+MIN_PRESSING_TENSION_N = 8.0
 """Excess of a tension over its goal above which a streamed digit counts as held by an object [N]."""
 
 
@@ -52,10 +52,10 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         moved = not math.isnan(value) and value != last
         goal = x.tendon[s.FILTERED_GOAL, n]
         tension = reference_tension(x, c, n)
-        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
-            x.tendon[s.MOTOR_ANCHOR, n] = goal
-        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
-            x.tendon[s.MOTOR_ANCHOR + 1, n] = tension
+        if moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]):
+            x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] = goal
+        if moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n]):
+            x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n] = tension
         if not math.isnan(value):
             x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_POSITION, n] = value
@@ -63,13 +63,15 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         last = x.tendon[s.STUCK_TEST_TENSION, n]
         moved = not math.isnan(cell) and cell != last
         force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
-        if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
-            x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.CELL_ANCHOR + 1, n] = force
+        if moved or math.isnan(x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]):
+            x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
+                s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n
+            ] = force
         # A comparison with NaN is False, so an unknown motor force changes nothing.
-        if force < x.tendon[s.CELL_ANCHOR, n]:
-            x.tendon[s.CELL_ANCHOR, n] = force
-        if force > x.tendon[s.CELL_ANCHOR + 1, n]:
-            x.tendon[s.CELL_ANCHOR + 1, n] = force
+        if force < x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]:
+            x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = force
+        if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
+            x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n] = force
         if not math.isnan(cell):
             x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_TENSION, n] = cell
@@ -78,10 +80,10 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         last = x.joint[s.STUCK_TEST_ANGLE, j]
         moved = not math.isnan(value) and value != last
         reference = joint_angle_by_spools(x, c, j)
-        if not are_all_tendons_taut(x, c, j):
-            x.joint[s.JOINT_ANCHOR, j] = math.nan
-        if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
-            x.joint[s.JOINT_ANCHOR, j] = reference
+        if not are_tendons_of_joint_taut(x, c, j):
+            x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = math.nan
+        if moved or math.isnan(x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j]):
+            x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = reference
         if not math.isnan(value):
             x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
             x.joint[s.STUCK_TEST_ANGLE, j] = value
@@ -99,7 +101,7 @@ def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
+def are_tendons_of_joint_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons that move a joint are taut.
 
     The spool of a slack tendon does not move the joint.
@@ -113,7 +115,7 @@ def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
 @kernel_helper
 def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
     """Return a joint angle computed from spool positions [rad], or NaN if a tendon of the joint is slack."""
-    if not are_all_tendons_taut(x, c, j):
+    if not are_tendons_of_joint_taut(x, c, j):
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
@@ -126,13 +128,13 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 
 
 @kernel_helper
-def motion_since_reading(reference: float, anchor: float) -> float:
+def motion_since_reading(reference: float, reference_at_reading: float) -> float:
     """Return how far the reference of a sensor has moved since the reading of the sensor became constant.
 
     Return 0 if the motion of the reference is unknown.
     """
-    apart = abs(reference - anchor)
-    return 0.0 if math.isnan(apart) else apart
+    distance = abs(reference - reference_at_reading)
+    return 0.0 if math.isnan(distance) else distance
 
 
 @kernel_helper
@@ -147,7 +149,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     client may send targets beyond an object that it does not know.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
-    min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
+    min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
@@ -166,19 +168,19 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
             )
         if abs(goal - present) < ARRIVAL_DISTANCE_M:
             x.tendon[s.FILTERED_GOAL, n] = present
-            if abs(present - before) > GOAL_JUMP_M:
+            if abs(present - before) > MIN_GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
                 # jump of the filtered goal. The value from which the motion of the filtered goal is
                 # counted therefore jumps too.
-                x.tendon[s.MOTOR_ANCHOR, n] += present - before
+                x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += present - before
         elif _is_digit_pressing(x, c, n):
-            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
+            x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += x.tendon[s.FILTERED_GOAL, n] - before
 
 
 @kernel_helper
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a streamed digit presses on an object: its tension is much larger than the goal."""
     return (
-        is_tendon_streamed(x, c, n)
-        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSING_TENSION_N
+        follows_streamed_angles(x, c, n)
+        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > MIN_PRESSING_TENSION_N
     )

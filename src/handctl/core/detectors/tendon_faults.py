@@ -9,13 +9,13 @@ from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import (
     NO_TRAJECTORY,
     TENSION,
-    is_stream_running,
-    is_tendon_streamed,
+    follows_streamed_angles,
+    is_target_stream_running,
 )
 from handctl.core.detectors import residuals, stuck_sensors
-from handctl.core.detectors.bus_faults import Evidence
+from handctl.core.detectors.bus_faults import EvidenceTable
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
-from handctl.core.detectors.tendon_slip import derailed_limit
+from handctl.core.detectors.tendon_slip import derailment_threshold
 from handctl.core.estimation.measurements import is_cell_saturated, monitored_tension
 from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
@@ -57,24 +57,24 @@ from handctl.safety.faults.tendon import (
 
 @kernel_helper
 def detect_tendon_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
+    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
-    rail = c.run[h.TENSION_RAIL]
-    relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
-    relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXING_TIME_S
+    upper_rail = c.run[h.TENSION_RAIL]
+    time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
+    is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
-        if c.tendon[h.TENSION_TRIP, n] < tension < rail:
+        if c.tendon[h.TENSION_TRIP, n] < tension < upper_rail:
             evidence[T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
-        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
+        if c.tendon[h.DRIVE_LIMIT, n] < tension < upper_rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
             evidence[T03B, n] = tension
-        if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
+        if is_hand_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
         if armed and is_cell_saturated(x, c, n):
             evidence[T06, n] = tension
@@ -82,35 +82,38 @@ def detect_tendon_faults(
 
 @kernel_helper
 def detect_tendon_faults_under_torque(
-    x: StateTables, c: ConstantTables, evidence: Evidence
+    x: StateTables, c: ConstantTables, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
-        unexplained = residuals.unexplained_tension(x, c, n)
-        rubs = residuals.excess_friction(x, n)
-        if unexplained > RESIDUAL_WARN_N:
-            evidence[T04A, n] = unexplained
-        excess = residuals.excess_tension(x, c, n)
-        if unexplained > RESIDUAL_TRIP_N or excess > EXCESS_TENSION_TRIP_N:
-            evidence[T04B, n] = max(unexplained, excess)
-        if rubs > EXCESS_FRICTION_WARN_N:
-            evidence[T09, n] = rubs
-        pushed = stuck_sensors.motion_since_reading(
-            x.tendon[s.CELL_ANCHOR + 1, n], x.tendon[s.CELL_ANCHOR, n]
+        unexplained_tension = residuals.unexplained_tension(x, c, n)
+        excess_friction = residuals.excess_friction(x, n)
+        if unexplained_tension > RESIDUAL_WARN_N:
+            evidence[T04A, n] = unexplained_tension
+        excess_tension = residuals.excess_tension(x, c, n)
+        if unexplained_tension > RESIDUAL_TRIP_N or excess_tension > EXCESS_TENSION_TRIP_N:
+            evidence[T04B, n] = max(unexplained_tension, excess_tension)
+        if excess_friction > EXCESS_FRICTION_WARN_N:
+            evidence[T09, n] = excess_friction
+        force_change = stuck_sensors.motion_since_reading(
+            x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
+            x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
         )
-        same = x.tendon_int[s.CELL_STUCK, n] >= STUCK_CELL_READINGS
+        is_reading_constant = x.tendon_int[s.CELL_STUCK, n] >= STUCK_CELL_READINGS
         if (
-            same
-            and pushed > STUCK_CELL_FORCE_RANGE_N
+            is_reading_constant
+            and force_change > STUCK_CELL_FORCE_RANGE_N
             and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_TENSION_N
         ):
-            evidence[T05, n] = pushed
+            evidence[T05, n] = force_change
         age = age_of_repeated_readings(x, n)
         if age > 0:
             evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
-        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailed_limit(c, n):
+        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailment_threshold(
+            c, n
+        ):
             evidence[T08, n] = slip
 
 
@@ -123,7 +126,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     would be found half a second later, as a slack tendon (fault T02b).
     """
     speed = 0.0
-    if not is_tendon_streamed(x, c, n):
+    if not follows_streamed_angles(x, c, n):
         return speed
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -133,7 +136,7 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
+def _snapped_speed_threshold(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
     In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
@@ -161,7 +164,11 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
         return SNAP_SPOOL_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
-    if not holds or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY or is_stream_running(x):
+    if (
+        not holds
+        or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
+        or is_target_stream_running(x)
+    ):
         return SNAP_SPOOL_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
     force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
@@ -172,29 +179,29 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
 
 
 @kernel_helper
-def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
+def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceTable) -> None:
     """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]
-    since = x.tendon_int[s.SLACK_TICKS, n] * period
-    if since > SLACK_WARN_S:
-        evidence[T02A, n] = since
-    if since > SLACK_TRIP_S:
-        evidence[T02B, n] = since
-    tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
+    slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
+    if slack_time > SLACK_WARN_S:
+        evidence[T02A, n] = slack_time
+    if slack_time > SLACK_TRIP_S:
+        evidence[T02B, n] = slack_time
+    tension = monitored_tension(x, c, n, x.run_int[s.CELLS_TARED] == 1)
     planned = _planned_speed(x, c, n)
     if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded < 0.0:
         commanded = -commanded
         speed = -speed
         planned = -planned
         tension = -tension
-    was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
-    beyond = speed - max(planned, 0.0)
+    was_recently_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
+    unplanned_speed = speed - max(planned, 0.0)
     if (
-        beyond > _snap_speed(x, c, n, commanded)
+        unplanned_speed > _snapped_speed_threshold(x, c, n, commanded)
         and commanded > SNAP_MIN_COMMAND_N
         and tension < SNAP_TENSION_FRACTION * commanded
-        and was_taut
+        and was_recently_taut
     ):
-        evidence[T01, n] = beyond
+        evidence[T01, n] = unplanned_speed

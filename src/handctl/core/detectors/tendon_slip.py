@@ -15,7 +15,7 @@ from handctl.safety.faults.tendon import (
     TAUT_TENSION_N,
 )
 
-SETTLE_S = 0.1
+MIN_TAUT_DURATION_S = 0.1
 """Time for which a tendon must be taut before the reference for its slip is measured [s]."""
 DEG_PER_RAD = 180.0 / math.pi
 
@@ -29,30 +29,34 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         c: constants of the hand.
         tared: True if the zeros of the load cells are known.
     """
-    read = x.run_int[s.JOINTS_READ] == 1
+    has_joint_reading = x.run_int[s.ANY_JOINT_READ] == 1
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # At least one tendon of a spool pair is always taut.
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
         elif tension < SLACK_TENSION_N or _is_tautness_unknown(x, c, n):
-            x.tendon[s.TAUT_S, n] = 0.0
+            x.tendon[s.TAUT_TIME_S, n] = 0.0
         elif tension > TAUT_TENSION_N:
-            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
         stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
-        apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
-        if read and math.isnan(x.tendon[s.SLIP_REFERENCE, n]):
-            x.tendon[s.SLIP_REFERENCE, n] = apart
-        if x.tendon[s.TAUT_S, n] <= SETTLE_S:
+        length_difference = (
+            x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
+        )
+        if has_joint_reading and math.isnan(x.tendon[s.SLIP_REFERENCE, n]):
+            x.tendon[s.SLIP_REFERENCE, n] = length_difference
+        if x.tendon[s.TAUT_TIME_S, n] <= MIN_TAUT_DURATION_S:
             x.tendon[s.SLIP_REFERENCE, n] = math.nan
         x.tendon[s.SLIP, n] = math.nan
-        if read:
+        if has_joint_reading:
             x.tendon[s.SLIP, n] = (
-                (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+                (length_difference - x.tendon[s.SLIP_REFERENCE, n])
+                / c.tendon[h.ARMS_SUM, n]
+                * DEG_PER_RAD
             )
-            far = abs(x.tendon[s.SLIP, n]) > derailed_limit(c, n)
+            is_derailed = abs(x.tendon[s.SLIP, n]) > derailment_threshold(c, n)
             x.tendon[s.DERAILED_READINGS, n] = (
-                x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
+                x.tendon[s.DERAILED_READINGS, n] + 1.0 if is_derailed else 0.0
             )
 
 
@@ -67,7 +71,7 @@ def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def derailed_limit(c: ConstantTables, n: int) -> float:
+def derailment_threshold(c: ConstantTables, n: int) -> float:
     """Return the slip above which a tendon counts as derailed [deg]."""
     return (
         DERAILED_TENDON_WITHOUT_CELL_DEG

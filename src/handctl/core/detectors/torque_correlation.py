@@ -19,7 +19,7 @@ digit is held. Without a limit, these large changes would dominate the products 
 the contact. All changes of command and report are therefore limited to two counts of the torque. If
 a drive obeys, the limited changes of commands and reports have equal signs.
 
-The changes of command and report are used only after ``SETTLED_TICKS`` consecutive ticks, each with
+The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks, each with
 a reply in time. After a pause, a drive replies to all waiting commands before it obeys the last of
 them. The next report of the drive then belongs to an older command. On a slow bus, a report may
 come a tick late, and then belongs to a command that is one tick older. The test computes the
@@ -42,44 +42,44 @@ from handctl.safety.faults.node import (
     REPORT_COMPARISON_TIME_S,
 )
 
-MIN_FILLING = 0.9
+MIN_FILTER_RESPONSE = 0.9
 """Response of the low-pass filter to a constant input of 1, above which the test is made.
 
 The memory of the filter is then 90 % filled.
 """
 COVARIANCE_MARGIN_SIGMAS = 4.0
 """Margin of the test, in standard deviations of the estimated covariance."""
-SETTLED_TICKS = 3
+MIN_TICKS_WITH_REPLY = 3
 """Number of ticks in a row, each with a reply in time, after which reports are matched with commands.
 
 A command takes effect a tick later, and an increment needs two commands.
 """
-MOVED_FRACTION = 1.0 / 4000.0
+MIN_INCREMENT_FRACTION = 1.0 / 4000.0
 """Smallest increment (rms) for the test, as a fraction of the largest force: half a count of a 12-bit torque.
 
 Smaller increments consist mostly of rounding errors. If one count of a drive's torque is larger,
 half of that count is used.
 """
-LARGEST_INCREMENT = 4.0
+MAX_INCREMENT_RATIO = 4.0
 """Limit of an increment, as a multiple of the smallest increment for the test.
 
 Noise reaches about this limit in a hold.
 """
-COMPARED_COMMANDS = 3
+COMPARED_COMMAND_COUNT = 3
 """Number of last commands whose range a single report is compared with."""
 MIN_COMMAND_WINDOW_S = 6e-3
-"""Shortest time of ``COMPARED_COMMANDS`` ticks in which a single report is compared [s].
+"""Shortest time of ``COMPARED_COMMAND_COUNT`` ticks in which a single report is compared [s].
 
 A reply on a busy computer may be some milliseconds late.
 """
-SERVO_COUNTS = 0.75
+MIN_SERVO_INCREMENT_COUNTS = 0.75
 """Smallest increment (rms) for a drive that closes the position loop, in counts of position and speed.
 
 The report contains a rounded position and speed, but the drive computes with unrounded values.
 Rounded and unrounded values differ by 0.3 counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
-"""Fraction of recent ticks in which a drive closed its position loop, above which ``SERVO_COUNTS`` applies."""
+"""Fraction of ticks with a position loop closed by the drive, above which ``MIN_SERVO_INCREMENT_COUNTS`` applies."""
 (
     COMMAND_SQUARED_ROW,
     COMMAND_REPORT_ROW,
@@ -87,7 +87,7 @@ MIN_SERVO_SHARE = 0.01
     REPORT_SQUARED_ROW,
     FILTER_RESPONSE_ROW,
 ) = range(5)
-"""Rows of ``state_block.REPORT_MOMENTS``, low-passed products of increments.
+"""Rows of ``state_block.FORCE_INCREMENT_PRODUCTS``, low-passed products of increments.
 
 The rows are: command squared, command times report, the earlier command times report (for a report
 that comes a tick late), report squared, and the response of the filter to a constant 1.
@@ -110,49 +110,53 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
-        first = x.tendon[s.REPORT_FORCES, n]
-        second = x.tendon[s.REPORT_FORCES + 1, n]
-        last = x.tendon[s.REPORT_FORCES + 2, n]
+        first = x.tendon[s.RECENT_MOTOR_FORCES, n]
+        second = x.tendon[s.RECENT_MOTOR_FORCES + 1, n]
+        last = x.tendon[s.RECENT_MOTOR_FORCES + 2, n]
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            closed = 1.0 if x.servo[s.SERVO_BEFORE + 2, n] > 0.0 else 0.0
-            x.servo[s.SERVO_SHARE, n] += fraction * (closed - x.servo[s.SERVO_SHARE, n])
+            is_loop_closed = 1.0 if x.servo[s.LAST_SERVO_COMMAND + 2, n] > 0.0 else 0.0
+            x.servo[s.SERVO_TICK_FRACTION, n] += fraction * (
+                is_loop_closed - x.servo[s.SERVO_TICK_FRACTION, n]
+            )
             last = second
             second = first
-            first = x.servo[s.SERVO_REPORT, n]
+            first = x.servo[s.EXPECTED_SERVO_FORCE, n]
         report = x.tendon[s.MEASURED_FORCE, n]
-        largest = LARGEST_INCREMENT * _smallest_increment(x, c, n)
+        largest = MAX_INCREMENT_RATIO * _smallest_increment(x, c, n)
         a = _clipped_increment(first - second, largest)
-        b = _clipped_increment(report - x.tendon[s.REPORT_FORCES + 3, n], largest)
+        b = _clipped_increment(report - x.tendon[s.RECENT_MOTOR_FORCES + 3, n], largest)
         late = _clipped_increment(second - last, largest)
-        settled = 0.0
+        replies_on_time = 0.0
         if missed == 0 and math.isfinite(report):
-            settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
-        if math.isfinite(a + b + late) and settled > SETTLED_TICKS:
+            replies_on_time = x.tendon[s.REPLIES_ON_TIME, n] + 1.0
+        if math.isfinite(a + b + late) and replies_on_time > MIN_TICKS_WITH_REPLY:
             _low_pass_moment(x, n, COMMAND_SQUARED_ROW, fraction, a * a)
             _low_pass_moment(x, n, COMMAND_REPORT_ROW, fraction, a * b)
             _low_pass_moment(x, n, LATE_COMMAND_REPORT_ROW, fraction, late * b)
             _low_pass_moment(x, n, REPORT_SQUARED_ROW, fraction, b * b)
             _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
-        x.tendon[s.REPORT_ON_TIME, n] = settled
+        x.tendon[s.REPLIES_ON_TIME, n] = replies_on_time
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             # For a drive that closes its position loop, the predicted force of the report is stored
             # instead of the command. The stored values of such a drive are therefore shifted by one
             # tick.
-            x.tendon[s.REPORT_FORCES, n] = first
-            x.tendon[s.REPORT_FORCES + 1, n] = second
+            x.tendon[s.RECENT_MOTOR_FORCES, n] = first
+            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = second
         else:
-            x.tendon[s.REPORT_FORCES, n] = command
-            x.tendon[s.REPORT_FORCES + 1, n] = first
-            x.tendon[s.REPORT_FORCES + 2, n] = second
-        x.tendon[s.REPORT_FORCES + 3, n] = report
+            x.tendon[s.RECENT_MOTOR_FORCES, n] = command
+            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = first
+            x.tendon[s.RECENT_MOTOR_FORCES + 2, n] = second
+        x.tendon[s.RECENT_MOTOR_FORCES + 3, n] = report
 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the smallest change of a motor's torque that is more than rounding, as a force at the spool [N]."""
-    rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
-        rounding = max(rounding, SERVO_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
+    rounding = max(
+        MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n]
+    )
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_TICK_FRACTION, n] > MIN_SERVO_SHARE:
+        rounding = max(rounding, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
     return float(rounding)
 
 
@@ -168,25 +172,30 @@ def _clipped_increment(increment: float, largest: float) -> float:
 
 
 @kernel_helper
-def _low_pass_moment(x: StateTables, n: int, moment: int, fraction: float, value: float) -> None:
-    x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (
-        value - x.tendon[s.REPORT_MOMENTS + moment, n]
+def _low_pass_moment(
+    x: StateTables, n: int, moment_row: int, fraction: float, value: float
+) -> None:
+    x.tendon[s.FORCE_INCREMENT_PRODUCTS + moment_row, n] += fraction * (
+        value - x.tendon[s.FORCE_INCREMENT_PRODUCTS + moment_row, n]
     )
 
 
 @kernel_helper
-def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
+def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the torque that a motor reports does not follow its commanded torque."""
-    aa = x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n]
-    bb = x.tendon[s.REPORT_MOMENTS + REPORT_SQUARED_ROW, n]
+    aa = x.tendon[s.FORCE_INCREMENT_PRODUCTS + COMMAND_SQUARED_ROW, n]
+    bb = x.tendon[s.FORCE_INCREMENT_PRODUCTS + REPORT_SQUARED_ROW, n]
     ab = max(
-        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
-        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
+        x.tendon[s.FORCE_INCREMENT_PRODUCTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.FORCE_INCREMENT_PRODUCTS + LATE_COMMAND_REPORT_ROW, n],
     )
     # The command and the report must both change by more than the rounding of the torque. A report
     # that stays constant is a sign of another fault.
-    moves = min(aa, bb) > square(_smallest_increment(x, c, n))
-    if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
+    has_changed = min(aa, bb) > square(_smallest_increment(x, c, n))
+    if (
+        x.tendon[s.FORCE_INCREMENT_PRODUCTS + FILTER_RESPONSE_ROW, n] <= MIN_FILTER_RESPONSE
+        or not has_changed
+    ):
         return False
     return (
         ab
@@ -203,15 +212,15 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
     The fraction is 1 for a drive that obeys.
     """
     ab = max(
-        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
-        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
+        x.tendon[s.FORCE_INCREMENT_PRODUCTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.FORCE_INCREMENT_PRODUCTS + LATE_COMMAND_REPORT_ROW, n],
     )
     # The lower bound of the divisor prevents a division by 0.
-    return ab / max(x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n], 1e-300)
+    return ab / max(x.tendon[s.FORCE_INCREMENT_PRODUCTS + COMMAND_SQUARED_ROW, n], 1e-300)
 
 
 @kernel_helper
-def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
+def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a motor reports a force that differs from each of its last three commands.
 
     The low-passed difference between command and report must have the same sign, so a single report
@@ -229,25 +238,25 @@ def is_command_contradicted(x: StateTables, c: ConstantTables, n: int) -> bool:
     that sends its torque in a separate frame is not tested either, because the torque may be older
     than the reply.
     """
-    window = COMPARED_COMMANDS * c.run[h.PERIOD]
+    window = COMPARED_COMMAND_COUNT * c.run[h.PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:
         return False
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.ANSWERS_ONCE, n]:
         return False
-    if x.tendon[s.REPORT_ON_TIME, n] <= SETTLED_TICKS:
+    if x.tendon[s.REPLIES_ON_TIME, n] <= MIN_TICKS_WITH_REPLY:
         return False
     lowest = math.inf
     highest = -math.inf
-    for earlier in range(COMPARED_COMMANDS):
-        command = x.tendon[s.REPORT_FORCES + earlier, n]
+    for age in range(COMPARED_COMMAND_COUNT):
+        command = x.tendon[s.RECENT_MOTOR_FORCES + age, n]
         if math.isnan(command):
             return False
         lowest = min(lowest, command)
         highest = max(highest, command)
     report = x.tendon[s.MEASURED_FORCE, n]
     mean = x.tendon[s.RESIDUAL + COMMAND_DIFFERENCE, n]
-    beyond = lowest - report if mean > 0.0 else report - highest
-    explained = CONTRADICTORY_REPORT_N + CONTRADICTORY_REPORT_FRACTION * max(
+    distance_to_range = lowest - report if mean > 0.0 else report - highest
+    tolerance = CONTRADICTORY_REPORT_N + CONTRADICTORY_REPORT_FRACTION * max(
         abs(lowest), abs(highest)
     )
-    return abs(mean) > CONTRADICTORY_REPORT_MEAN_N and beyond > explained
+    return abs(mean) > CONTRADICTORY_REPORT_MEAN_N and distance_to_range > tolerance

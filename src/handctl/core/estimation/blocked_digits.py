@@ -14,9 +14,9 @@ from handctl.core.state_block import StateTables
 
 TOUCH_TIME_CONSTANT_S = 20e-3
 """Time constant of the low-pass filter for the unexplained tension of a digit [s]."""
-FREE_BELOW_N = 3.0
+MAX_UNBLOCKED_TENSION_N = 3.0
 """Mean unexplained tension of a digit's tendons below which the digit counts as free again [N]."""
-BLOCKED_ABOVE_N = 6.0
+MIN_BLOCKED_TENSION_N = 6.0
 """Mean unexplained tension of a digit's tendons above which the digit counts as blocked [N].
 
 In this mean, the tension of a tendon that opens the digit has the opposite sign.
@@ -25,7 +25,7 @@ In fast free motion, with friction that differs from the model by 50 %, the mean
 tension is not converted to a force at the tip, because a force at the tip of a fully flexed digit
 has no lever about its joints.
 """
-MAX_PRESS_N = 30.0
+MAX_BLOCKED_EXTRA_TENSION_N = 30.0
 """Largest tension of a blocked digit in excess of the tension that the trajectory requires [N].
 
 Without this limit, the motion loop would raise the tension of a blocked digit up to the safety
@@ -34,7 +34,7 @@ limits.
 
 
 @kernel_helper
-def update_blocked(x: StateTables, c: ConstantTables) -> None:
+def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
     """Update whether each digit is blocked."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
@@ -44,20 +44,24 @@ def update_blocked(x: StateTables, c: ConstantTables) -> None:
         for n in range(first, end):
             margin += c.tendon[h.BLIND_MARGIN, n] / (end - first)
             mean += c.tendon[h.CLOSING_SIGN, n] * x.tendon[s.EXTERNAL_TENSION, n] / (end - first)
-        retained = c.run[h.TOUCH_DECAY]
-        x.digit[s.TOUCH, d] = retained * x.digit[s.TOUCH, d] + (1.0 - retained) * mean
-        limit = FREE_BELOW_N if x.digit_int[s.BLOCKED, d] else BLOCKED_ABOVE_N + margin
-        blocked = x.digit[s.TOUCH, d] > limit
+        retained_fraction = c.run[h.TOUCH_DECAY]
+        x.digit[s.UNEXPLAINED_TENSION, d] = (
+            retained_fraction * x.digit[s.UNEXPLAINED_TENSION, d] + (1.0 - retained_fraction) * mean
+        )
+        limit = (
+            MAX_UNBLOCKED_TENSION_N if x.digit_int[s.BLOCKED, d] else MIN_BLOCKED_TENSION_N + margin
+        )
+        blocked = x.digit[s.UNEXPLAINED_TENSION, d] > limit
         if blocked != x.digit_int[s.BLOCKED, d]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
         x.digit_int[s.BLOCKED, d] = blocked
 
 
 @kernel_helper
-def reset_blocked(x: StateTables) -> None:
+def reset_blocked_digits(x: StateTables) -> None:
     """Mark all digits as not blocked, because a contact cannot be observed without motor torque."""
     for d in range(x.digit.shape[1]):
-        x.digit[s.TOUCH, d] = 0.0
+        x.digit[s.UNEXPLAINED_TENSION, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
         x.digit_int[s.BLOCKED, d] = 0

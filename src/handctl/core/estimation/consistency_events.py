@@ -29,26 +29,30 @@ def consistency_events(
         after: state of the controller in the present tick.
     """
     events: list[TickEvent] = []
-    doubtful = after.view("doubtful")
-    was = before.view("doubtful")
-    if (doubtful != was).any():
-        for n in np.flatnonzero(doubtful != was).tolist():
+    is_doubtful = after.view("doubtful")
+    previous = before.view("doubtful")
+    if (is_doubtful != previous).any():
+        for n in np.flatnonzero(is_doubtful != previous).tolist():
             name = model.hand.tendon_names[n]
             nis = after.view("nis_mean")[n]
             verdict = (
-                "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
+                "the estimate is not to be trusted"
+                if is_doubtful[n]
+                else "the estimate is good again"
             )
             text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
-            events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
-    blocked = after.view("blocked")
-    was = before.view("blocked")
-    if (blocked != was).any():
+            events.append(TickEvent("warn" if is_doubtful[n] else "info", "estimate", name, text))
+    is_blocked = after.view("blocked")
+    previous = before.view("blocked")
+    if (is_blocked != previous).any():
         planned = after.view("planned_contact")
-        for d in np.flatnonzero((blocked != was) & (planned == 0)).tolist():
+        for d in np.flatnonzero((is_blocked != previous) & (planned == 0)).tolist():
             name = model.hand.digit_names[d]
             tension = after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
             events.append(
-                TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again")
+                TickEvent(
+                    "info", "blocked", name, text if is_blocked[d] else f"{name} is free again"
+                )
             )
     return tuple(events)

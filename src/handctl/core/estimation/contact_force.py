@@ -61,7 +61,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """
     closing = False
     for d in range(x.digit.shape[1]):
-        if x.digit_int[s.CLOSING, d]:
+        if x.digit_int[s.CLOSING_UNTIL_CONTACT, d]:
             closing = True
         else:
             x.digit[s.SMOOTHED_TIP_FORCE, d] = x.digit[s.CONTACT_FORCE, d] = 0.0
@@ -71,7 +71,7 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     lever = np.zeros(x.joint.shape[1])
     _write_tip_levers(x, c, lever)
     for d in range(x.digit.shape[1]):
-        if not x.digit_int[s.CLOSING, d]:
+        if not x.digit_int[s.CLOSING_UNTIL_CONTACT, d]:
             continue
         force = x.digit[s.SMOOTHED_TIP_FORCE, d]
         force += c.run[h.TIP_FORCE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
@@ -107,11 +107,11 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
     work = 0.0
     size = 0.0
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
-        response = 0.0
+        tension_per_force = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-            response += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
-        work += response * x.tendon[s.EXTERNAL_TENSION, n]
-        size += response * response
+            tension_per_force += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
+        work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
+        size += tension_per_force * tension_per_force
     return work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
@@ -121,14 +121,22 @@ def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
 
     Both averages are equal until the detection of slip begins.
     """
-    judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
+    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):
         # The length on the spool minus the elastic stretch is the tendon length that moves the
         # joints.
-        here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+        unstretched_travel = (
+            x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+        )
         fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
         slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]
-        fast = fast + (here - fast) * c.run[h.GRIP_FAST_FRACTION] if x.run_int[s.GRIPPING] else here
-        slow = slow + (here - slow) * c.run[h.GRIP_SLOW_FRACTION]
+        fast = (
+            fast + (unstretched_travel - fast) * c.run[h.GRIP_FAST_FRACTION]
+            if x.run_int[s.PROGRAM_HOLDS_OBJECT]
+            else unstretched_travel
+        )
+        slow = slow + (unstretched_travel - slow) * c.run[h.GRIP_SLOW_FRACTION]
         x.tendon[s.GRIP_TRAVEL_FAST, n] = fast
-        x.tendon[s.GRIP_TRAVEL_SLOW, n] = slow if judged and x.run_int[s.GRIPPING] else fast
+        x.tendon[s.GRIP_TRAVEL_SLOW, n] = (
+            slow if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast
+        )

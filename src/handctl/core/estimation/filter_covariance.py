@@ -29,9 +29,9 @@ MISSING_VARIANCE_FACTOR = 1e12
 
 This factor makes the Kalman gain practically zero.
 """
-STEADY_FRACTION = 0.02
+STEADY_VARIANCE_TOLERANCE = 0.02
 """If each variance differs from its steady value by at most this fraction, the covariance counts as steady."""
-HELD_TORQUE_S = 0.05
+MAX_TORQUE_HOLD_TIME_S = 0.05
 """Longest time without a command over which states are predicted [s].
 
 After this time the watchdogs of the drives have removed the torque.
@@ -39,7 +39,7 @@ After this time the watchdogs of the drives have removed the torque.
 
 
 @kernel_helper
-def correct_covariance(
+def correct_tendon_covariance(
     x: StateTables,
     c: ConstantTables,
     n: int,
@@ -70,20 +70,20 @@ def correct_covariance(
     for m in range(2):
         for i in range(STATE_COUNT):
             H[m, i] = c.design[n, kind, h.H_AT + STATE_COUNT * m + i]
-    observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
-    H[1, CELL_ERROR] = observable
+    is_cell_error_observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
+    H[1, CELL_ERROR] = is_cell_error_observable
     P = _present_covariance(x, c, n, kind)
-    crossed = _multiply_by_transposed(P, H)
-    size = _multiply_matrices(H, crossed)
+    state_measurement_covariance = _multiply_by_transposed(P, H)
+    innovation_covariance = _multiply_matrices(H, state_measurement_covariance)
     R = np.zeros(2)
     for m in range(2):
         R[m] = c.design[n, kind, h.R_AT + m] * (
             MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
     # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
-    a = size[0, 0] + R[0]
-    b = size[0, 1]
-    d = size[1, 1] + R[1]
+    a = innovation_covariance[0, 0] + R[0]
+    b = innovation_covariance[0, 1]
+    d = innovation_covariance[1, 1] + R[1]
     determinant = a * d - b * b
     information[0] = d / determinant
     information[1] = -2.0 * b / determinant
@@ -91,21 +91,33 @@ def correct_covariance(
     for i in range(STATE_COUNT):
         # If no measurement distinguishes a load-cell error from tension, the load-cell error is not
         # corrected. Instead, the variance of the load-cell error grows.
-        observed = observable if i == CELL_ERROR else 1.0
-        gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
-        gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
-    rest = np.zeros((STATE_COUNT, STATE_COUNT))
+        is_observable = is_cell_error_observable if i == CELL_ERROR else 1.0
+        gain[i, 0] = (
+            is_observable
+            * (state_measurement_covariance[i, 0] * d - state_measurement_covariance[i, 1] * b)
+            / determinant
+        )
+        gain[i, 1] = (
+            is_observable
+            * (state_measurement_covariance[i, 1] * a - state_measurement_covariance[i, 0] * b)
+            / determinant
+        )
+    correction_complement = np.zeros((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
+            correction_complement[i, j] = (1.0 if i == j else 0.0) - (
+                gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
+            )
     # The Joseph form of the covariance is (I - K H) P (I - K H)^T + K R K^T. The Joseph form is
     # symmetric and positive for any gain, even for a gain that leaves the load-cell error
     # uncorrected (Schmidt's consider filter).
-    joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
+    joseph_term = _multiply_by_transposed(
+        _multiply_matrices(correction_complement, P), correction_complement
+    )
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             predicted_covariances[i, j] = (
-                joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
+                joseph_term[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
             )
     return math.sqrt(d)
 
@@ -122,7 +134,7 @@ def predict_covariances(
     of the new design.
     """
     periods = 1 + ticks_to_predict(c, missed_ticks)
-    steady = True
+    are_all_steady = True
     for n in range(len(predicted_covariances)):
         kind = x.tendon_int[s.FILTER_KIND, n]
         F = _copy_design_matrix(c, n, kind, h.F_AT)
@@ -139,14 +151,14 @@ def predict_covariances(
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
                 x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n] = P[i, j]
-        steady &= _is_steady(c, n, kind, P)
-    x.run_int[s.COVARIANCE_PROPAGATED] = not steady
+        are_all_steady &= _is_steady(c, n, kind, P)
+    x.run_int[s.COVARIANCE_PROPAGATED] = not are_all_steady
 
 
 @kernel_helper
 def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
     """Return the number of missed ticks over which the covariance is predicted."""
-    return min(missed_ticks, round(HELD_TORQUE_S / c.run[h.PERIOD]))
+    return min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / c.run[h.PERIOD]))
 
 
 @kernel_helper
@@ -177,13 +189,21 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: 
 
 @kernel_helper
 def _is_steady(c: ConstantTables, n: int, design_kind: int, P: Matrix) -> bool:
-    steady = _copy_design_matrix(c, n, design_kind, h.P_AT)
+    steady_covariance = _copy_design_matrix(c, n, design_kind, h.P_AT)
     for i in range(STATE_COUNT):
-        observed = c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
-        if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
+        is_observable = (
+            c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
+        )
+        if (
+            abs(P[i, i] - steady_covariance[i, i]) * is_observable
+            > STEADY_VARIANCE_TOLERANCE * steady_covariance[i, i] * is_observable
+        ):
             return False
-    variance = _tension_variance(c, n, design_kind, steady)
-    return abs(_tension_variance(c, n, design_kind, P) - variance) <= STEADY_FRACTION * variance
+    variance = _tension_variance(c, n, design_kind, steady_covariance)
+    return (
+        abs(_tension_variance(c, n, design_kind, P) - variance)
+        <= STEADY_VARIANCE_TOLERANCE * variance
+    )
 
 
 @kernel_helper

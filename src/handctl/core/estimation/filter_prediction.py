@@ -5,7 +5,7 @@ import numpy as np
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.deferred_imports import deferred_imports
-from handctl.core.estimation.filter_covariance import HELD_TORQUE_S
+from handctl.core.estimation.filter_covariance import MAX_TORQUE_HOLD_TIME_S
 from handctl.core.hand_model import HandModel
 
 with deferred_imports():
@@ -34,6 +34,6 @@ def predict_filter_states(
     x = predict_steadystate(states, F, inputs, B)
     if missed_ticks:
         held = np.concatenate((inputs[:n], np.zeros(n)))
-        for _ in range(min(missed_ticks, round(HELD_TORQUE_S / model.period))):
+        for _ in range(min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / model.period))):
             x = predict_steadystate(x, F, held, B)
     states[:] = x

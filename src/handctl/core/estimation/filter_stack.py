@@ -132,18 +132,18 @@ class FilterDesign:
         )
 
     @property
-    def held_sigma(self) -> Matrix:
+    def held_tension_sigma(self) -> Matrix:
         """Return the standard deviation of each tendon's tension in the regime ``HELD`` (N,) [N]."""
         return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
     def _stacked_transition(self, kinds: bytes) -> StateTransition:
-        in_use = [
+        selected_blocks = [
             tendon[kind]
             for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)
         ]
         return StateTransition(
-            _stack_blocks([block.F for block in in_use]),
-            _stack_blocks([block.B for block in in_use]),
+            _stack_blocks([block.F for block in selected_blocks]),
+            _stack_blocks([block.B for block in selected_blocks]),
         )
 
 
@@ -152,9 +152,9 @@ def _stack_blocks(blocks: list[Matrix]) -> Matrix:
 
     In the rows and columns of the matrix, the tendon is the inner index.
     """
-    n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
+    n, (rows, columns), indices = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # The indices are (row, tendon, column, tendon), because each tendon is coupled only with
     # itself.
     matrix = np.zeros((rows, n, columns, n))
-    matrix[:, each, :, each] = blocks
+    matrix[:, indices, :, indices] = blocks
     return matrix.reshape(rows * n, columns * n)

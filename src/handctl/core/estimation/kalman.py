@@ -1,6 +1,6 @@
 """Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
 
-One linear Kalman filter contains the states of all tendons. ``correct_filter`` corrects the states
+One linear Kalman filter contains the states of all tendons. ``correct_tension_filter`` corrects the states
 by the measurements. ``filterpy`` predicts the states to the present (called in
 ``controller.tick``). ``derive_estimate`` derives the estimate from the states. A missing or
 saturated measurement has no innovation. After such a measurement, the covariance is propagated
@@ -25,7 +25,7 @@ from handctl.core.estimation.filter_stack import (
     STATE_COUNT,
 )
 from handctl.core.estimation.statics import (
-    subtract_passing_torque,
+    subtract_torque_of_passing_tendons,
     value_from_other_tendons,
     write_static_torque,
     write_tensions_at_joints,
@@ -36,7 +36,7 @@ from handctl.core.estimation.take_up import (
     is_regime_over,
     regime_evidence,
     regime_evidence_without_cell,
-    set_offset_of_newly_taut,
+    set_offset_of_newly_taut_tendon,
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
@@ -46,16 +46,16 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STOP_BAND_REST_M = 2e-5
+MAX_STOP_DISTANCE_TO_COME_TO_REST_M = 2e-5
 """Distance of the excursion from the stop of the open digit below which an arriving digit counts as at rest [m]."""
-STOP_BAND_STAY_M = 1e-4
+MAX_STOP_DISTANCE_TO_STAY_AT_REST_M = 1e-4
 """Distance of the excursion from the stop of the open digit up to which a digit at rest stays at rest [m]."""
-STOP_PULL_REST = 0.8
+MAX_PULL_TO_COME_TO_REST = 0.8
 """Pull of a tendon below which its digit comes to rest on the stop of the open digit, relative to the springs' force.
 
 The fraction is so small that friction cannot hold the digit just above the stop.
 """
-STOP_PULL_STAY = 1.05
+MAX_PULL_TO_STAY_AT_REST = 1.05
 """Pull of a tendon below which its digit stays on the stop of the open digit, relative to the springs' force."""
 SLACK_LENGTH_M = 2e-4
 """Length of slack above which a load cell certainly measures no tension, but only its error [m]."""
@@ -66,18 +66,18 @@ STEP_GATE_SIGMAS = 2.5
 
 Both innovations must have the same sign.
 """
-STEP_FRACTION = 0.8
+TENSION_STEP_CORRECTION_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
 NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) that judges the model [s].
 
 The ideal mean of NIS is 2.
 """
-INCONSISTENT_NIS = 8.0
+MIN_INCONSISTENT_NIS = 8.0
 """Mean normalised innovation squared (NIS) of a tendon above which the model of the tendon counts as inconsistent."""
-CONSISTENT_NIS = 4.0
+MAX_CONSISTENT_NIS = 4.0
 """Mean normalised innovation squared (NIS) of a tendon below which the model counts as consistent again."""
-NOISE_NIS_S = 0.25
+NOISE_NIS_AVERAGING_TIME_S = 0.25
 """Averaging time of the NIS that decides about added process noise [s]."""
 NOISE_NIS_LIMIT = 3.2
 """Mean NIS of a tendon above which process noise is added to its filter."""
@@ -108,7 +108,7 @@ def filter_kind(x: StateTables, n: int) -> int:
 
 
 @kernel_helper
-def correct_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
+def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Correct the filter by the measurements of a tick, and judge slack, open stop and contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
@@ -125,7 +125,7 @@ def correct_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None
         x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
-    full = (
+    use_full_update = (
         missed_ticks > 0
         or x.run_int[s.COVARIANCE_PROPAGATED] == 1
         or _is_measurement_missing(x, c, z)
@@ -133,22 +133,22 @@ def correct_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None
     gain = np.zeros((count, STATE_COUNT, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
-    after = np.zeros((count, STATE_COUNT, STATE_COUNT) if full else (0, 0, 0))
+    after = np.zeros((count, STATE_COUNT, STATE_COUNT) if use_full_update else (0, 0, 0))
     for n in range(count):
         kind = x.tendon_int[s.FILTER_KIND, n]
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
-        if full:
-            cell_sigma[n] = filter_covariance.correct_covariance(
+        if use_full_update:
+            cell_sigma[n] = filter_covariance.correct_tendon_covariance(
                 x, c, n, z[n], gain[n], after[n], information[n]
             )
     _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
-    _move_slack_with_taut(x, c)
-    _judge_consistency(x, c, innovation, information, full)
+    _correct_slack_by_taut_tendons(x, c)
+    _judge_consistency(x, c, innovation, information, use_full_update)
     force = _judge_regimes(x, c)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
-    if full:
+    if use_full_update:
         filter_covariance.predict_covariances(x, c, after, missed_ticks)
 
 
@@ -172,7 +172,7 @@ def _usable_measurements(x: StateTables) -> Matrix:
             stretch = (
                 x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
             )
-            if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.LENGTH_KNOWN, n]):
+            if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.TENDON_LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
     return z
 
@@ -254,9 +254,9 @@ def _gate_and_correct_states(
                 steady += (
                     c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
                 )
-            # The code below adds the correction by the gain, so only the rest of STEP_FRACTION is
+            # The code below adds the correction by the gain, so only the rest of TENSION_STEP_CORRECTION_FRACTION is
             # applied here.
-            jump = max(STEP_FRACTION - steady, 0.0) * cell
+            jump = max(TENSION_STEP_CORRECTION_FRACTION - steady, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
             innovations[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
@@ -270,7 +270,7 @@ def _gate_and_correct_states(
 
 
 @kernel_helper
-def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
+def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
     """Correct the excursion of slack tendons by the other tendons, in digits with surplus tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
@@ -341,13 +341,17 @@ def _judge_consistency(
         # the averaging times.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
-            x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
+            x.tendon[s.NIS_FAST, n] += (
+                period / NOISE_NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_FAST, n])
+            )
     for n in range(len(innovations)):
-        limit = CONSISTENT_NIS if x.tendon_int[s.DOUBTFUL, n] else INCONSISTENT_NIS
-        doubtful = x.tendon[s.NIS_MEAN, n] > limit
-        if doubtful != x.tendon_int[s.DOUBTFUL, n]:
+        limit = (
+            MAX_CONSISTENT_NIS if x.tendon_int[s.MODEL_INCONSISTENT, n] else MIN_INCONSISTENT_NIS
+        )
+        is_doubtful = x.tendon[s.NIS_MEAN, n] > limit
+        if is_doubtful != x.tendon_int[s.MODEL_INCONSISTENT, n]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.tendon_int[s.DOUBTFUL, n] = doubtful
+        x.tendon_int[s.MODEL_INCONSISTENT, n] = is_doubtful
     _judge_noise(x, c)
 
 
@@ -407,7 +411,7 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 
 @kernel_helper
-def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
+def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return three forces of each tendon (3, N) [N]: the resistance, the pull with the sign of speed, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
@@ -426,19 +430,23 @@ def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
     write_free_angles(x, c, s.EXCURSION, q)
     write_static_torque(c, q, torque)
     tension = np.empty(count)
-    quick = np.empty(count)
-    developed = np.empty(count)
-    better = False
+    friction_by_speed = np.empty(count)
+    friction_states = np.empty(count)
+    is_friction_state_known = False
     for n in range(count):
         tension[n] = filtered_tension(x, c, n)
-        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
+        friction_by_speed[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
         friction_state = x.tendon[s.FRICTION_STATE, n]
-        developed[n] = quick[n] if math.isnan(friction_state) else friction_state
-        better |= developed[n] != quick[n]
-    subtract_passing_torque(c, q, tension, developed if better else quick, torque)
+        friction_states[n] = friction_by_speed[n] if math.isnan(friction_state) else friction_state
+        is_friction_state_known |= friction_states[n] != friction_by_speed[n]
+    subtract_torque_of_passing_tendons(
+        c, q, tension, friction_states if is_friction_state_known else friction_by_speed, torque
+    )
     write_tensions_for_torque(c, torque, force[0])
-    write_tensions_at_joints(c, q, tension, quick, force[1])
-    write_tensions_at_joints(c, q, tension, developed if better else quick, force[2])
+    write_tensions_at_joints(c, q, tension, friction_by_speed, force[1])
+    write_tensions_at_joints(
+        c, q, tension, friction_states if is_friction_state_known else friction_by_speed, force[2]
+    )
     return force
 
 
@@ -447,9 +455,9 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of each tendon that has become taut.
 
     The regime of a tendon depends on slack, on the open stop and on contact. Return the result of
-    ``_load_forces``, computed with the new regimes.
+    ``_resistance_and_pull_forces``, computed with the new regimes.
     """
-    force = _load_forces(x, c)
+    force = _resistance_and_pull_forces(x, c)
     changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
@@ -457,57 +465,61 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         # While a tendon is slack, only the encoder determines the length that must still be wound
         # up.
         near = (
-            regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
+            regime == SLACK_REGIME
+            and x.tendon_int[s.TENDON_LENGTH_KNOWN, n] == 1
+            and is_nearly_taut(x, n)
         )
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
-        points = x.tendon_int[s.REGIME_EVIDENCE, n]
+        evidence_count = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
         if blind:
             # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
             # estimated disturbance force therefore equals minus the tension.
             cell = -x.tendon[s.DISTURBANCE, n]
-            points = regime_evidence_without_cell(regime, points, tension, cell)
+            evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
-            points = regime_evidence(regime, points, tension, cell, x.tendon[s.CELL_ERROR, n], near)
+            evidence_count = regime_evidence(
+                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], near
+            )
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # The spool of a pair turns the joint in both directions. At least one tendon of a spool
             # pair is always taut.
-            points = 0
+            evidence_count = 0
             regime = FREE_REGIME
-        elif is_regime_over(regime, points, blind):
-            points = 0
+        elif is_regime_over(regime, evidence_count, blind):
+            evidence_count = 0
             if regime == SLACK_REGIME:
-                set_offset_of_newly_taut(x, c, n, cell)
-                x.tendon_int[s.LENGTH_KNOWN, n] = 1
+                set_offset_of_newly_taut_tendon(x, c, n, cell)
+                x.tendon_int[s.TENDON_LENGTH_KNOWN, n] = 1
             regime = FREE_REGIME if regime == SLACK_REGIME else SLACK_REGIME
-        x.tendon_int[s.REGIME_EVIDENCE, n] = points
-        was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
-        stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
-        if stopped:
+        x.tendon_int[s.REGIME_EVIDENCE, n] = evidence_count
+        was_on_stop = x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] == 1
+        is_on_stop = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
+        if is_on_stop:
             # For a tendon that opens its digit, the pull and the excursion are negative in this
             # test.
             side = c.tendon[h.CLOSING_SIGN, n]
-            opened = c.tendon[h.OPEN_EXCURSION, n]
-            stopped = _is_at_stop(
-                was,
-                side * (x.tendon[s.EXCURSION, n] - opened),
+            open_excursion = c.tendon[h.OPEN_EXCURSION, n]
+            is_on_stop = _is_at_stop(
+                was_on_stop,
+                side * (x.tendon[s.EXCURSION, n] - open_excursion),
                 side * force[1, n],
                 side * force[0, n],
             )
-        x.tendon_int[s.ON_OPEN_STOP, n] = stopped
+        x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] = is_on_stop
         if regime != SLACK_REGIME:
-            if stopped and not was:
+            if is_on_stop and not was_on_stop:
                 # The digit has come to rest on its open stop. When a digit is on its open stop, the
                 # excursions of its tendons are known. The error of the estimated excursion is added
                 # to the stretch offset.
-                opened = c.tendon[h.OPEN_EXCURSION, n]
-                x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - opened
-                x.tendon[s.EXCURSION, n] = opened
+                open_excursion = c.tendon[h.OPEN_EXCURSION, n]
+                x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - open_excursion
+                x.tendon[s.EXCURSION, n] = open_excursion
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
             regime = (
                 HELD_REGIME
-                if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n])
+                if is_on_stop or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n])
                 else FREE_REGIME
             )
         changed |= regime != x.tendon_int[s.REGIME, n]
@@ -515,7 +527,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     if changed:
         for n in range(x.tendon.shape[1]):
             x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
-        force = _load_forces(x, c)
+        force = _resistance_and_pull_forces(x, c)
     return force
 
 
@@ -530,8 +542,14 @@ def is_in_contact(x: StateTables, d: int) -> bool:
 def _is_at_stop(was_at_stop: bool, excursion: float, force: float, spring_force: float) -> bool:
     """Return True if springs hold a digit on its open stop against the pull of a tendon."""
     if was_at_stop:
-        return excursion < STOP_BAND_STAY_M and force < spring_force * STOP_PULL_STAY
-    return excursion < STOP_BAND_REST_M and force < spring_force * STOP_PULL_REST
+        return (
+            excursion < MAX_STOP_DISTANCE_TO_STAY_AT_REST_M
+            and force < spring_force * MAX_PULL_TO_STAY_AT_REST
+        )
+    return (
+        excursion < MAX_STOP_DISTANCE_TO_COME_TO_REST_M
+        and force < spring_force * MAX_PULL_TO_COME_TO_REST
+    )
 
 
 @kernel_helper
@@ -551,7 +569,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
-        if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.ON_OPEN_STOP, n]:
+        if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.DIGIT_ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
             # The load force is the pull of the tendon minus the resistance of springs and gravity.
             # If an object resists the closing digit, the load force is positive.

@@ -22,26 +22,28 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
-        if x.tendon_int[s.FEEDBACKS_NOW, n] > 0:
+        if x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0:
             x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
         x.tendon[s.MEASURED_TENSION, n] = math.nan
         x.tendon_int[s.SATURATED, n] = 0
-        if x.tendon_int[s.CELL_FRESH, n]:
-            cell = x.tendon[s.CELL_READING, n]
-            saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
-            if saturated:
+        if x.tendon_int[s.CELL_READ_NOW, n]:
+            cell_reading = x.tendon[s.CELL_READING, n]
+            is_saturated = not c.run[h.CELL_LOW] < cell_reading < c.run[h.CELL_HIGH]
+            if is_saturated:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
-                cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
-            x.tendon[s.MEASURED_TENSION, n] = cell - (
-                c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n]
+                cell_reading = (
+                    c.run[h.CELL_HIGH] if cell_reading >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
+                )
+            x.tendon[s.MEASURED_TENSION, n] = cell_reading - (
+                c.tendon[h.CELL_TARE, n] + x.tendon[s.TARE_MEASURED_BY_PROGRAM, n]
             )
-            x.tendon_int[s.SATURATED, n] = saturated
-    x.run_int[s.JOINTS_READ] = 0
+            x.tendon_int[s.SATURATED, n] = is_saturated
+    x.run_int[s.ANY_JOINT_READ] = 0
     for j in range(x.joint.shape[1]):
         x.joint[s.MEASURED_JOINT, j] = math.nan
-        if x.joint_int[s.JOINT_FRESH, j]:
-            x.run_int[s.JOINTS_READ] = 1
+        if x.joint_int[s.JOINT_READ_NOW, j]:
+            x.run_int[s.ANY_JOINT_READ] = 1
             x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
 
 
@@ -73,9 +75,9 @@ def _reject_outlier(
     i: int,
     measured_row: int,
     accepted_row: int,
-    gap_row: int,
-    jump_row: int,
-    dropped_row: int,
+    gap_ticks_row: int,
+    rejected_step_row: int,
+    rejection_count_row: int,
     limit: float,
     missed_ticks: int,
 ) -> None:
@@ -86,10 +88,10 @@ def _reject_outlier(
         i: column of the position in the table.
         measured_row: row of the measured position.
         accepted_row: row of the last accepted position.
-        gap_row: row of a number of ticks: the accepted position may have been measured this number
+        gap_ticks_row: row of a number of ticks: the accepted position may have been measured this number
             of ticks before the last tick.
-        jump_row: row of the rejected step.
-        dropped_row: row for the number of consecutive rejections.
+        rejected_step_row: row of the rejected step.
+        rejection_count_row: row for the number of consecutive rejections.
         limit: largest possible step in a period [rad].
         missed_ticks: see ``reject_outliers``.
     """
@@ -97,21 +99,21 @@ def _reject_outlier(
     # A comparison with NaN is False. So no position is rejected if the measured or the accepted
     # position is missing.
     step = abs(value - reading_table[accepted_row, i])
-    gap = reading_table[gap_row, i] + 1.0 + missed_ticks
-    reading_table[jump_row, i] = 0.0
+    gap = reading_table[gap_ticks_row, i] + 1.0 + missed_ticks
+    reading_table[rejected_step_row, i] = 0.0
     if step > limit * gap:
-        reading_table[jump_row, i] = step
-        reading_table[dropped_row, i] += 1.0
+        reading_table[rejected_step_row, i] = step
+        reading_table[rejection_count_row, i] += 1.0
         reading_table[measured_row, i] = math.nan
     elif not math.isnan(value):
         reading_table[accepted_row, i] = value
-        reading_table[dropped_row, i] = 0.0
+        reading_table[rejection_count_row, i] = 0.0
         gap = float(missed_ticks)
-    reading_table[gap_row, i] = gap
+    reading_table[gap_ticks_row, i] = gap
 
 
 @kernel_helper
-def clear_rejected_steps(x: StateTables) -> None:
+def reset_rejected_steps(x: StateTables) -> None:
     """Set the sizes of all rejected steps to 0, because positions are not tested while no motor makes torque."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_STEP, n] = 0.0
@@ -129,11 +131,11 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
             # The estimated joint angles were computed in the last tick, which predicted them to the
             # time of this measurement.
             x.tendon[s.MEASURED_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
-        valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        is_measured = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         # A drive reports the torque that an ideal motor would make. The real motor makes the
         # reported torque multiplied by ``TORQUE_GAIN``.
-        made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
-        x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
+        motor_torque = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
+        x.tendon[s.MEASURED_FORCE, n] = motor_torque / spool if is_measured else math.nan
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -150,8 +152,8 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     tension. The tare may hide either of these cases, so the function tests both values.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
-    beyond = tension >= c.run[h.TENSION_RAIL] or tension <= c.run[h.TENSION_LOW]
-    return bool(beyond or x.tendon_int[s.SATURATED, n])
+    is_out_of_range = tension >= c.run[h.TENSION_RAIL] or tension <= c.run[h.TENSION_LOW]
+    return bool(is_out_of_range or x.tendon_int[s.SATURATED, n])
 
 
 @kernel_helper
@@ -177,7 +179,7 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
-        if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(
+        if (group >= 0 and x.group_int[s.GROUP_FRAME_COUNT, group] == 0) or math.isnan(
             x.tendon[s.POSITION, n]
         ):
             return
@@ -185,7 +187,7 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
         for state in range(7):
             x.tendon[s.TRAVEL + state, n] = 0.0
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
-        x.tendon_int[s.ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
+        x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
         x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[
             h.SPOOL_RADIUS, n
         ]

@@ -35,9 +35,9 @@ from handctl.core.estimation.statics import (
     write_static_torque,
     write_tip_levers,
 )
-from handctl.core.estimation.varying_moment_arms import keep_excursion
+from handctl.core.estimation.varying_moment_arms import correct_angles_to_excursions
 from handctl.core.state_block import StateTables
-from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
+from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_levers_after_turn
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -70,7 +70,7 @@ The rate is that of a free digit.
 """
 MIN_TURN_RAD = 1e-9
 """Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
-CONTACT_FADE_S = 0.15
+CONTACT_DECAY_TIME_S = 0.15
 """Time constant with which the effect of a contact fades [s].
 
 Friction holds the joints after the contact has ended.
@@ -98,9 +98,10 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         return
     for d in range(x.digit.shape[1]):
         # The contact tension rises at once when the digit touches an object, and later decays with
-        # the time constant CONTACT_FADE_S.
+        # the time constant CONTACT_DECAY_TIME_S.
         x.digit[s.CONTACT_TENSION, d] = max(
-            x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY]
+            x.digit[s.UNEXPLAINED_TENSION, d],
+            x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY],
         )
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
@@ -111,7 +112,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         x.joint[s.Q, j] += x.joint[s.CONTACT_TURN, j]
         x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.RANGE_SIGMA, j])
     if c.run_int[h.HAND_VARYING]:
-        keep_excursion(x, c)
+        correct_angles_to_excursions(x, c)
     if update and c.run_int[h.HAS_FUSED_JOINTS]:
         _fuse_encoders(x, c, columns, spread, t_ns)
 
@@ -157,7 +158,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     joints = x.joint.shape[1]
     columns = np.zeros((2 * places + 2, joints))
     turns, deviation = _contact_turns(x, c)
-    _write_free_errors(x, c, columns[2 * places :])
+    _write_angle_errors_of_free_digits(x, c, columns[2 * places :])
     for j in range(joints):
         mean = 0.0
         for place in range(places):
@@ -199,10 +200,12 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     error = np.zeros(joints)
     for j in range(joints):
         for n in range(x.tendon.shape[1]):
-            external = x.digit[s.CONTACT_TENSION, c.tendon_int[h.DIGIT_OF_TENDON, n]]
-            wrong = math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR_FRACTION * external))
-            torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * external
-            error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * wrong
+            contact_tension = x.digit[s.CONTACT_TENSION, c.tendon_int[h.DIGIT_OF_TENDON, n]]
+            tension_error = math.sqrt(
+                square(MODEL_ERROR_N) + square(MODEL_ERROR_FRACTION * contact_tension)
+            )
+            torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * contact_tension
+            error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * tension_error
     q = np.zeros(joints)
     lever = np.zeros(joints)
     for j in range(joints):
@@ -210,14 +213,14 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     pose = link_poses_of_hand(c, q)
     for place in range(places):
         for d in range(x.digit.shape[1]):
-            _write_place_levers(c, d, place, pose, lever)
+            _write_levers_at_contact_place(c, d, place, pose, lever)
             _write_digit_turn(x, c, d, lever, torque, error, turns[place], deviation[place])
     return turns, deviation
 
 
 @kernel_helper
-def _write_place_levers(
-    c: ConstantTables, d: int, contact_place: int, pose: Matrix, lever: Vector
+def _write_levers_at_contact_place(
+    c: ConstantTables, d: int, place_index: int, pose: Matrix, lever: Vector
 ) -> None:
     """Write the levers (J,) [m] of a force at a place of contact about the joints of a digit.
 
@@ -228,10 +231,12 @@ def _write_place_levers(
     end = c.digit_int[h.JOINTS_END, d]
     for j in range(first, end):
         lever[j] = 0.0
-    touched = first + contact_place
-    if touched < end:
-        write_levers(pose, first, touched, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched], lever)
-    elif touched == end:
+    touched_link = first + place_index
+    if touched_link < end:
+        write_levers(
+            pose, first, touched_link, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched_link], lever
+        )
+    elif touched_link == end:
         write_tip_levers(c, d, pose, lever)
 
 
@@ -293,28 +298,32 @@ def _largest_turn_fraction(
     """
     fraction = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        way = sign * joint_turn[j]
+        signed_turn = sign * joint_turn[j]
         q = x.joint[s.Q, j]
-        margin = max(c.joint[h.JOINT_MAX, j] - q if way > 0.0 else q - c.joint[h.JOINT_MIN, j], 0.0)
-        fraction = min(fraction, margin / max(abs(way), MIN_TURN_RAD))
+        margin = max(
+            c.joint[h.JOINT_MAX, j] - q if signed_turn > 0.0 else q - c.joint[h.JOINT_MIN, j], 0.0
+        )
+        fraction = min(fraction, margin / max(abs(signed_turn), MIN_TURN_RAD))
     return fraction
 
 
 @kernel_helper
-def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
+def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
     """Write how far friction, and springs with gravity, turn the joints of free digits [rad], (2, J)."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = wrap_before_digit(c, n, x.joint[s.Q])
+        wrap_angle = wrap_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrapped += wrap_of_joint(c, j, x.joint[s.Q, j])
-                rubbed = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
-                torque[0, j] += FRICTION_FRACTION * x.tendon[s.TENSION, n] * rubbed * wrapped
+                wrap_angle += wrap_of_joint(c, j, x.joint[s.Q, j])
+                friction_arm = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
+                torque[0, j] += (
+                    FRICTION_FRACTION * x.tendon[s.TENSION, n] * friction_arm * wrap_angle
+                )
     for row in range(2):
         for j in range(joints):
             turn[row, j] = 0.0
@@ -390,9 +399,9 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     coordinates = x.coordinate.shape[1]
     torque = np.zeros(coordinates)
     lever = np.zeros(coordinates)
-    turned = np.zeros(coordinates)
-    about = np.zeros(joints)
-    about_turned = np.zeros(joints)
+    turned_lever = np.zeros(coordinates)
+    joint_levers = np.zeros(joints)
+    turned_joint_levers = np.zeros(joints)
     q = np.zeros(joints)
     for j in range(joints):
         q[j] = x.joint[s.Q, j]
@@ -404,8 +413,8 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
         first = c.digit_int[h.JOINTS_FIRST, d]
         last = c.digit_int[h.JOINTS_END, d] - 1
         length = c.joint[h.LINK_TABLE + LENGTH_ROW, last]
-        write_tip_levers(c, d, pose, about)
-        _reduce_levers(c, d, about, lever)
+        write_tip_levers(c, d, pose, joint_levers)
+        _reduce_levers(c, d, joint_levers, lever)
         force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(
             c, d, lever, lever
         )
@@ -415,12 +424,14 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
             # The derivative is computed numerically, with a step of one standard deviation of the
             # joint angle.
             for i in range(first, last + 1):
-                about_turned[i] = about[i]
-            write_turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
-            _reduce_levers(c, d, about_turned, turned)
+                turned_joint_levers[i] = joint_levers[i]
+            write_levers_after_turn(
+                pose, first, last, length, j, x.joint[s.Q_SIGMA, j], turned_joint_levers
+            )
+            _reduce_levers(c, d, turned_joint_levers, turned_lever)
             change = (
-                _dot_over_coordinates(c, d, turned, torque)
-                / _dot_over_coordinates(c, d, turned, turned)
+                _dot_over_coordinates(c, d, turned_lever, torque)
+                / _dot_over_coordinates(c, d, turned_lever, turned_lever)
                 - force
             )
             x.digit[s.TIP_FORCE_SIGMA, d] += square(change)

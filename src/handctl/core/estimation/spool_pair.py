@@ -16,13 +16,13 @@ from handctl.compiled import kernel_helper
 
 
 @kernel_helper
-def net_tension_at_joint(net_tension: float, pretension: float, passed_fraction: float) -> float:
+def net_tension_at_joint(net_tension: float, pretension: float, tension_ratio: float) -> float:
     """Return the net tension at a joint, after the friction of the pulleys [N].
 
     Args:
         net_tension: net tension at the spool [N].
         pretension: pretension of both tendons [N].
-        passed_fraction: tension of the first tendon behind the pulleys, divided by its tension at
+        tension_ratio: tension of the first tendon behind the pulleys, divided by its tension at
             the spool. The second tendon moves in the opposite direction, so its ratio of tensions
             is the reciprocal.
 
@@ -30,17 +30,19 @@ def net_tension_at_joint(net_tension: float, pretension: float, passed_fraction:
     """
     first = max(pretension + 0.5 * net_tension, net_tension, 0.0)
     second = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
-    return first * passed_fraction - second / passed_fraction
+    return first * tension_ratio - second / tension_ratio
 
 
 @kernel_helper
-def net_tension_at_spool(net_tension: float, pretension: float, passed_fraction: float) -> float:
+def net_tension_at_spool(net_tension: float, pretension: float, tension_ratio: float) -> float:
     """Return the net tension at the spool for a net tension at a joint [N], the inverse of ``net_tension_at_joint``."""
-    both_taut = (
+    tension_if_both_taut = (
         2.0
-        * (net_tension + pretension * (1.0 / passed_fraction - passed_fraction))
-        / (passed_fraction + 1.0 / passed_fraction)
+        * (net_tension + pretension * (1.0 / tension_ratio - tension_ratio))
+        / (tension_ratio + 1.0 / tension_ratio)
     )
-    if abs(both_taut) < 2.0 * pretension:
-        return both_taut
-    return net_tension / passed_fraction if both_taut > 0.0 else net_tension * passed_fraction
+    if abs(tension_if_both_taut) < 2.0 * pretension:
+        return tension_if_both_taut
+    return (
+        net_tension / tension_ratio if tension_if_both_taut > 0.0 else net_tension * tension_ratio
+    )

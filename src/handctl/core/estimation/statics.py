@@ -29,7 +29,7 @@ def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
     return pose
 
 
-MAX_OWN_FRACTION = 0.999
+MAX_DIAGONAL_ELEMENT = 0.999
 """Diagonal element of R R^+ above which a tendon's value does not follow from the other tendons of its digit."""
 
 
@@ -106,7 +106,7 @@ def pulley_torque(
 
 
 @kernel_helper
-def subtract_passing_torque(
+def subtract_torque_of_passing_tendons(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) of the digits that they pass.
@@ -125,12 +125,12 @@ def subtract_passing_torque(
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return
     for n in range(len(tension)):
-        wrapped = c.tendon[h.WRAP_ANGLE, n]
+        wrap_angle = c.tendon[h.WRAP_ANGLE, n]
         for j in range(len(q)):
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
-                wrapped += wrap_of_joint(c, j, q[j])
-                torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
+                wrap_angle += wrap_of_joint(c, j, q[j])
+                torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
 
 
 @kernel_helper
@@ -142,12 +142,12 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
         n: index of the tendon.
         q: (J,) joint angles [rad].
     """
-    wrapped = c.tendon[h.WRAP_ANGLE, n]
+    wrap_angle = c.tendon[h.WRAP_ANGLE, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
             if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
-                wrapped += wrap_of_joint(c, j, q[j])
-    return wrapped
+                wrap_angle += wrap_of_joint(c, j, q[j])
+    return wrap_angle
 
 
 @kernel_helper
@@ -195,12 +195,12 @@ def write_tensions_at_joints(
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = wrap_before_digit(c, n, q)
+        wrap_angle = wrap_before_digit(c, n, q)
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrapped += wrap_of_joint(c, j, q[j])
-                torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrapped)
+                wrap_angle += wrap_of_joint(c, j, q[j])
+                torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
     write_tensions_for_torque(c, torque, result)
 
 
@@ -246,7 +246,7 @@ def value_from_other_tendons(
     own = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
-    if own > MAX_OWN_FRACTION:
+    if own > MAX_DIAGONAL_ELEMENT:
         return math.nan
     return (part_explained_by_motion(c, n, tendon_values) + offset - own * tendon_values[n]) / (
         1.0 - own
@@ -266,10 +266,12 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    wrapped = wrap_before_digit(c, n, q)
+    wrap_angle = wrap_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-            wrapped += wrap_of_joint(c, j, q[j])
-            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(c, n, 1.0, wrapped)
+            wrap_angle += wrap_of_joint(c, j, q[j])
+            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
+                c, n, 1.0, wrap_angle
+            )
     return efficiency

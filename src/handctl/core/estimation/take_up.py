@@ -9,19 +9,19 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.filter_stack import SLACK_REGIME
 from handctl.core.state_block import StateTables
 
-SLACK_BELOW_N = 1.0
+MAX_SLACK_TENSION_N = 1.0
 """A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
 
 This tension is two standard deviations of the load cell's noise.
 """
 SLACK_TICKS = 3
-"""Number of ticks in a row below ``SLACK_BELOW_N`` after which a tendon counts as slack."""
-TAUT_ABOVE_N = 2.5
-POINTS_AT_ONCE = 6
-LIKELY_ABOVE_N = 1.5
-POINTS_LIKELY = 2
-POSSIBLE_ABOVE_N = 1.0
-POINTS_POSSIBLE = 1
+"""Number of ticks in a row below ``MAX_SLACK_TENSION_N`` after which a tendon counts as slack."""
+MIN_TAUT_TENSION_N = 2.5
+POINTS_OF_CERTAIN_TENSION = 6
+LIKELY_TAUT_ABOVE_N = 1.5
+POINTS_OF_LIKELY_TENSION = 2
+POSSIBLY_TAUT_ABOVE_N = 1.0
+POINTS_OF_POSSIBLE_TENSION = 1
 """Tensions [N], and the points that a load-cell sample above each tension adds. Points are evidence of a taut tendon.
 
 A sample below all three tensions subtracts ``POINTS_AGAINST``. A sample above the first tension
@@ -40,7 +40,7 @@ With this factor, a load-cell sample of three standard deviations makes the tend
 once. The slack length is uncertain by about 50 um, because of stops and friction.
 """
 
-RANGE_MARGIN_M = 1e-3
+EXCURSION_MARGIN_M = 1e-3
 """Margin beyond the joints' range within which the excursion of a newly taut tendon is accepted [m]."""
 
 
@@ -66,16 +66,20 @@ def regime_evidence(
         is_nearly_taut: True if the spool has wound up the slack length of the tendon.
     """
     if regime != SLACK_REGIME:
-        return evidence_count + 1 if tension < SLACK_BELOW_N and cell_tension < SLACK_BELOW_N else 0
+        return (
+            evidence_count + 1
+            if tension < MAX_SLACK_TENSION_N and cell_tension < MAX_SLACK_TENSION_N
+            else 0
+        )
     if math.isnan(cell_tension):
         return evidence_count
     evidence = -POINTS_AGAINST
-    if cell_tension - cell_error > TAUT_ABOVE_N:
-        evidence = POINTS_AT_ONCE
-    elif cell_tension - cell_error > LIKELY_ABOVE_N:
-        evidence = POINTS_LIKELY
-    elif cell_tension - cell_error > POSSIBLE_ABOVE_N:
-        evidence = POINTS_POSSIBLE
+    if cell_tension - cell_error > MIN_TAUT_TENSION_N:
+        evidence = POINTS_OF_CERTAIN_TENSION
+    elif cell_tension - cell_error > LIKELY_TAUT_ABOVE_N:
+        evidence = POINTS_OF_LIKELY_TENSION
+    elif cell_tension - cell_error > POSSIBLY_TAUT_ABOVE_N:
+        evidence = POINTS_OF_POSSIBLE_TENSION
     if evidence > 0 and is_nearly_taut:
         evidence *= NEARLY_TAUT_FACTOR
     return max(evidence_count + evidence, 0)
@@ -106,9 +110,11 @@ def regime_evidence_without_cell(
         missing: motor force that is missing, compared with the model of a slack tendon [N].
     """
     if regime != SLACK_REGIME:
-        return evidence_count + 1 if tension < SLACK_BELOW_N else 0
+        return evidence_count + 1 if tension < MAX_SLACK_TENSION_N else 0
     return max(
-        evidence_count + (POINTS_LIKELY if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST), 0
+        evidence_count
+        + (POINTS_OF_LIKELY_TENSION if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST),
+        0,
     )
 
 
@@ -132,7 +138,7 @@ def is_regime_over(regime: int, evidence_count: int, without_cell: bool) -> bool
 
 
 @kernel_helper
-def set_offset_of_newly_taut(
+def set_offset_of_newly_taut_tendon(
     x: StateTables, c: ConstantTables, n: int, cell_tension: float
 ) -> None:
     """Set the stretch offset or the excursion of a tendon that has become taut, to agree with the load cell.
@@ -147,12 +153,12 @@ def set_offset_of_newly_taut(
         n: index of the tendon.
         cell_tension: load-cell reading [N].
     """
-    if x.tendon_int[s.ON_OPEN_STOP, n]:
+    if x.tendon_int[s.DIGIT_ON_OPEN_STOP, n]:
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
     stretch = (cell_tension - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
-    low = c.tendon[h.EXCURSION_LOW, n] - RANGE_MARGIN_M
-    high = c.tendon[h.EXCURSION_HIGH, n] + RANGE_MARGIN_M
+    low = c.tendon[h.EXCURSION_LOW, n] - EXCURSION_MARGIN_M
+    high = c.tendon[h.EXCURSION_HIGH, n] + EXCURSION_MARGIN_M
     if c.tendon_int[h.KEEPS_LENGTH, n] and low <= excursion <= high:
         x.tendon[s.EXCURSION, n] = excursion
     else:

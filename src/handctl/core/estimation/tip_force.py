@@ -34,14 +34,14 @@ def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
-def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
+def tip_force(digit: DigitModel, q: Vector, external_tension: Vector) -> float:
     """Return the tip-equivalent force of a contact with a digit [N].
 
     Args:
         digit: model of the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tensions that balance the contact force [N].
+        external_tension: (n_t,) tensions that balance the contact force [N].
     """
     lever = reduced_tip_lever(digit, q)
-    torque = digit.reduced_moment_arms.T @ external
+    torque = digit.reduced_moment_arms.T @ external_tension
     return float(lever @ torque / (lever @ lever))

@@ -14,7 +14,7 @@ the wrist. The motion of the tendon and the torque on the wrist are computed fro
 angle of the wrist and from the tension. The part of the travel that carrying digits such as the
 wrist cause is subtracted from the travel (``carrier_excursion``). So filter, goals and detectors
 treat the finger as if its base were at rest. The tendons of the wrist must balance the torque of
-the tendons that pass the wrist (``statics.subtract_passing_torque``).
+the tendons that pass the wrist (``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -150,20 +150,22 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def keep_excursion(x: StateTables, c: ConstantTables) -> None:
+def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
     """Correct joint angles of digits with varying moment arms, to agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:
             continue
         first = c.digit_int[h.TENDONS_FIRST, d]
-        missing = np.empty(c.digit_int[h.TENDONS_END, d] - first)
-        for i in range(len(missing)):
-            missing[i] = x.tendon[s.EXCURSION, first + i]
+        excursion_errors = np.empty(c.digit_int[h.TENDONS_END, d] - first)
+        for i in range(len(excursion_errors)):
+            excursion_errors[i] = x.tendon[s.EXCURSION, first + i]
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                missing[i] -= joint_excursion(c, first + i, j, x.joint[s.Q, j])
+                excursion_errors[i] -= joint_excursion(c, first + i, j, x.joint[s.Q, j])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-            for i in range(len(missing)):
-                x.joint[s.Q, j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * missing[i]
+            for i in range(len(excursion_errors)):
+                x.joint[s.Q, j] += (
+                    c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * excursion_errors[i]
+                )
 
 
 @kernel_helper
@@ -174,20 +176,20 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
     first = c.digit_int[h.COORDINATES_FIRST, d]
     count = c.digit_int[h.COORDINATES_END, d] - first
     gram = np.zeros((count, count))
-    rest = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
+    offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
         for j in range(joints[0], joints[1]):
             arm = moment_arm(c, n, j, q[j])
-            rest[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
+            offsets[n - tendons[0]] += joint_excursion(c, n, j, q[j]) - arm * q[j]
             c.tendon_joint[h.MOMENT_ARMS, n, j] = arm
         for k in range(count):
-            reduced = 0.0
+            reduced_arm = 0.0
             for j in range(joints[0], joints[1]):
-                reduced += (
+                reduced_arm += (
                     c.tendon_joint[h.MOMENT_ARMS, n, j]
                     * c.joint_coordinate[h.COUPLING, j, first + k]
                 )
-            c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced
+            c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced_arm
         for k in range(count):
             for other in range(count):
                 product = c.tendon_coordinate[h.REDUCED_ARMS, n, first + k]
@@ -204,9 +206,9 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[
                 h.TORQUE_TO_TENSION, n, j
             ] = angle
-            c.joint[h.ANGLE_OFFSET, j] -= angle * rest[n - tendons[0]]
+            c.joint[h.ANGLE_OFFSET, j] -= angle * offsets[n - tendons[0]]
     for n in range(tendons[0], tendons[1]):
-        c.tendon[h.EXPLAINED_OFFSET, n] = rest[n - tendons[0]]
+        c.tendon[h.EXPLAINED_OFFSET, n] = offsets[n - tendons[0]]
         for j in range(joints[0], joints[1]):
             c.tendon[h.EXPLAINED_OFFSET, n] += (
                 c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
@@ -247,30 +249,40 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
     tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
     count = tendons[1] - tendons[0]
-    stiff = np.zeros((count, count))
-    soft = np.empty(joints[1])
+    tendon_compliance = np.zeros((count, count))
+    joint_compliance = np.empty(joints[1])
     for j in range(joints[0], joints[1]):
-        softest = MIN_SPRING_STIFFNESS / (c.joint[h.JOINT_SCALE, j] * c.joint[h.JOINT_SCALE, j])
-        soft[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], softest)
+        min_stiffness = MIN_SPRING_STIFFNESS / (
+            c.joint[h.JOINT_SCALE, j] * c.joint[h.JOINT_SCALE, j]
+        )
+        joint_compliance[j] = 1.0 / max(c.joint[h.SPRING_STIFFNESS, j], min_stiffness)
         for a in range(count):
             for b in range(count):
-                product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * soft[j]
-                stiff[a, b] += product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+                product = c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, j] * joint_compliance[j]
+                tendon_compliance[a, b] += (
+                    product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+                )
     trace = 0.0
     for a in range(count):
-        trace += stiff[a, a]
+        trace += tendon_compliance[a, a]
     for a in range(count):
-        stiff[a, a] += REGULARISATION_FRACTION * trace / count
-    _invert_matrix(stiff)
+        tendon_compliance[a, a] += REGULARISATION_FRACTION * trace / count
+    _invert_matrix(tendon_compliance)
     for i in range(joints[0], joints[1]):
         for j in range(joints[0], joints[1]):
-            value = soft[i] if i == j else 0.0
+            value = joint_compliance[i] if i == j else 0.0
             for a in range(count):
                 for b in range(count):
                     product = (
-                        soft[i] * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i] * stiff[a, b]
+                        joint_compliance[i]
+                        * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i]
+                        * tendon_compliance[a, b]
                     )
-                    value -= product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j] * soft[j]
+                    value -= (
+                        product
+                        * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j]
+                        * joint_compliance[j]
+                    )
             c.joint_joint[h.COMPLIANCE, i, j] = value
 
 

@@ -40,7 +40,7 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
-from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import require_finite_solution, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 
 linalg = DeferredModule("scipy.linalg")
@@ -54,12 +54,12 @@ tension: if an offset of one millimetre decays in a minute, the tension changes 
 
 # This noise is added while the model of a tendon does not fit the measurements of the tendon, see
 # ``kalman``.
-ADDED_DISTURBANCE_FACTOR = 5.0
+DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 5.0
 """Factor on the motor disturbance of a free tendon while noise is added to its filter.
 
 The added noise covers motor friction that differs from the hand file.
 """
-ADDED_HELD_DISTURBANCE_FACTOR = 2.0
+HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 2.0
 """Factor on the motor disturbance of a held tendon while noise is added to its filter."""
 ADDED_TENSION_WALK = 8.0
 """Random walk [N/s^0.5] that is added to the tension of a free tendon.
@@ -68,7 +68,7 @@ The walk covers joint friction that differs from the hand file.
 """
 ADDED_HELD_TENSION_WALK = 3.0
 """Random walk [N/s^0.5] that is added to the tension of a held tendon."""
-PLAN_FRACTION_WITH_NOISE = 0.25
+PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE = 0.25
 """Fraction of the planned change of tension that the filter expects while noise is added."""
 FRICTION_SIGMA_WITHOUT_CELL = 0.6
 """Standard deviation of a motor's friction as a fraction of the Coulomb friction, for tendons without load cell.
@@ -105,27 +105,27 @@ def design_filter(
     Raises:
         ConfigError: no filter follows from the gains.
     """
-    made: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
-    found = []
+    blocks_by_constants: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
+    blocks = []
     for i, joints in enumerate(joint_period.tolist()):
-        kind = (joints, *space.numbers_of(i))
-        if kind not in made:
+        constants = (joints, *space.constants_of_tendon(i))
+        if constants not in blocks_by_constants:
             with solver_failures_as_errors("filter"):
-                certain = tuple(
+                nominal_blocks = tuple(
                     _design_filter_block(space, i, (regime, False), gains, period_s, joints)
                     for regime in TendonRegime
                 )
-                adds_noise = (
+                noisy_blocks = (
                     _design_filter_block(space, i, (regime, True), gains, period_s, joints)
                     for regime in TAUT_REGIMES
                 )
-                made[kind] = (
-                    *certain,
-                    *adds_noise,
-                    certain[TendonRegime.SLACK],
+                blocks_by_constants[constants] = (
+                    *nominal_blocks,
+                    *noisy_blocks,
+                    nominal_blocks[TendonRegime.SLACK],
                 )  # the filter of a slack tendon never gets added noise
-        found.append(made[kind])
-    return FilterDesign(tuple(found))
+        blocks.append(blocks_by_constants[constants])
+    return FilterDesign(tuple(blocks))
 
 
 def _continuous_model(
@@ -211,7 +211,7 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
     """
     free = regime == TendonRegime.FREE
     process_noise[D, D] *= (
-        ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR
+        DISTURBANCE_FACTOR_WITH_ADDED_NOISE if free else HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE
     ) ** 2
     process_noise[S, S] += (
         (ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness
@@ -259,29 +259,31 @@ def _design_filter_block(
     encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no
     other state. The gains for all other states therefore do not depend on joint encoders.
     """
-    regime, adds_noise = regime_and_noise
+    regime, has_added_noise = regime_and_noise
     A, B, tension = _continuous_model(space, i, regime, gains)
     intensity = _process_noise(space, i, regime, gains)
-    if adds_noise:
+    if has_added_noise:
         _add_process_noise(intensity, float(space.stiffness[i]), regime)
-        B[:, 1] *= PLAN_FRACTION_WITH_NOISE
+        B[:, 1] *= PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE
     F, held, Q = _discretise_model(A, B, intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
     H[2, S] = 1.0
-    known = regime == TendonRegime.SLACK
-    H[1, E] = float(known)
+    is_cell_error_observable = regime == TendonRegime.SLACK
+    H[1, E] = float(is_cell_error_observable)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
     # The first two measurements are the encoder and the load cell. Without a load cell, only the
     # encoder is used.
-    read = 2 if space.has_cell[i] else 1
-    P = _prediction_covariance(F, H[:read], Q, np.diag(noise[:read] ** 2))
+    measurement_count = 2 if space.has_cell[i] else 1
+    P = _prediction_covariance(F, H[:measurement_count], Q, np.diag(noise[:measurement_count] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
-    K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
+    K[:, :measurement_count] = np.linalg.solve(
+        innovation[:measurement_count, :measurement_count], H[:measurement_count] @ P
+    ).T
     # The filter corrects the load-cell error only if a measurement distinguishes it from tension.
-    K[E] *= known
+    K[E] *= is_cell_error_observable
     H[1, E] = 1.0
     K[S, 2] = (
         1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
@@ -291,16 +293,30 @@ def _design_filter_block(
     K[O, 2] = -K[S, 2]
     drift = (
         0.0
-        if known or read == 1
+        if is_cell_error_observable or measurement_count == 1
         else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     )
     variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon
     information = np.zeros((2, 2))
-    information[:read, :read] = np.linalg.inv(innovation[:read, :read])
+    information[:measurement_count, :measurement_count] = np.linalg.inv(
+        innovation[:measurement_count, :measurement_count]
+    )
     sigma = math.sqrt(innovation[1, 1])
-    finite_or_error(F, held, K, P, information)
+    require_finite_solution(F, held, K, P, information)
     return FilterBlock(
-        F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma
+        F,
+        held,
+        H,
+        K,
+        Q,
+        noise**2,
+        P,
+        is_cell_error_observable,
+        drift,
+        tension,
+        variance,
+        information,
+        sigma,
     )
 
 

@@ -30,28 +30,28 @@ class GainBounds:
 
     Attributes:
         key: section and name, for example ``motion.force_N``.
-        low: smallest allowed value of the key. If ``open_low`` is True, the value must be greater
+        low: smallest allowed value of the key. If ``is_low_excluded`` is True, the value must be greater
             than ``low``.
         high: largest allowed value of the key.
-        open_low: True if the value must be greater than ``low``.
+        is_low_excluded: True if the value must be greater than ``low``.
         default: default value of the key.
         whole: True if the value must be an integer.
         live: True if the value may be changed while the controller runs.
-        why: meaning of the key, in words. The text is empty if the name of the key is clear.
+        meaning: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
     key: str
     low: float
     high: float
-    open_low: bool
+    is_low_excluded: bool
     default: float
     whole: bool
     live: bool
-    why: str
+    meaning: str
 
     def __str__(self) -> str:
         """Return the bounds of the value in words."""
-        lower = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
+        lower = f"more than {self.low:g}" if self.is_low_excluded else f"at least {self.low:g}"
         return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
 
 
@@ -89,12 +89,19 @@ def gain_bounds() -> Mapping[str, GainBounds]:
     for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
         for name, field in model.model_fields.items():
-            low, high, open_low = _range_of_field(field.metadata)
+            low, high, is_low_excluded = _range_of_field(field.metadata)
             key = f"{section}.{name}"
             whole = field.annotation is int
-            why = key_description(model, name)
+            meaning = key_description(model, name)
             result[key] = GainBounds(
-                key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why
+                key,
+                low,
+                high,
+                is_low_excluded,
+                field.default,
+                whole,
+                section in LIVE_SECTIONS,
+                meaning,
             )
     return result
 
@@ -103,16 +110,16 @@ def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
     """Return smallest and largest allowed value of a field, and True if the smallest value is excluded."""
     low = float("-inf")
     high = float("inf")
-    open_low = False
+    is_low_excluded = False
     for limit in field_metadata:
         if isinstance(limit, Gt):
             low = cast(float, limit.gt)
-            open_low = True
+            is_low_excluded = True
         elif isinstance(limit, Ge):
             low = cast(float, limit.ge)
         elif isinstance(limit, Le):
             high = cast(float, limit.le)
-    return low, high, open_low
+    return low, high, is_low_excluded
 
 
 def bounds_of_key(key: str) -> GainBounds | None:
@@ -120,8 +127,8 @@ def bounds_of_key(key: str) -> GainBounds | None:
     parts = tendon_key(key)
     if parts is None:
         return gain_bounds().get(key)
-    why = key_description(TendonForces, parts.field)
-    return replace(gain_bounds()[parts.shared], key=key, why=why)
+    meaning = key_description(TendonForces, parts.field)
+    return replace(gain_bounds()[parts.shared], key=key, meaning=meaning)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
@@ -140,7 +147,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
     return values
 
 
-def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
+def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
     """Return the old and the new value of every key whose value differs.
 
     A tendon without a separate force has the force that holds for all tendons.
@@ -177,7 +184,7 @@ def gains_with_values(
     """
     content = gains.model_dump(by_alias=True)
     for key, value in gain_values.items():
-        bound = bounds_after_check(key, value, source_name)
+        bound = checked_gain_bounds(key, value, source_name)
         if is_live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
@@ -186,14 +193,16 @@ def gains_with_values(
                 right,
             )
         if parts := tendon_key(key):
-            _set_tendon_force(content, parts, float(value))
+            _set_force_weight_of_tendon(content, parts, float(value))
             continue
         section, _, name = key.partition(".")
         content[section][name] = int(value) if bound.whole else float(value)
     return validate_content(content, Gains, source_name)
 
 
-def _set_tendon_force(gains_content: dict[str, Any], parts: TendonKey, force: float) -> None:
+def _set_force_weight_of_tendon(
+    gains_content: dict[str, Any], parts: TendonKey, force: float
+) -> None:
     """Set a force of a single tendon in the content of the gains [N]."""
     entries = [dict(entry) for entry in gains_content[TENDON_SECTION]]
     entry = next((one for one in entries if one["name"] == parts.tendon), None)
@@ -220,7 +229,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
             raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
 
-def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
+def checked_gain_bounds(key: str, value: float, source_name: str) -> GainBounds:
     """Check a value of the gains, and return the bounds of its key.
 
     Raises:
@@ -231,7 +240,7 @@ def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
         near = similar_name(key, gain_bounds(), min_similarity=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"
         raise ConfigError("no such gain", f"{source_name}: {key}", right)
-    inside = known.low < value if known.open_low else known.low <= value
+    inside = known.low < value if known.is_low_excluded else known.low <= value
     if not (inside and value <= known.high) or (known.whole and value != int(value)):
         raise ConfigError(f"{value:g}", f"{source_name}: {key}", str(known))
     return known

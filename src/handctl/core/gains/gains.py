@@ -155,7 +155,7 @@ class Gains(Document):
             )
         return self
 
-    def forces_of(self, tendon: str) -> tuple[float, float]:
+    def force_weights_of_tendon(self, tendon: str) -> tuple[float, float]:
         """Return the force weights of a tendon in the motion loop and in the tension loop [N]."""
         one = next((one for one in self.tendon if one.name == tendon), TendonForces(name=tendon))
         motion = self.motion.force_N if one.motion_force_N is None else one.motion_force_N

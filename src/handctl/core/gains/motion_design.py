@@ -17,7 +17,7 @@ from handctl.core.deferred_imports import DeferredModule
 from handctl.core.gains.gain_bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
-from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import require_finite_solution, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 from handctl.core.tick_types import Vector
 
@@ -45,7 +45,7 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 """Longest control period at which the force weights are not reduced [s]."""
 
 
-def largest_force_weight(force: float, period_s: float) -> float:
+def force_weight_at_period(force: float, period_s: float) -> float:
     """Return a force weight [N], reduced if the control period is above ``FULL_WEIGHT_PERIOD_S`` [s].
 
     The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
@@ -67,16 +67,16 @@ def design_motion(space: TendonSpace, gains: Gains, period_s: float) -> MotionDe
             have.
     """
     check_tendon_names(gains, space.names)
-    return design_from_pieces(
+    return combine_loop_designs(
         space,
         [
-            design_loop_piece(space, gains, period_s, piece)
-            for piece in range(design_piece_count(space))
+            design_control_loop(space, gains, period_s, piece)
+            for piece in range(control_loop_count(space))
         ],
     )
 
 
-def design_piece_count(space: TendonSpace) -> int:
+def control_loop_count(space: TendonSpace) -> int:
     """Return the number of pieces into which the design of all loops is divided.
 
     In each tick, a running controller has time for only one piece of the design.
@@ -84,8 +84,8 @@ def design_piece_count(space: TendonSpace) -> int:
     return 2 * len(space.spool)
 
 
-def design_loop_piece(
-    space: TendonSpace, gains: Gains, period_s: float, piece_index: int
+def design_control_loop(
+    space: TendonSpace, gains: Gains, period_s: float, loop_index: int
 ) -> Vector:
     """Return the feedback gains (2,) of one control loop.
 
@@ -95,14 +95,14 @@ def design_loop_piece(
         ConfigError: no gains follow from the weights.
     """
     n = len(space.spool)
-    if piece_index < n:
+    if loop_index < n:
         with solver_failures_as_errors("motion"):
-            return _design_motion_loop(space, piece_index, gains, period_s)
+            return _design_motion_loop(space, loop_index, gains, period_s)
     with solver_failures_as_errors("tension"):
-        return _design_tension_loop(space, piece_index - n, gains, period_s)
+        return _design_tension_loop(space, loop_index - n, gains, period_s)
 
 
-def design_from_pieces(space: TendonSpace, feedback_gains: list[Vector]) -> MotionDesign:
+def combine_loop_designs(space: TendonSpace, feedback_gains: list[Vector]) -> MotionDesign:
     """Combine the feedback gains of all pieces into the design of all tendons."""
     n = len(space.spool)
     mass = space.motor_mass + space.load_mass
@@ -129,7 +129,7 @@ def _sampled_lqr_gain(
     F = sampled[:2, :2]
     G = sampled[:2, 2:]
     K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))
-    finite_or_error(K)
+    require_finite_solution(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
         raise ValueError("not stable")
     return np.asarray(K[0], dtype=np.float64)
@@ -144,7 +144,7 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period_s: floa
     mass = float(space.motor_mass[i] + space.load_mass[i])
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(gains.forces_of(space.names[i])[0], period_s)
+    force = force_weight_at_period(gains.force_weights_of_tendon(space.names[i])[0], period_s)
     return _sampled_lqr_gain(
         A, B, [weights.position_error_m, weights.speed_error_m_s], force, period_s
     )
@@ -161,7 +161,7 @@ def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period_s: flo
     b = space.motor_damping[i] + space.damping[i]
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
-    force = largest_force_weight(gains.forces_of(space.names[i])[1], period_s)
+    force = force_weight_at_period(gains.force_weights_of_tendon(space.names[i])[1], period_s)
     return _sampled_lqr_gain(
         A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period_s
     )

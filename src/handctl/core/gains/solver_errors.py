@@ -36,7 +36,7 @@ def solver_failures_as_errors(gains_section: str) -> Iterator[None]:
         ) from error
 
 
-def finite_or_error(*solutions: NDArray[np.float64]) -> None:
+def require_finite_solution(*solutions: NDArray[np.float64]) -> None:
     """Raise an error if a solution contains infinite or undefined numbers.
 
     Raises:

@@ -47,7 +47,7 @@ from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.frame_records import (
     BUS_BIT,
     BYTE_MASK,
-    HEAD_WORD,
+    ID_AND_FLAGS_WORD,
     ID_MASK,
     LENGTH_BIT,
     PAYLOAD_WORD,
@@ -65,12 +65,12 @@ from handctl.drives.signals import (
     bytes_reversed,
     decode_signal,
     encode_signal,
-    window_at,
+    read_window,
     write_window,
 )
 from handctl.drives.signals import LENGTH_COLUMN as LENGTH_BITS
 
-MISSING_ENTRY = -1
+NO_ENTRY = -1
 """Index that stands for a missing entry."""
 ENABLED_PHASE = int(DrivePhase.ENABLED)
 """Value of ``drives.contract.DrivePhase.ENABLED``."""
@@ -88,16 +88,16 @@ OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 
 @kernel_helper
 def find_key(keys: IntArray, key: Any) -> int:
-    """Return the index of a key in sorted keys, by binary search, or MISSING_ENTRY if the key is missing."""
+    """Return the index of a key in sorted keys, by binary search, or NO_ENTRY if the key is missing."""
     low = 0
     high = len(keys)
     while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
+        middle_index = (low + high) // 2
+        if keys[middle_index] < key:
+            low = middle_index + 1
         else:
-            high = middle
-    return low if low < len(keys) and keys[low] == key else MISSING_ENTRY
+            high = middle_index
+    return low if low < len(keys) and keys[low] == key else NO_ENTRY
 
 
 @kernel(
@@ -119,12 +119,12 @@ def receive_frames(
     block: BlockArray,
     at: TablePlaces,
     constants: BlockArray,
-    constants_at: TablePlaces,
+    constants_places: TablePlaces,
     frame_rows: WordRows,
     keys: IntArray,
     entries: IntArray,
-    wholes: IntArray,
-    reals: FloatArray,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first: int,
@@ -136,12 +136,12 @@ def receive_frames(
         block: state block.
         at: ``BlockLayout.places`` of the state block.
         constants: constants of the hand.
-        constants_at: ``BlockLayout.places`` of the constants.
+        constants_places: ``BlockLayout.places`` of the constants.
         frame_rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
-        wholes: see ``WireTables``.
-        reals: see ``WireTables``.
+        signal_integers: see ``WireTables``.
+        signal_reals: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first: index of the first frame.
@@ -153,32 +153,34 @@ def receive_frames(
         or n if there is no such frame.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_at)
+    c = constant_tables(constants, constants_places)
     frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
-    wholes = borrowed_array(wholes, 0, wholes.shape)
-    reals = borrowed_array(reals, 0, reals.shape)
+    signal_integers = borrowed_array(signal_integers, 0, signal_integers.shape)
+    signal_reals = borrowed_array(signal_reals, 0, signal_reals.shape)
     recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first, len(frame_rows)):
-        # The word HEAD_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
+        # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
-        head = np.int64(frame_rows[r, HEAD_WORD])
+        head = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
         can_id = head & ID_MASK & ~ERROR_FLAG
         bus = head >> BUS_BIT & BYTE_MASK
         length = head >> LENGTH_BIT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
-        flagged = head & ERROR_FLAG != 0
-        if entry == MISSING_ENTRY or (flagged and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES):
+        is_error_frame = head & ERROR_FLAG != 0
+        if entry == NO_ENTRY or (
+            is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
+        ):
             _count_unknown_frame(x, keys, entries, bus, can_id)
             continue
-        if flagged:
+        if is_error_frame:
             continue  # an error frame has no values, even if its identifier belongs to a node
         kind = entries[entry, FRAME_KIND_COLUMN]
         t_ns = np.int64(frame_rows[r, TIME_WORD])
         payload = frame_rows[r, PAYLOAD_WORD]
-        fits = length == entries[entry, PAYLOAD_BYTES_COLUMN]
+        has_expected_length = length == entries[entry, PAYLOAD_BYTES_COLUMN]
         owner = entries[entry, OWNER_COLUMN]
         if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
             reply = _compare_recheck(x, owner, payload, length, entry, recheck_ranges, rechecks)
@@ -186,15 +188,19 @@ def receive_frames(
                 continue
             if reply == WRONG_REPLY:
                 return r
-        if kind == SENSOR_FRAMES and fits and t_ns < fresh_ns:
+        if kind == SENSOR_FRAMES and has_expected_length and t_ns < fresh_ns:
             _count_stale_frame(x, entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
-            _decode_sensor_frame(x, t_ns, payload, fits, entries, entry, wholes, reals)
+            _decode_sensor_frame(
+                x, t_ns, payload, has_expected_length, entries, entry, signal_integers, signal_reals
+            )
         elif (
             kind == STATE_MACHINE_FRAMES
             or kind == HOST_FRAMES
-            or not fits
-            or not _decode_drive_frame(x, c, t_ns, frame_rows[r], entries, entry, wholes, reals)
+            or not has_expected_length
+            or not _decode_drive_frame(
+                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_reals
+            )
         ):
             return r
     return len(frame_rows)
@@ -301,10 +307,11 @@ def _count_unknown_frame(
     x.run_int[s.UNKNOWN_FRAMES] += 1
     if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & NUMBER_MASK < STANDARD_IDS:
         entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
-        if entry != MISSING_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
+        if entry != NO_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]
             x.node_int[
-                s.MALFORMED_NOW, owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1
+                s.MALFORMED_FRAME_NOW,
+                owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1,
             ] = 1
 
 
@@ -312,8 +319,8 @@ def _count_unknown_frame(
 def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
-    x.run_int[s.STALE_NOW] = max(
-        x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, sensor_group] else 1
+    x.run_int[s.STALE_FRAME_NOW] = max(
+        x.run_int[s.STALE_FRAME_NOW], 2 if x.group_int[s.GROUP_FRAME_COUNT_NOW, sensor_group] else 1
     )
 
 
@@ -325,8 +332,8 @@ def _decode_sensor_frame(
     is_length_right: bool,
     entries: IntArray,
     entry: int,
-    wholes: IntArray,
-    reals: FloatArray,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
 ) -> None:
     """Decode a frame of load cells or joint encoders.
 
@@ -339,32 +346,32 @@ def _decode_sensor_frame(
         is_length_right: True if the payload has the expected length.
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
-        wholes: see ``WireTables``.
-        reals: see ``WireTables``.
+        signal_integers: see ``WireTables``.
+        signal_reals: see ``WireTables``.
     """
     if not is_length_right:
-        x.node_int[s.MALFORMED_NOW, x.node_int.shape[1] - 1] = 1
+        x.node_int[s.MALFORMED_FRAME_NOW, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP_COLUMN]
     tensions = 0
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        value = decode_signal(payload, wholes, reals, i)
-        quantity = wholes[i, QUANTITY_COLUMN]
-        channel = wholes[i, CHANNEL_COLUMN]
+        value = decode_signal(payload, signal_integers, signal_reals, i)
+        quantity = signal_integers[i, QUANTITY_COLUMN]
+        channel = signal_integers[i, CHANNEL_COLUMN]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
             _count_stale_frame(x, group)
             return
         if quantity == CELL:
             tensions = 1
             x.tendon[s.CELL_READING, channel] = value
-            x.tendon_int[s.CELL_FRESH, channel] = 1
+            x.tendon_int[s.CELL_READ_NOW, channel] = 1
         if quantity == ANGLE:
             x.joint[s.JOINT_ANGLE, channel] = value
-            x.joint_int[s.JOINT_FRESH, channel] = 1
+            x.joint_int[s.JOINT_READ_NOW, channel] = 1
     x.group_int[s.GROUP_NS, group] = t_ns
-    x.group_int[s.GROUP_FRAMES, group] += 1
+    x.group_int[s.GROUP_FRAME_COUNT, group] += 1
     x.run_int[s.TENSION_FRAMES] += tensions
-    x.group_int[s.GROUP_FRAMES_NOW, group] += 1
+    x.group_int[s.GROUP_FRAME_COUNT_NOW, group] += 1
 
 
 @kernel_helper
@@ -389,8 +396,8 @@ def _decode_drive_frame(
     frame_row: Any,
     entries: IntArray,
     entry: int,
-    wholes: IntArray,
-    reals: FloatArray,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
 ) -> bool:
     """Decode a frame of a drive.
 
@@ -403,8 +410,8 @@ def _decode_drive_frame(
         frame_row: (WORDS_PER_RECORD,) record of the frame.
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
-        wholes: see ``WireTables``.
-        reals: see ``WireTables``.
+        signal_integers: see ``WireTables``.
+        signal_reals: see ``WireTables``.
     """
     n = entries[entry, OWNER_COLUMN]
     if not _is_steady(x, n):
@@ -415,19 +422,19 @@ def _decode_drive_frame(
     payload = frame_row[PAYLOAD_WORD]
     opposite = bytes_reversed(payload)
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        if wholes[i, WINDOW_COLUMN] == 0:
-            window = opposite if wholes[i, ORDER_COLUMN] else payload
+        if signal_integers[i, WINDOW_COLUMN] == 0:
+            window = opposite if signal_integers[i, ORDER_COLUMN] else payload
         else:
-            window = window_at(frame_row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN])
-            window = bytes_reversed(window) if wholes[i, ORDER_COLUMN] else window
-        value = decode_signal(window, wholes, reals, i)
+            window = read_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
+            window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
+        value = decode_signal(window, signal_integers, signal_reals, i)
         if math.isnan(value):
             return False
-        quantity = wholes[i, QUANTITY_COLUMN]
+        quantity = signal_integers[i, QUANTITY_COLUMN]
         if quantity == STATUS:
             # Several status fields of a frame form one number, with the first field in the highest
             # bits.
-            status = status << wholes[i, LENGTH_BITS] | np.int64(value)
+            status = status << signal_integers[i, LENGTH_BITS] | np.int64(value)
         elif quantity == POSITION:
             position = value
         elif quantity == VELOCITY:
@@ -441,11 +448,11 @@ def _decode_drive_frame(
         return False
     if (
         entries[entry, NEAREST_ONLY_COLUMN]
-        and x.tendon_int[s.FEEDBACKS_NOW, n] > 0
+        and x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0
         and not _is_nearer(x, c, n, position)
     ):
-        x.tendon_int[s.FEEDBACKS, n] += 1
-        x.tendon_int[s.FEEDBACKS_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
         return True
     _store_tendon_value(x, s.POSITION, n, position)
     _store_tendon_value(x, s.VELOCITY, n, velocity)
@@ -453,8 +460,8 @@ def _decode_drive_frame(
     _store_tendon_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
         x.tendon_int[s.FEEDBACK_NS, n] = t_ns
-        x.tendon_int[s.FEEDBACKS, n] += 1
-        x.tendon_int[s.FEEDBACKS_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
     return True
 
 
@@ -470,11 +477,15 @@ def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) ->
 
 @kernel_helper
 def _can_be_encoded(
-    x: StateTables, n: int, reals: FloatArray, first_signal: int, end_signal: int
+    x: StateTables, n: int, signal_reals: FloatArray, first_signal: int, signals_end: int
 ) -> bool:
     """Return True if each number of a drive's position command is within the range of its signal."""
-    for i in range(first_signal, end_signal):
-        if not reals[i, 2] <= x.servo[s.SERVO_POSITION + i - first_signal, n] <= reals[i, 3]:
+    for i in range(first_signal, signals_end):
+        if (
+            not signal_reals[i, 2]
+            <= x.servo[s.SERVO_POSITION + i - first_signal, n]
+            <= signal_reals[i, 3]
+        ):
             return False
     return True
 
@@ -485,22 +496,29 @@ def _write_position_command(
     n: int,
     frame_row: Any,
     template: Any,
-    wholes: IntArray,
-    reals: FloatArray,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
     first_signal: int,
-    end_signal: int,
+    signals_end: int,
 ) -> None:
     """Write position, velocity, kp, kd, torque and torque limit into the record of a command."""
     _copy_record(template, frame_row)
-    for i in range(first_signal, end_signal):
-        bits = encode_signal(x.servo[s.SERVO_POSITION + i - first_signal, n], wholes, reals, i)
-        bits = bytes_reversed(bits) if wholes[i, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, wholes[i, WINDOW_COLUMN], bits)
+    for i in range(first_signal, signals_end):
+        bits = encode_signal(
+            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_reals, i
+        )
+        bits = bytes_reversed(bits) if signal_integers[i, ORDER_COLUMN] else bits
+        write_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
 
 
 @kernel_helper
 def _write_torque_command(
-    frame_row: Any, template: Any, torque: float, signal: Any, wholes: IntArray, reals: FloatArray
+    frame_row: Any,
+    template: Any,
+    torque: float,
+    signal: Any,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
 ) -> None:
     """Write a torque command into the record of a frame.
 
@@ -508,9 +526,9 @@ def _write_torque_command(
     """
     _copy_record(template, frame_row)
     if signal >= 0:
-        bits = encode_signal(torque, wholes, reals, signal)
-        ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
+        bits = encode_signal(torque, signal_integers, signal_reals, signal)
+        ordered = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
+        write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered)
 
 
 @kernel(
@@ -522,14 +540,14 @@ def encode_commands(
     at: TablePlaces,
     frame_words: WordRows,
     commands: IntArray,
-    wholes: IntArray,
-    reals: FloatArray,
+    signal_integers: IntArray,
+    signal_reals: FloatArray,
     templates: WordRows,
     torque: FloatArray,
     servos: IntArray,
     servo_templates: WordRows,
-    servo_wholes: IntArray,
-    servo_reals: FloatArray,
+    servo_signal_integers: IntArray,
+    servo_signal_reals: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first: int,
@@ -542,14 +560,14 @@ def encode_commands(
         at: ``BlockLayout.places`` of the state block.
         frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
-        wholes: ``WireTables.sent_wholes``.
-        reals: ``WireTables.sent_reals``.
+        signal_integers: ``WireTables.command_signal_integers``.
+        signal_reals: ``WireTables.command_signal_reals``.
         templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
         torque: (N,) commanded torque of each drive [N m].
         servos: (N, 2) see ``WireTables``.
         servo_templates: (N, WORDS) see ``WireTables``.
-        servo_wholes: see ``WireTables``.
-        servo_reals: see ``WireTables``.
+        servo_signal_integers: see ``WireTables``.
+        servo_signal_reals: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first: index of the first drive whose command is encoded.
@@ -566,32 +584,34 @@ def encode_commands(
         n = commands[i, 0]
         if n < first:
             continue
-        heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        feedback_ns = x.tendon_int[s.FEEDBACK_NS, n]
         timeout_ns = commands[i, 2]
-        overdue = timeout_ns > 0 and heard_ns < now_ns - timeout_ns
-        if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DUE_NS, n] or overdue:
+        is_feedback_overdue = timeout_ns > 0 and feedback_ns < now_ns - timeout_ns
+        if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DRIVE_DUE_NS, n] or is_feedback_overdue:
             return n, count
-        rechecked = _is_recheck_due(x, n, now_ns, recheck_ranges)
-        if rechecked and not _is_recheck_regular(x, n, now_ns):
+        is_recheck_due = _is_recheck_due(x, n, now_ns, recheck_ranges)
+        if is_recheck_due and not _is_recheck_regular(x, n, now_ns):
             return n, count
         signal = commands[i, 1]
-        if signal >= 0 and not abs(torque[n]) <= reals[signal, 2]:
+        if signal >= 0 and not abs(torque[n]) <= signal_reals[signal, 2]:
             return n, count
         begin = servos[n, 0]
         end = servos[n, 1]
-        holds_position = begin < end and x.servo[s.SERVO_KP, n] > 0.0
-        if holds_position and not _can_be_encoded(x, n, servo_reals, begin, end):
+        use_position_command = begin < end and x.servo[s.SERVO_KP, n] > 0.0
+        if use_position_command and not _can_be_encoded(x, n, servo_signal_reals, begin, end):
             command_torque_only(x, n)
-            holds_position = False
+            use_position_command = False
         row = frame_words[count]
-        if holds_position:
+        if use_position_command:
             _write_position_command(
-                x, n, row, servo_templates[n], servo_wholes, servo_reals, begin, end
+                x, n, row, servo_templates[n], servo_signal_integers, servo_signal_reals, begin, end
             )
         else:
-            _write_torque_command(row, templates[i], torque[n], signal, wholes, reals)
+            _write_torque_command(
+                row, templates[i], torque[n], signal, signal_integers, signal_reals
+            )
         count += 1
-        if rechecked and signal >= 0:
+        if is_recheck_due and signal >= 0:
             _request_recheck(x, n, frame_words[count], recheck_ranges, rechecks)
             count += 1
     return len(torque), count

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
-    HEAD_WORD,
+    ID_AND_FLAGS_WORD,
     LENGTH_BIT,
     PAYLOAD_WORD,
     WORDS_PER_RECORD,
@@ -63,19 +63,19 @@ class WireTables:
         keys: (e,) keys bus << 32 | identifier of all frames, sorted.
         entries: (e, 7) values of each frame, in the columns ``OWNER_COLUMN`` to
             ``NEAREST_ONLY_COLUMN``.
-        wholes: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
-        reals: (s, 2) real numbers of the received signals.
-        commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
+        signal_integers: (s, INTEGER_COLUMN_COUNT) integers of the received signals.
+        signal_reals: (s, 2) real numbers of the received signals.
+        commands: (f, 3) drive, row of the torque in ``command_signal_integers`` or -1, and feedback timeout
             [ns] of each command.
-        sent_wholes: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
-        sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
+        command_signal_integers: (t, INTEGER_COLUMN_COUNT) integers of the sent torques.
+        command_signal_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
             column.
         templates: (f, WORDS_PER_RECORD) records of the commands with zero torque.
-        servos: (N, 2) first row of each drive in ``servo_wholes``, and the row after its last. Both
+        servos: (N, 2) first row of each drive in ``servo_signal_integers``, and the row after its last. Both
             are equal for a drive that receives only torques.
         servo_templates: (N, WORDS_PER_RECORD) records of the position commands with all signals 0.
-        servo_wholes: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
-        servo_reals: (p, 4) scale, offset, smallest and largest value of the signals of position
+        servo_signal_integers: (p, INTEGER_COLUMN_COUNT) integers of the signals of position commands.
+        servo_signal_reals: (p, 4) scale, offset, smallest and largest value of the signals of position
             commands, for the real torque of the motor.
         recheck_ranges: (N, 2) first row of each drive in ``rechecks``, and the row after its last.
         rechecks: (r, WORDS_PER_RECHECK) settings that are read again while a drive is enabled: the
@@ -87,7 +87,7 @@ class WireTables:
         self,
         drives: Sequence[Drive],
         sensors: SensorInterface,
-        holds_position: Sequence[bool] = (),
+        is_loop_closed_by_drive: Sequence[bool] = (),
         torque_gain: FloatArray | None = None,
     ) -> None:
         """Build the tables of all cyclic frames of a hand.
@@ -95,31 +95,31 @@ class WireTables:
         Args:
             drives: drives of the hand.
             sensors: sensor node of the hand.
-            holds_position: for each drive, True if the drive closes the position loop, empty if no
+            is_loop_closed_by_drive: for each drive, True if the drive closes the position loop, empty if no
                 drive does this.
             torque_gain: (N,) torque at the spool divided by the commanded torque, or None if all
                 values are 1.
         """
         self._signals: list[SignalTable] = []
-        found: dict[int, list[int]] = {}
+        entry_by_key: dict[int, list[int]] = {}
         for drive in drives:
-            found |= {
+            entry_by_key |= {
                 _frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0]
                 for can_id in drive.host_ids
             }
-        found |= {
+        entry_by_key |= {
             _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, HOST_FRAMES, 0, 0, 0, 0, 0]
             for can_id in sensors.host_ids
         }
         for n, drive in enumerate(drives):
-            found |= {
+            entry_by_key |= {
                 _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
                 for can_id in drive.node_ids
             }
             for message in drive.cyclic_messages.feedback:
                 kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
                 signals = self._add_message(message)
-                found[_frame_key(drive.bus, message.can_id)] = [
+                entry_by_key[_frame_key(drive.bus, message.can_id)] = [
                     n,
                     kind,
                     *signals,
@@ -127,7 +127,7 @@ class WireTables:
                     0,
                     message.nearest,
                 ]
-        found |= {
+        entry_by_key |= {
             _frame_key(sensors.bus, can_id): [
                 SENSOR_NODE_OWNER,
                 STATE_MACHINE_FRAMES,
@@ -140,7 +140,7 @@ class WireTables:
             for can_id in sensors.service_ids
         }
         for group, message in enumerate(sensors.messages):
-            found[_frame_key(sensors.bus, message.can_id)] = [
+            entry_by_key[_frame_key(sensors.bus, message.can_id)] = [
                 SENSOR_NODE_OWNER,
                 SENSOR_FRAMES,
                 *self._add_message(message),
@@ -148,20 +148,22 @@ class WireTables:
                 group,
                 0,
             ]
-        keys = sorted(found)
+        keys = sorted(entry_by_key)
         self.keys: IntArray = np.array(keys, dtype=np.int64)
-        self.entries: IntArray = np.array([found[key] for key in keys], dtype=np.int64)
-        self.wholes = np.concatenate([table.wholes for table in self._signals])
-        self.reals = np.concatenate([table.reals for table in self._signals])
+        self.entries: IntArray = np.array([entry_by_key[key] for key in keys], dtype=np.int64)
+        self.signal_integers = np.concatenate([table.signal_integers for table in self._signals])
+        self.signal_reals = np.concatenate([table.signal_reals for table in self._signals])
         self._build_torque_commands(drives)
-        self._build_position_commands(drives, holds_position or [False] * len(drives), torque_gain)
+        self._build_position_commands(
+            drives, is_loop_closed_by_drive or [False] * len(drives), torque_gain
+        )
         self._build_rechecks(drives)
         self.max_frames = 1 + len(self.templates) + len(drives)
-        self._entries_without: dict[tuple[int, ...], IntArray] = {}
+        self._entries_by_removed_groups: dict[tuple[int, ...], IntArray] = {}
 
-    def entries_without(self, removed_groups: tuple[int, ...]) -> IntArray:
+    def entries_without_groups(self, removed_groups: tuple[int, ...]) -> IntArray:
         """Return a copy of the entries, in which the state machines of the sensors handle some groups of frames."""
-        entries = self._entries_without.get(removed_groups)
+        entries = self._entries_by_removed_groups.get(removed_groups)
         if entries is None:
             entries = self.entries.copy()
             entries[
@@ -169,35 +171,37 @@ class WireTables:
                 & np.isin(entries[:, GROUP_COLUMN], removed_groups),
                 FRAME_KIND_COLUMN,
             ] = STATE_MACHINE_FRAMES
-            self._entries_without[removed_groups] = entries
+            self._entries_by_removed_groups[removed_groups] = entries
         return entries
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
         """Add the signals of a message to the tables. Return the range of their rows."""
-        first = sum(len(table.wholes) for table in self._signals)
+        first = sum(len(table.signal_integers) for table in self._signals)
         self._signals.append(SignalTable(message))
-        return first, first + len(self._signals[-1].wholes)
+        return first, first + len(self._signals[-1].signal_integers)
 
     def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
         rows = list[list[int]]()
         templates = list[WordRows]()
-        wholes = list[IntArray]()
-        reals = list[list[float]]()
+        signal_integers = list[IntArray]()
+        signal_reals = list[list[float]]()
         for n, drive in enumerate(drives):
             for message in drive.cyclic_messages.commands:
                 table = SignalTable(message)
                 signal = -1
-                if len(table.wholes):
-                    signal = len(wholes)
-                    wholes.append(table.wholes[0])
-                    reals.append([*table.reals[0], message.limit])
+                if len(table.signal_integers):
+                    signal = len(signal_integers)
+                    signal_integers.append(table.signal_integers[0])
+                    signal_reals.append([*table.signal_reals[0], message.limit])
                 rows.append([n, signal, drive.cyclic_messages.feedback_timeout_ns])
                 templates.append(_frame_template(message, drive.bus))
         self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
-        self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(
+        self.command_signal_integers: IntArray = np.array(signal_integers, dtype=np.int64).reshape(
             -1, INTEGER_COLUMN_COUNT
         )
-        self.sent_reals: FloatArray = np.array(reals, dtype=np.float64).reshape(-1, 3)
+        self.command_signal_reals: FloatArray = np.array(signal_reals, dtype=np.float64).reshape(
+            -1, 3
+        )
         self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(
             -1, WORDS_PER_RECORD
         )
@@ -205,29 +209,29 @@ class WireTables:
     def _build_position_commands(
         self,
         drives: Sequence[Drive],
-        holds_position: Sequence[bool],
+        is_loop_closed_by_drive: Sequence[bool],
         torque_gain: FloatArray | None,
     ) -> None:
         """Build the tables of the position commands of all drives that close the position loop."""
-        wholes = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]
-        reals = [np.empty((0, 4))]
+        signal_integers = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]
+        signal_reals = [np.empty((0, 4))]
         servos = np.zeros((len(drives), 2), np.int64)
         templates = np.zeros((len(drives), WORDS_PER_RECORD), np.uint64)
         for n, drive in enumerate(drives):
             message = drive.cyclic_messages.position
-            if not holds_position[n] or message is None:
+            if not is_loop_closed_by_drive[n] or message is None:
                 continue
-            signals = SignalTable(message).wholes
-            first = sum(len(one) for one in wholes)
+            signals = SignalTable(message).signal_integers
+            first = sum(len(one) for one in signal_integers)
             servos[n] = first, first + len(signals)
             templates[n] = _frame_template(message, drive.bus)
-            wholes.append(signals)
+            signal_integers.append(signals)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
-            reals.append(_ranges_of_signals(message, gain))
+            signal_reals.append(_ranges_of_signals(message, gain))
         self.servos: IntArray = servos
         self.servo_templates: WordRows = templates
-        self.servo_wholes: IntArray = np.concatenate(wholes)
-        self.servo_reals: FloatArray = np.concatenate(reals)
+        self.servo_signal_integers: IntArray = np.concatenate(signal_integers)
+        self.servo_signal_reals: FloatArray = np.concatenate(signal_reals)
 
     def _build_rechecks(self, drives: Sequence[Drive]) -> None:
         """Build the table of the settings that are read again while a drive is enabled."""
@@ -261,7 +265,7 @@ def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     row[REPLY_KEY_MASK_WORD] = key_mask
     row[REPLY_MASK_WORD] = mask
     row[REPLY_ENTRY_WORD] = frame_entry
-    row[REPLY_BYTES_WORD] = int(reply[HEAD_WORD]) >> LENGTH_BIT
+    row[REPLY_BYTES_WORD] = int(reply[ID_AND_FLAGS_WORD]) >> LENGTH_BIT
     return row
 
 

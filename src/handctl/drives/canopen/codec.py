@@ -72,7 +72,7 @@ class SdoReply(NamedTuple):
     """Content of an SDO reply: object, value (empty after a write), and abort code (0 without an abort)."""
 
     number: int
-    sub: int
+    sub_index: int
     raw: bytes
     abort: int
 

@@ -12,7 +12,7 @@ from handctl.drives.discovery import (
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
-    have_two_drives_answered,
+    is_number_used_by_two_drives,
 )
 from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.hand.file.sections import CIA404_PROTOCOL
@@ -49,13 +49,13 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
         )
     if scan_round == 3:
         found = discovered_nodes(received)
-        asked = [(node, SERIAL_NUMBER) for node in found]
-        asked += [
+        requested_objects = [(node, SERIAL_NUMBER) for node in found]
+        requested_objects += [
             (node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404_PROTOCOL
         ]
         return tuple(
             Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry))
-            for node, entry in asked
+            for node, entry in requested_objects
         )
     return ()
 
@@ -70,8 +70,8 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         if frame.can_id - codec.SDO_REPLY in NODE_NUMBERS and len(frame.data) == 8:
             reply = codec.decode_sdo_reply(frame.data)
             if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL_NUMBER):
-                by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
-                by_object.setdefault(reply.number, []).append(frame.data)
+                answers_by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
+                answers_by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
             elif reply and reply[:2] == CHANNEL_COUNT_OBJECT and reply.raw:
@@ -83,7 +83,7 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
             number,
             types.get(number),
             states.get(number),
-            have_two_drives_answered(answers.get(number, {}), SERIAL_NUMBER[0]),
+            is_number_used_by_two_drives(answers.get(number, {}), SERIAL_NUMBER[0]),
             channels.get(number, 0),
         )
         for number in sorted(types | states)
@@ -94,7 +94,7 @@ def _describe_node(
     node_number: int,
     device_type: int | None,
     nmt_state: int | None,
-    has_twin: bool,
+    is_number_used_twice: bool,
     channel_count: int,
 ) -> DiscoveredNode:
     """Return a discovered node, with the data reported by the node."""
@@ -107,7 +107,7 @@ def _describe_node(
             notes=("sends heartbeats, but does not answer an SDO",),
         )
     profile = device_type & 0xFFFF
-    notes = (TWO_DRIVES_WARNING,) * has_twin
+    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice
     if profile == CIA404_PROFILE:
         channels = f" with {channel_count} channels" if channel_count else ""
         text = f"a measuring amplifier of CiA 404{channels}: not a drive"
@@ -120,12 +120,14 @@ def _describe_node(
             state=state,
             options=options,
             notes=(*notes, text),
-            twins=has_twin,
+            twins=is_number_used_twice,
         )
     if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == CIA402_PROFILE else "canopen"
-    return DiscoveredNode(protocol, node_number, state=state, notes=notes, twins=has_twin)
+    return DiscoveredNode(
+        protocol, node_number, state=state, notes=notes, twins=is_number_used_twice
+    )
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:

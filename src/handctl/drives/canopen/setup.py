@@ -22,9 +22,9 @@ SERIAL_NUMBER = 0x1018, 4
 class ObjectCheck(enum.IntEnum):
     """Rule by which an object is written, and its value is compared with the required value."""
 
-    SAME = 0
+    EQUAL = 0
     """Read the object. The value must equal the required value."""
-    HAS_BITS = 1
+    BITS_SET = 1
     """Read the object. The bits of the required value must be set."""
     WRITE = 2
     """Write the object, then read it. The value must equal the required value."""
@@ -32,21 +32,21 @@ class ObjectCheck(enum.IntEnum):
     """Write and read the object as in WRITE. A drive without the object is accepted."""
     READ_IF_PRESENT = 4
     """Read the object and accept any value. A drive without the object is accepted."""
-    SAME_IF_PRESENT = 5
+    EQUAL_IF_PRESENT = 5
     """Read the object.
 
     The value must equal the required value. A drive without the object is accepted.
     """
-    LOW_WORD = 6
+    LOW_WORD_EQUAL = 6
     """Read the object. The low 16 bits of the value must equal the required value."""
-    ADJUST = 7
+    WRITE_IF_DIFFERENT = 7
     """Read the object. If the value differs from the required value, write it and read it again."""
 
 
 OPTIONAL_OBJECT_CHECKS = (
     ObjectCheck.WRITE_IF_PRESENT,
     ObjectCheck.READ_IF_PRESENT,
-    ObjectCheck.SAME_IF_PRESENT,
+    ObjectCheck.EQUAL_IF_PRESENT,
 )
 """Rules that accept a device without the object."""
 
@@ -56,7 +56,7 @@ class SetupStep(NamedTuple):
 
     check: ObjectCheck
     number: int
-    sub: int
+    sub_index: int
     value: int
     size: int
 
@@ -66,14 +66,14 @@ class SetupStep(NamedTuple):
         return self.value.to_bytes(self.size, "little")
 
     @property
-    def is_written_first(self) -> bool:
+    def is_written_before_read(self) -> bool:
         """Return True if the object is written before it is read."""
         return self.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
 
     @property
     def name(self) -> str:
         """Return the name of the object, for messages to the operator."""
-        return f"object {self.number:#06x}:{self.sub}"
+        return f"object {self.number:#06x}:{self.sub_index}"
 
 
 def pdo_steps(
@@ -100,16 +100,16 @@ def pdo_steps(
     )
 
 
-def is_write_next(cursor: ReadbackCursor, step: SetupStep) -> bool:
+def is_next_request_write(cursor: ReadbackCursor, step: SetupStep) -> bool:
     """Return True if the next request must write the object, by its rule or because its value was wrong."""
-    return cursor.writing or (step.is_written_first and not cursor.written)
+    return cursor.writing or (step.is_written_before_read and not cursor.written)
 
 
 def _has_required_value(step: SetupStep, value: int) -> bool:
     """Return True if an object has the required value, by the rule of the step."""
-    if step.check == ObjectCheck.HAS_BITS:
+    if step.check == ObjectCheck.BITS_SET:
         return value & step.value == step.value
-    return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD else value) == step.value
+    return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD_EQUAL else value) == step.value
 
 
 def on_reply(
@@ -124,7 +124,7 @@ def on_reply(
         the problem in words, empty without a problem.
     """
     step = required_steps[cursor.step]
-    if not cursor.waiting or reply[:2] != (step.number, step.sub):
+    if not cursor.waiting or reply[:2] != (step.number, step.sub_index):
         return cursor, 0, ""
     if reply.abort:
         if (
@@ -133,8 +133,8 @@ def on_reply(
         ):
             return cursor.next_setting(), 0, ""
         return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if is_write_next(cursor, step):
-        return cursor if reply.raw else cursor.after_write(), 0, ""
+    if is_next_request_write(cursor, step):
+        return cursor if reply.raw else cursor.cursor_after_write(), 0, ""
     if not reply.raw:
         return cursor, 0, ""
     value = int.from_bytes(reply.raw, "little")
@@ -142,9 +142,9 @@ def on_reply(
         return cursor.next_setting(), value, ""
     if _has_required_value(step, value):
         return cursor.next_setting(), 0, ""
-    writes = 1 if step.check == ObjectCheck.ADJUST else 0
+    write_count = 1 if step.check == ObjectCheck.WRITE_IF_DIFFERENT else 0
     cursor, problem = readback.on_wrong_value(
-        cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes
+        cursor, step.name, f"{value:#x}", f"{step.value:#x}", write_count
     )
     return cursor, 0, problem
 
@@ -164,9 +164,11 @@ def next_request(
     )
     if not send:
         return cursor, b"", problem
-    download = codec.download_request(step.number, step.sub, step.raw)
+    download_payload = codec.download_request(step.number, step.sub_index, step.raw)
     return (
         cursor,
-        download if is_write_next(cursor, step) else codec.upload_request(step.number, step.sub),
+        download_payload
+        if is_next_request_write(cursor, step)
+        else codec.upload_request(step.number, step.sub_index),
         "",
     )

@@ -21,7 +21,7 @@ from handctl.drives.canopen.setup import REPEAT_PERIOD_NS
 from handctl.drives.cia402 import codec, settings
 from handctl.drives.cia402.progress import (
     CAUSE_BY_ERROR,
-    CLEAR_TRIES,
+    IGNORED_FAULT_COUNT,
     SETTING_MISMATCH_ERROR,
     Cia402Progress,
     apply_power_state,
@@ -50,10 +50,10 @@ from handctl.drives.option_checks import (
 from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessage, CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
-    after_recheck_reply,
     enter_fault,
     request_recheck,
     start_enabling,
+    state_after_recheck_reply,
 )
 from handctl.errors import ConfigError
 
@@ -101,7 +101,7 @@ class Cia402Drive:
         ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
             motor unwinds the tendon.
         zero: angle of the shaft when the spool angle is zero [rad].
-        rated: rated torque of the drive at the shaft [N m].
+        rated_torque: rated torque of the drive at the shaft [N m].
         counts: position counts per turn of the shaft.
         steps: objects of the drive, with the values required before arming.
         sync: True if the host sends SYNC after the command of this drive.
@@ -119,7 +119,7 @@ class Cia402Drive:
     command_limit: float
     ratio: float
     zero: float
-    rated: float
+    rated_torque: float
     counts: int
     steps: tuple[setup.SetupStep, ...]
     sync: bool
@@ -131,9 +131,11 @@ class Cia402Drive:
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        sent = codec.command_message(self.node_id, self.ratio, self.rated, self.command_limit)
+        sent = codec.command_message(
+            self.node_id, self.ratio, self.rated_torque, self.command_limit
+        )
         feedback = codec.feedback_message(
-            self.node_id, self.counts, self.ratio, self.rated, self.zero
+            self.node_id, self.counts, self.ratio, self.rated_torque, self.zero
         )
         object.__setattr__(self, "command", SignalTable(sent))
         object.__setattr__(self, "feedback", SignalTable(feedback))
@@ -195,7 +197,7 @@ class Cia402Drive:
             command_limit=motor.torque_max_N_m,
             ratio=motor.direction * ratio,
             zero=motor.zero_rad,
-            rated=rated,
+            rated_torque=rated,
             counts=counts,
             steps=settings.required_steps(
                 motor.node_id,
@@ -221,10 +223,10 @@ class Cia402Drive:
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames with a rate that differs from the control rate: heartbeats and SDO requests."""
-        beats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
+        heartbeats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
         if self.sends_heartbeat:
-            beats.append((1, False, 1e9 / self.heartbeat_period_ns))
-        return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
+            heartbeats.append((1, False, 1e9 / self.heartbeat_period_ns))
+        return (*heartbeats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
     def has_extended_ids(self) -> bool:
@@ -246,8 +248,8 @@ class Cia402Drive:
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of the frames of the drive: TPDO, SDO replies, emergency, and heartbeat."""
-        bases = (canopen.TPDO, canopen.SDO_REPLY, canopen.EMERGENCY, canopen.HEARTBEAT)
-        return frozenset(base + self.node_id for base in bases)
+        base_ids = (canopen.TPDO, canopen.SDO_REPLY, canopen.EMERGENCY, canopen.HEARTBEAT)
+        return frozenset(base + self.node_id for base in base_ids)
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
@@ -260,7 +262,7 @@ class Cia402Drive:
         return {}
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True, because the drive sends one TPDO for each SYNC."""
         return True
 
@@ -285,7 +287,7 @@ class Cia402Drive:
     def steady_status(self, state: DriveState) -> int:
         """Return the status of the drive after this host has enabled it, or NO_STEADY_STATUS."""
         progress = progress_of(state)
-        steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
+        steady = state.phase == ENABLED and progress.enable_sent and progress.disable_command_ns < 0
         return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
@@ -298,7 +300,9 @@ class Cia402Drive:
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
         """Return the objects read again while the drive is enabled."""
         return tuple(
-            step for step in self.steps if (step.number, step.sub) in settings.PROTECTION_OBJECTS
+            step
+            for step in self.steps
+            if (step.number, step.sub_index) in settings.PROTECTION_OBJECTS
         )
 
     @property
@@ -307,10 +311,10 @@ class Cia402Drive:
         return tuple(
             SettingRecheck(
                 step.name,
-                self._sdo_frame(canopen.upload_request(step.number, step.sub)),
+                self._sdo_frame(canopen.upload_request(step.number, step.sub_index)),
                 Frame(
                     canopen.SDO_REPLY + self.node_id,
-                    canopen.upload_reply(step.number, step.sub, step.raw),
+                    canopen.upload_reply(step.number, step.sub_index, step.raw),
                     0,
                     self.bus,
                 ),
@@ -328,14 +332,14 @@ class Cia402Drive:
         """Return the state of the drive after a received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
-        service = frame.can_id - self.node_id
-        if len(frame.data) != (1 if service == canopen.HEARTBEAT else 8):
-            return state._replace(misread=state.misread + 1)
-        if service == canopen.TPDO:
+        message_base = frame.can_id - self.node_id
+        if len(frame.data) != (1 if message_base == canopen.HEARTBEAT else 8):
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
+        if message_base == canopen.TPDO:
             return self._on_feedback(state, frame)
-        if service == canopen.HEARTBEAT:
+        if message_base == canopen.HEARTBEAT:
             return on_heartbeat(state, frame)
-        if service == canopen.SDO_REPLY:
+        if message_base == canopen.SDO_REPLY:
             return self._on_sdo_reply(state, frame.data)
         # After the tests above, the frame can only be an emergency. Code 0 of an emergency reports
         # that all errors have ended.
@@ -356,24 +360,24 @@ class Cia402Drive:
             return state
         cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
         progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
-        updated = state._replace(phase=CONFIGURING, private=progress)
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
+        next_state = state._replace(phase=CONFIGURING, private=progress)
+        return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
         """Compare the value of an object, read again from the enabled drive, with the required value."""
         step = self.rechecked_settings[state.recheck.step]
-        if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
+        if reply[:2] != (step.number, step.sub_index) or not (reply.raw or reply.abort):
             return state
         value = int.from_bytes(reply.raw, "little")
-        same = reply.raw == step.raw
+        is_equal = reply.raw == step.raw
         answer = (
             f"answers {canopen.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
         )
-        return after_recheck_reply(
+        return state_after_recheck_reply(
             state,
             SETTING_MISMATCH_ERROR,
             len(self.rechecked_settings),
-            same,
+            is_equal,
             step.name,
             answer,
             f"{step.value:#x}",
@@ -389,7 +393,7 @@ class Cia402Drive:
         if progress.cursor.step < len(self.steps):
             return state
         _, _, position, torque = self.feedback.unpack(frame.data)
-        updated = state._replace(
+        next_state = state._replace(
             position=position,
             torque=torque,
             feedback_t_ns=frame.t_ns,
@@ -397,7 +401,7 @@ class Cia402Drive:
         )
         power = codec.power_state(int.from_bytes(frame.data[:2], "little"))
         return apply_power_state(
-            updated, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns)
+            next_state, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns)
         )
 
     def advance(
@@ -414,14 +418,14 @@ class Cia402Drive:
             < t_ns - self.life_sign_timeout_ns
         ):
             state = state_after_timeout(state)
-        state, frames = self._follow_target(state, t_ns, target, command)
+        state, frames = self._advance_to_target(state, t_ns, target, command)
         progress = progress_of(state)
         if self.sends_heartbeat and t_ns - progress.heartbeat_sent_ns >= self.heartbeat_period_ns:
             frames = (*frames, Frame(_HOST_HEARTBEAT, bytes((canopen.OPERATIONAL,)), 0, self.bus))
             state = state._replace(private=progress._replace(heartbeat_sent_ns=t_ns))
         return state, (*frames, Frame(canopen.SYNC, b"", 0, self.bus)) if self.sync else frames
 
-    def _follow_target(
+    def _advance_to_target(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for the requested drive state.
@@ -430,7 +434,7 @@ class Cia402Drive:
         """
         progress = progress_of(state)
         if target == DISABLE or (
-            state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)
+            state.phase == ENABLED and (target != ENABLE or progress.disable_command_ns >= 0)
         ):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
@@ -438,15 +442,15 @@ class Cia402Drive:
             return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
-        progress = progress._replace(disabling_ns=-1)
+        progress = progress._replace(disable_command_ns=-1)
         if progress.cursor.step < len(self.steps):
             return self._configure(state, progress, t_ns)
         if state.phase != READY:
             return self._start_node(state, progress, t_ns)
         if target == ENABLE:
             control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
-            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
-            return enabling, (self._rpdo_frame(control_word, self._rest_command(state)),)
+            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            return enabling_state, (self._rpdo_frame(control_word, self._rest_command(state)),)
         return state._replace(private=progress), ()
 
     def _disable(
@@ -461,8 +465,8 @@ class Cia402Drive:
         the NMT start as long as no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
-        since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
-        progress = progress._replace(disabling_ns=since)
+        since = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
+        progress = progress._replace(disable_command_ns=since)
         start: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
@@ -480,11 +484,11 @@ class Cia402Drive:
         Before the first request, the host sets the node to the NMT state pre-operational.
         """
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
-        updated = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(private=progress._replace(cursor=cursor))
         if problem:
-            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
+            return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()
         frames = (self._sdo_frame(data),) if data else ()
-        return updated, (
+        return next_state, (
             self._nmt_frame(canopen.PRE_OPERATIONAL),
             *frames,
         ) if cursor.step == 0 and data else frames
@@ -506,8 +510,8 @@ class Cia402Drive:
             return state._replace(private=progress), ()
         question = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
         text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
-        updated = progress._replace(started_ns=t_ns)
-        return state._replace(error_text=text, private=updated), (
+        next_progress = progress._replace(started_ns=t_ns)
+        return state._replace(error_text=text, private=next_progress), (
             self._nmt_frame(canopen.START_NODE),
         )
 
@@ -569,7 +573,7 @@ class Cia402Drive:
         """
         if state.phase != READY:
             return ()
-        data = canopen.download_request(*settings.END_OF_SUPERVISION)
+        data = canopen.download_request(*settings.HEARTBEAT_SUPERVISION_OFF)
         return (self._sdo_frame(data),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -578,9 +582,11 @@ class Cia402Drive:
         After the reset, the host reads back all objects again.
         """
         power = progress_of(state).power
-        fresh = Cia402Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
-        updated = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
-        return updated, (
+        initial_progress = Cia402Progress(
+            power="" if power == codec.FAULT else power, clearing=IGNORED_FAULT_COUNT
+        )
+        next_state = state._replace(phase=SILENT, error=0, error_text="", private=initial_progress)
+        return next_state, (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
             self._rpdo_frame(codec.FAULT_RESET, 0.0),
         )

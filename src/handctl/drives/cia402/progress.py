@@ -21,14 +21,15 @@ CAUSE_BY_ERROR = {
     0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.HOT,
     0x4310: DriveFaultCause.HOT, 0x8130: DriveFaultCause.WATCHDOG,
     0x8250: DriveFaultCause.WATCHDOG, 0x8100: DriveFaultCause.DROPPED_OUT,
-    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, DRIVE_LOST_ERROR: DriveFaultCause.LOST,
-    SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH, ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, DRIVE_LOST_ERROR: DriveFaultCause.COMMUNICATION_LOST,
+    SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 }  # fmt: skip
 """Cause of error codes, from emergencies or added by handctl.
 
 Other documented codes have the cause OTHER.
 """
-CLEAR_TRIES = 20
+IGNORED_FAULT_COUNT = 20
 """Number of status words that may still show a fault after the clear command."""
 
 
@@ -44,7 +45,7 @@ class Cia402Progress(NamedTuple):
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
         enable_sent: True from the enable command until the drive reports the state disabled.
-        disabling_ns: time of the first disable command [ns], or -1 if none was sent.
+        disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
         clearing: number of status words whose fault must still be ignored while the fault is being
             cleared.
         serial: serial number of the drive, 0 if unknown.
@@ -57,7 +58,7 @@ class Cia402Progress(NamedTuple):
     started_ns: int = -REPEAT_PERIOD_NS
     heartbeat_sent_ns: int = -REPEAT_PERIOD_NS
     enable_sent: bool = False
-    disabling_ns: int = -1
+    disable_command_ns: int = -1
     clearing: int = 0
     serial: int = 0
 
@@ -80,39 +81,46 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     The argument ``progress`` already contains the power state of this status word.
     """
     power = progress.power
-    updated = state._replace(private=progress)
+    next_state = state._replace(private=progress)
     if power == codec.FAULT:
-        return _state_when_fault(updated, progress)
-    if progress.disabling_ns >= 0:
-        off = power in codec.STATES_WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
+        return _state_when_fault(next_state, progress)
+    if progress.disable_command_ns >= 0:
+        off = (
+            power in codec.STATES_WITHOUT_TORQUE
+            and state.feedback_t_ns >= progress.disable_command_ns
+        )
         if not off:
-            return updated._replace(phase=ENABLED)
-        quiet = updated._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
+            return next_state._replace(phase=ENABLED)
+        quiet = next_state._replace(
+            private=progress._replace(enable_sent=False, disable_command_ns=-1)
+        )
         return quiet._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
         return enter_fault(
-            updated._replace(private=progress._replace(enable_sent=False)),
+            next_state._replace(private=progress._replace(enable_sent=False)),
             DROPPED_OUT_ERROR,
             f"fell to {power!r} by itself",
         )
     if power == codec.OPERATION_ENABLED:
         if progress.enable_sent:
-            return updated._replace(phase=ENABLED) if state.phase == READY else updated
+            return next_state._replace(phase=ENABLED) if state.phase == READY else next_state
         return (
-            enter_fault(updated, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
+            enter_fault(next_state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
             if state.phase != FAULT
-            else updated
+            else next_state
         )
     if state.phase == CONFIGURING and power in codec.STATES_WITHOUT_TORQUE:
-        return updated._replace(phase=READY, error_text="", private=progress._replace(clearing=0))
-    return updated
+        return next_state._replace(
+            phase=READY, error_text="", private=progress._replace(clearing=0)
+        )
+    return next_state
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
+    off = state._replace(private=progress._replace(enable_sent=False, disable_command_ns=-1))
     text = (
         codec.error_text(progress.code)
         if progress.code
@@ -131,7 +139,7 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     if (
         frame.data[0] == OPERATIONAL
         or state.phase not in (READY, ENABLED)
-        or progress.disabling_ns >= 0
+        or progress.disable_command_ns >= 0
     ):
         return state._replace(private=progress)
     if state.phase == ENABLED or progress.enable_sent:
@@ -147,7 +155,7 @@ def state_after_timeout(state: DriveState) -> DriveState:
     back again.
     """
     progress = progress_of(state)
-    if state.phase == FAULT or progress.disabling_ns >= 0:
+    if state.phase == FAULT or progress.disable_command_ns >= 0:
         return state
     if state.phase == ENABLED or progress.enable_sent:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")

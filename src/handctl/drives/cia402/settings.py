@@ -27,7 +27,7 @@ TORQUE_MODE = 10
 """Mode of operation for cyclic synchronous torque."""
 TARGET_OBJECTS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
 """Object with the target, and size of the target in bytes, by mode of operation."""
-END_OF_SUPERVISION = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
+HEARTBEAT_SUPERVISION_OFF = 0x1016, 1, (HOST_NODE << 16).to_bytes(4, "little")
 """Object for the supervision of the host's heartbeat: index, sub-index, and the value 0 that ends the supervision."""
 
 PROTECTION_OBJECTS = ((0x1016, 1), (0x6072, 0), (0x6080, 0))
@@ -57,24 +57,24 @@ def required_steps(
         mode: mode of operation of the drive, a key of ``TARGET_OBJECTS``.
     """
     target, size = TARGET_OBJECTS[mode]
-    same, bits, write, write_optional, read, *_ = ObjectCheck
-    bases = ((0x1400, RPDO), (0x1800, TPDO))
+    equal, bits_set, write, write_optional, read, *_ = ObjectCheck
+    pdo_bases = ((0x1400, RPDO), (0x1800, TPDO))
     # PDOs 2 to 4 are switched off. The parameter records of these PDOs have consecutive indices,
     # and their default identifiers differ by 0x100.
-    others = [
+    disabling_steps = [
         SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
-        for base, cob in bases
+        for base, cob in pdo_bases
         for i in (1, 2, 3)
     ]
     return (
         # 0x0192 is 402, the profile number in the low word of the device type.
-        SetupStep(bits, 0x1000, 0, 0x0192, 4),
+        SetupStep(bits_set, 0x1000, 0, 0x0192, 4),
         SetupStep(read, *SERIAL_NUMBER, 0, 4),
         SetupStep(write, 0x6040, 0, DISABLE_VOLTAGE, 2),
         # The object contains one bit for each mode that the drive may support. Bit 9 stands for
         # mode 10, cyclic synchronous torque.
-        SetupStep(bits, 0x6502, 0, 1 << mode - 1, 4),
-        SetupStep(same, 0x6076, 0, rated_torque, 4),
+        SetupStep(bits_set, 0x6502, 0, 1 << mode - 1, 4),
+        SetupStep(equal, 0x6076, 0, rated_torque, 4),
         SetupStep(write, 0x6072, 0, max_torque, 2),
         SetupStep(write, 0x6071, 0, 0, 2),
         # With the value 1 of the abort connection option, the drive goes into fault when the
@@ -83,8 +83,8 @@ def required_steps(
         SetupStep(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
         SetupStep(write, 0x1017, 0, heartbeat_ms, 2),
         SetupStep(write, 0x6060, 0, mode, 1),
-        SetupStep(same, 0x6061, 0, mode, 1),
-        *others,
+        SetupStep(equal, 0x6061, 0, mode, 1),
+        *disabling_steps,
         *pdo_steps(0x1400, 0x1600, RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
         *pdo_steps(0x1800, 0x1A00, TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )

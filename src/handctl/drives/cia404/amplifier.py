@@ -109,8 +109,12 @@ class LoadCellAmplifier:
         if reply is None or state.cursor.step >= len(self.steps):
             return state
         cursor, _, problem = setup.on_reply(state.cursor, self.steps, reply)
-        updated = state._replace(phase=CONFIGURING, cursor=cursor)
-        return updated._replace(phase=DrivePhase.FAULT, error_text=problem) if problem else updated
+        next_state = state._replace(phase=CONFIGURING, cursor=cursor)
+        return (
+            next_state._replace(phase=DrivePhase.FAULT, error_text=problem)
+            if problem
+            else next_state
+        )
 
     def advance(
         self, state: AmplifierState, t_ns: int, target: DriveTarget
@@ -138,11 +142,11 @@ class LoadCellAmplifier:
         Before the first request, the host sends the NMT command pre-operational.
         """
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
-        updated = state._replace(cursor=cursor)
+        next_state = state._replace(cursor=cursor)
         if problem:
-            return updated._replace(phase=DrivePhase.FAULT, error_text=problem), ()
+            return next_state._replace(phase=DrivePhase.FAULT, error_text=problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
-        return updated, (
+        return next_state, (
             self._nmt_frame(codec.PRE_OPERATIONAL),
             *frames,
         ) if cursor.step == 0 and data else frames

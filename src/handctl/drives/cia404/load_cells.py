@@ -30,14 +30,14 @@ from handctl.drives.cia404.settings import (
 from handctl.drives.frame import Frame
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
-TARE_MARGIN_N = 6.0
+MAX_TARE_N = 6.0
 """Largest accepted tare of a load cell [N]."""
 TENSION_LOW_N = -4.0
 """Tared tension below which a load cell or its wire counts as broken [N].
 
 The sensor node of handctl has the same threshold.
 """
-SHORTEST_ANSWER_NS = 100_000
+MIN_ANSWER_DELAY_NS = 100_000
 """Shortest time from the start of a tick to the end of an answer to its SYNC [ns].
 
 SYNC (47 bits) and a TPDO of 4 bytes (79 bits) take 126 us at 1 Mbit/s. The difference from this
@@ -196,7 +196,7 @@ class Cia404LoadCells:
     @property
     def tension_rail(self) -> float:
         """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
-        return self.range_n - TARE_MARGIN_N
+        return self.range_n - MAX_TARE_N
 
     @property
     def tension_low(self) -> float:
@@ -251,20 +251,20 @@ class Cia404LoadCells:
         """Return the SYNC frame of tick k."""
         return Frame(self.sync_id, b"", bus=self.bus)
 
-    def earliest_answer_ns(self, sync_ns: int) -> int:
+    def earliest_answer_time_ns(self, sync_ns: int) -> int:
         """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
-        return sync_ns + SHORTEST_ANSWER_NS
+        return sync_ns + MIN_ANSWER_DELAY_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
         """Return True, because a payload does not show which SYNC it answers."""
         return True
 
-    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of lost frames.
 
         Missing answers to the last SYNC are not counted, because they may still arrive.
         """
-        return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
+        return max(0, (syncs - 1) * len(self.ids) - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""

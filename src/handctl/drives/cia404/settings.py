@@ -44,20 +44,20 @@ def required_steps(
         process_value: key of ``PROCESS_VALUES``.
         digits: number of decimal digits of an ``int32`` process value.
     """
-    adjust = ObjectCheck.ADJUST
+    write_if_different = ObjectCheck.WRITE_IF_DIFFERENT
     number, _ = PROCESS_VALUES[process_value]
     steps = [
-        SetupStep(ObjectCheck.LOW_WORD, 0x1000, 0, CIA404_PROFILE, 4),
-        SetupStep(adjust, 0x1005, 0, codec.SYNC, 4),
-        SetupStep(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
+        SetupStep(ObjectCheck.LOW_WORD_EQUAL, 0x1000, 0, CIA404_PROFILE, 4),
+        SetupStep(write_if_different, 0x1005, 0, codec.SYNC, 4),
+        SetupStep(write_if_different, 0x1017, 0, HEARTBEAT_MS, 2),
     ]
     for channel in range(1, channel_count + 1):
-        steps.append(SetupStep(adjust, 0x6131, channel, NEWTON_UNIT_CODE, 4))
+        steps.append(SetupStep(write_if_different, 0x6131, channel, NEWTON_UNIT_CODE, 4))
         if process_value == "int32":
-            steps.append(SetupStep(adjust, 0x6132, channel, digits, 1))
+            steps.append(SetupStep(write_if_different, 0x6132, channel, digits, 1))
         # Object 0x6150 is the status of the channel. Bit 0 means not valid, bits 1 and 2 positive
         # and negative overload.
-        steps.append(SetupStep(ObjectCheck.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
+        steps.append(SetupStep(ObjectCheck.EQUAL_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first = CHANNELS_PER_TPDO * i
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channel_count) + 1)
@@ -65,9 +65,9 @@ def required_steps(
         if entries:
             # An inhibit time of the PDO could delay answers. The inhibit time is set to 0 while the
             # PDO is off.
-            inhibit = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
+            inhibit_time_step = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
-            steps += [off, inhibit, *rest]
+            steps += [off, inhibit_time_step, *rest]
         else:
             steps.append(
                 SetupStep(

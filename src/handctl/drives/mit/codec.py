@@ -160,12 +160,12 @@ def command_message(
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         flags: flags of the frame, see ``frame``.
     """
-    unused = SignalQuantity.UNUSED
+    unused_signal = SignalQuantity.UNUSED
     signals = (
-        _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
-        _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
-        Signal("kp", unused, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", unused, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
+        _signal_over_range("position", unused_signal, 7, 16, ranges.position, "rad"),
+        _signal_over_range("velocity", unused_signal, 23, 12, ranges.velocity, "rad/s"),
+        Signal("kp", unused_signal, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", unused_signal, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
         _signal_over_range(
             "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
         ),

@@ -78,7 +78,7 @@ FEEDBACK_SIZES = (6, 8)
 
 Older firmware sends 6 bytes, without temperature and error.
 """
-ANSWERS_REQUIRED = 3
+REQUIRED_ANSWER_COUNT = 3
 """Number of answers after which an enable or disable command counts as obeyed.
 
 The first answer may have been sent before the command.
@@ -117,13 +117,13 @@ class CubemarsProgress(NamedTuple):
     """State of the CubeMars state machine between frames, stored in ``DriveState.private``.
 
     Attributes:
-        command_sent: latest special command to the motor, ENABLE or DISABLE.
+        last_command: latest special command to the motor, ENABLE or DISABLE.
         since_ns: time at which the latest special command was first sent [ns].
         answers: number of consecutive answers that agree with the latest special command.
         enable_sent: True from the enable command until the motor counts as disabled.
     """
 
-    command_sent: DriveTarget = DISABLE
+    last_command: DriveTarget = DISABLE
     since_ns: int = -1
     answers: int = 0
     enable_sent: bool = False
@@ -276,7 +276,7 @@ class CubemarsDrive:
         return UNCHECKED_PROPERTIES
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True, because the motor sends a single answer per command."""
         return True
 
@@ -310,8 +310,8 @@ class CubemarsDrive:
         progress: CubemarsProgress = state.private
         enabled = (
             state.phase == ENABLED
-            and progress.command_sent == ENABLE
-            and progress.answers >= ANSWERS_REQUIRED
+            and progress.last_command == ENABLE
+            and progress.answers >= REQUIRED_ANSWER_COUNT
         )
         return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
 
@@ -329,7 +329,7 @@ class CubemarsDrive:
         if can_id != self.node_id or bus != self.bus:
             return state
         if len(data) not in FEEDBACK_SIZES or data[0] != self.node_id & 0xFF:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
         if len(data) < 8:
             temperature = math.nan
@@ -343,31 +343,31 @@ class CubemarsDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        updated = self._on_answer(feedback, state.private)
+        next_state = self._on_answer(feedback, state.private)
         if not error:
-            return updated
-        disabling = updated.phase == ENABLED and progress_of(updated).command_sent == DISABLE
-        updated = updated._replace(
+            return next_state
+        disabling = next_state.phase == ENABLED and progress_of(next_state).last_command == DISABLE
+        next_state = next_state._replace(
             error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}")
         )
-        return updated if disabling else updated._replace(phase=FAULT)
+        return next_state if disabling else next_state._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
         """Return the state after an answer to the latest enable or disable command."""
         # An answer that the motor sent before this command does not show the effect of the command.
         if state.feedback_t_ns < progress.since_ns:
             return state
-        if progress.command_sent == ENABLE:
-            if progress.answers >= ANSWERS_REQUIRED:
+        if progress.last_command == ENABLE:
+            if progress.answers >= REQUIRED_ANSWER_COUNT:
                 return state  # the command counts as obeyed, and further answers change nothing
-            done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
+            done = state.phase != FAULT and progress.answers + 1 >= REQUIRED_ANSWER_COUNT
             return state._replace(
                 phase=ENABLED if done else state.phase,
                 private=progress._replace(answers=progress.answers + 1),
             )
         quiet = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
         progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
-        if progress.answers < ANSWERS_REQUIRED:
+        if progress.answers < REQUIRED_ANSWER_COUNT:
             feedback = CONFIGURING if state.phase == SILENT else state.phase
             return state._replace(phase=feedback, private=progress)
         phase = FAULT if state.error else READY
@@ -378,7 +378,7 @@ class CubemarsDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: CubemarsProgress = state.private
-        if state.phase == ENABLED and target == ENABLE and progress.command_sent == ENABLE:
+        if state.phase == ENABLED and target == ENABLE and progress.last_command == ENABLE:
             return state, (self._frame_to_motor(self._torque_payload(command)),)
         if target == LISTEN:
             return state, ()
@@ -389,7 +389,7 @@ class CubemarsDrive:
         ):
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
-            return self._after_command(state, ENABLE, t_ns), (
+            return self._state_after_command(state, ENABLE, t_ns), (
                 self._frame_to_motor(codec.special_command(codec.ENABLE)),
             )
         phase = (
@@ -397,18 +397,22 @@ class CubemarsDrive:
             if progress.enable_sent and (target == DISABLE or state.phase != FAULT)
             else state.phase
         )
-        return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut_frames()
+        return self._state_after_command(
+            state._replace(phase=phase), DISABLE, t_ns
+        ), self.cut_frames()
 
-    def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
+    def _state_after_command(
+        self, state: DriveState, new_command: DriveTarget, t_ns: int
+    ) -> DriveState:
         """Return the state after an enable or disable command was sent.
 
         No answer to a new command has arrived yet.
         """
         progress: CubemarsProgress = state.private
-        if progress.command_sent == command_sent and progress.since_ns >= 0:
+        if progress.last_command == new_command and progress.since_ns >= 0:
             return state
-        enable_sent = progress.enable_sent or command_sent == ENABLE
-        return state._replace(private=CubemarsProgress(command_sent, t_ns, 0, enable_sent))
+        enable_sent = progress.enable_sent or new_command == ENABLE
+        return state._replace(private=CubemarsProgress(new_command, t_ns, 0, enable_sent))
 
     def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a torque command.

@@ -15,7 +15,7 @@ from handctl.drives.discovery import (
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
-    have_two_drives_answered,
+    is_number_used_by_two_drives,
 )
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
@@ -28,7 +28,7 @@ MST_ID = 7
 HARDWARE_VERSION = 13
 SOFTWARE_VERSION = 14
 SERIAL_NUMBER = 15
-CAN_BR = 35
+CAN_BIT_RATE_REGISTER = 35
 _INTEGER_REGISTERS = {
     MST_ID,
     codec.TIMEOUT,
@@ -36,12 +36,12 @@ _INTEGER_REGISTERS = {
     HARDWARE_VERSION,
     SOFTWARE_VERSION,
     SERIAL_NUMBER,
-    CAN_BR,
+    CAN_BIT_RATE_REGISTER,
 }
 _DETAIL_REGISTERS = (
     SOFTWARE_VERSION,
     SERIAL_NUMBER,
-    CAN_BR,
+    CAN_BIT_RATE_REGISTER,
     codec.CTRL_MODE,
     codec.TIMEOUT,
     codec.PMAX,
@@ -49,7 +49,7 @@ _DETAIL_REGISTERS = (
     codec.TMAX,
 )
 FIRST_FD_BIT_RATE = 5
-"""Smallest value of register CAN_BR, the bit rate, at which the motor uses CAN FD."""
+"""Smallest value of register CAN_BIT_RATE_REGISTER, the bit rate, at which the motor uses CAN FD."""
 _RANGE_REGISTERS = (
     ("position_range_rad", codec.PMAX),
     ("velocity_range_rad_s", codec.VMAX),
@@ -122,10 +122,10 @@ def _describe_motor(
     options: dict[str, bool | int | float | str] = (
         {} if reply_id == node_number + 0x10 else {"reply_id": reply_id}
     )
-    if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
+    if values.get(CAN_BIT_RATE_REGISTER, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
-    twins = have_two_drives_answered(answers, SERIAL_NUMBER)
-    notes = [TWO_DRIVES_WARNING] if twins else []
+    is_number_used_twice = is_number_used_by_two_drives(answers, SERIAL_NUMBER)
+    notes = [TWO_DRIVES_WARNING] if is_number_used_twice else []
     if others := [
         other for other, used in reply_ids.items() if used == reply_id and other != node_number
     ]:
@@ -150,7 +150,7 @@ def _describe_motor(
         options,
         tuple(notes),
         {},
-        twins,
+        is_number_used_twice,
     )
 
 

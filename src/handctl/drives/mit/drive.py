@@ -26,9 +26,9 @@ from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import (
     CAUSE_BY_ERROR,
-    CLEAR_TRIES,
-    FIRES_WHILE_DISABLED_TEXT,
+    IGNORED_FAULT_COUNT,
     SETTING_MISMATCH_ERROR,
+    WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
     MitProgress,
     apply_status,
     progress_of,
@@ -38,14 +38,14 @@ from handctl.drives.option_checks import MotorOption, checked_boolean, refuse_un
 from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
-    after_configuration,
-    after_recheck_reply,
     enter_fault,
     is_steady,
     may_have_lost_power,
     request_recheck,
     start_disabling,
     start_enabling,
+    state_after_configuration,
+    state_after_recheck_reply,
 )
 from handctl.errors import ConfigError
 
@@ -182,7 +182,7 @@ class MitDrive:
         return {}
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True, because the motor sends a single answer per request."""
         return True
 
@@ -262,7 +262,7 @@ class MitDrive:
         if can_id != self.reply_id or bus != self.bus:
             return state
         if len(data) != 8:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         if state.phase == ENABLED and state.recheck.waiting:
             reply = codec.decode_register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (
@@ -279,7 +279,7 @@ class MitDrive:
         # The low nibble of byte 0 is the node number. With another value, the frame is from another
         # motor.
         if (data[0] ^ self.node_id) & 0xF:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         return self._on_feedback(state, data, t_ns)
 
     def _on_register_reply(
@@ -290,10 +290,10 @@ class MitDrive:
             return state
         progress = progress_of(state)
         if progress.cursor.step >= len(self.required):
-            updated = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
+            is_serial_number = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
             return (
-                after_configuration(state, t_ns, int.from_bytes(reply.raw, "little"))
-                if updated
+                state_after_configuration(state, t_ns, int.from_bytes(reply.raw, "little"))
+                if is_serial_number
                 else state
             )
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
@@ -304,13 +304,13 @@ class MitDrive:
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
         """Compare the value of a register, read again from the enabled motor, with the required value."""
         register, value = self.rechecked_settings[state.recheck.step]
-        same = reply.raw == codec.register_bytes(register, value)
+        is_equal = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
-        return after_recheck_reply(
+        return state_after_recheck_reply(
             state,
             SETTING_MISMATCH_ERROR,
             len(self.rechecked_settings),
-            same,
+            is_equal,
             registers.register_name(register),
             answer,
             f"{value:g}",
@@ -321,7 +321,7 @@ class MitDrive:
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
-        updated = state._replace(
+        next_state = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -329,7 +329,7 @@ class MitDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        return apply_status(updated, nibble)
+        return apply_status(next_state, nibble)
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -351,17 +351,26 @@ class MitDrive:
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
         # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
         # watchdog.
-        fed = state.error_text == FIRES_WHILE_DISABLED_TEXT
+        watchdog_needs_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
         )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
-            updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
-            return updated, (*(clear or self.cut_frames()), *requests) if fed else requests
-        if state.phase == READY and target == ENABLE and not (fed and progress.clearing):
-            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
-            return enabling, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
-        if fed and not clear:
+            next_state, requests = self._configure(
+                state._replace(phase=CONFIGURING), progress, t_ns
+            )
+            return next_state, (
+                *(clear or self.cut_frames()),
+                *requests,
+            ) if watchdog_needs_commands else requests
+        if (
+            state.phase == READY
+            and target == ENABLE
+            and not (watchdog_needs_commands and progress.clearing)
+        ):
+            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
+        if watchdog_needs_commands and not clear:
             return state._replace(private=progress), self.cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(private=progress), (*clear, self._refresh_frame())
@@ -373,15 +382,17 @@ class MitDrive:
 
         An enabled motor is disabled first.
         """
-        if progress.enabled_by_other:
-            updated = state._replace(error_text="enabled, and does not disable", private=progress)
-            return updated, self.cut_frames()
+        if progress.enabled_by_other_host:
+            next_state = state._replace(
+                error_text="enabled, and does not disable", private=progress
+            )
+            return next_state, self.cut_frames()
         if progress.cursor.step >= len(self.required):
             cursor, data, unanswered = registers.next_serial_request(
                 progress.cursor, self.node_id, t_ns
             )
-            updated = state._replace(private=progress._replace(cursor=cursor))
-            return after_configuration(updated, t_ns, 0) if unanswered else updated, (
+            next_state = state._replace(private=progress._replace(cursor=cursor))
+            return state_after_configuration(next_state, t_ns, 0) if unanswered else next_state, (
                 self._register_frame(data),
             ) if data else ()
         cursor, data, problem = registers.next_request(
@@ -391,9 +402,13 @@ class MitDrive:
             return enter_fault(
                 state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
-        text = FIRES_WHILE_DISABLED_TEXT if state.error_text == FIRES_WHILE_DISABLED_TEXT else ""
-        updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
-        return updated, (self._register_frame(data),) if data else ()
+        text = (
+            WATCHDOG_FIRES_WHILE_DISABLED_TEXT
+            if state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
+            else ""
+        )
+        next_state = state._replace(error_text=text, private=progress._replace(cursor=cursor))
+        return next_state, (self._register_frame(data),) if data else ()
 
     def _command_payload(self, command: float) -> bytes:
         """Return the payload of a command.
@@ -430,7 +445,10 @@ class MitDrive:
         After the clear command, the host verifies the registers again.
         """
         fresh = state._replace(
-            phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES)
+            phase=SILENT,
+            error=0,
+            error_text="",
+            private=MitProgress(clearing=IGNORED_FAULT_COUNT),
         )
         return fresh, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
 

@@ -68,12 +68,12 @@ class MitModeDrive(MitDrive):
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
         """Return the registers for the control mode, as pairs (register, required value)."""
         slope = self.limits.acceleration
-        ramps = (
+        ramp_registers = (
             (codec.ACCELERATION, slope),
             (codec.DECELERATION, -slope),
             (codec.MAX_SPEED, self.limits.speed),
         )
-        return ((codec.CTRL_MODE, _CONTROL_MODES[self.mode]), *ramps)
+        return ((codec.CTRL_MODE, _CONTROL_MODES[self.mode]), *ramp_registers)
 
     @property
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:

@@ -20,18 +20,18 @@ ENABLED_BY_OTHER_HOST_ERROR = 0x103
 CAUSE_BY_ERROR = {
     0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.HOT, 0xC: DriveFaultCause.HOT,
     0xD: DriveFaultCause.WATCHDOG,
-    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
-    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.ERROR_TEXTS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, DriveFaultCause.OTHER)  # fmt: skip
 """Cause of each error, by the state nibble or by the error code added by handctl."""
 WATCHDOG_FIRED = 0xD
 """State nibble of a motor whose watchdog has fired."""
-FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
+WATCHDOG_FIRES_WHILE_DISABLED_TEXT = "its watchdog also fires while it is disabled"
 """Text for a disabled motor that has reported WATCHDOG_FIRED.
 
 The host treats this report as no fault, and sends clear commands.
 """
-CLEAR_TRIES = 6
+IGNORED_FAULT_COUNT = 6
 """Number of feedback frames that may still show an error after the clear command.
 
 While the error is being cleared, the motor sends two frames per tick.
@@ -45,11 +45,11 @@ class MitProgress(NamedTuple):
         cursor: position in the list of registers to read back.
         configured: True if all registers have their required values. The feedback can be decoded
             only after all registers have their required values.
-        enabled_by_other: True if the motor reports the state enabled without a command of this
+        enabled_by_other_host: True if the motor reports the state enabled without a command of this
             host.
         enable_sent: True from the enable command until the motor reports the state disabled.
         disabling: True while the motor is being disabled.
-        disabling_ns: time of the first disable command [ns].
+        disable_command_ns: time of the first disable command [ns].
         clearing: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
@@ -58,10 +58,10 @@ class MitProgress(NamedTuple):
 
     cursor: ReadbackCursor = ReadbackCursor()
     configured: bool = False
-    enabled_by_other: bool = False
+    enabled_by_other_host: bool = False
     enable_sent: bool = False
     disabling: bool = False
-    disabling_ns: int = 0
+    disable_command_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
     serial: int = 0
@@ -69,7 +69,7 @@ class MitProgress(NamedTuple):
     @property
     def may_be_enabled(self) -> bool:
         """Return True if an enable command was sent, or the motor may make torque without one."""
-        return self.enable_sent or self.enabled_by_other
+        return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> MitProgress:
@@ -87,8 +87,8 @@ def apply_status(state: DriveState, status_nibble: int) -> DriveState:
     if status_nibble == codec.ENABLED:
         return state_when_on(state, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
     if status_nibble == codec.DISABLED:
-        dropped_out = state.phase == ENABLED
-        return state_when_off(state, dropped_out, DROPPED_OUT_ERROR, "disabled by itself")
+        has_dropped_out = state.phase == ENABLED
+        return state_when_off(state, has_dropped_out, DROPPED_OUT_ERROR, "disabled by itself")
     return _state_after_error(state, progress, status_nibble)
 
 
@@ -100,16 +100,19 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
     """
     if status_nibble in codec.ERROR_TEXTS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
-    if status_nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
+    is_idle = not (progress.enable_sent or progress.enabled_by_other_host or progress.disabling)
+    if status_nibble == WATCHDOG_FIRED and is_idle and state.phase in (CONFIGURING, READY):
         # The watchdog has fired, because register requests do not restart it. The motor makes no
         # torque, so no operator has to clear the error.
         return state._replace(
-            error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES)
+            error_text=WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
+            private=progress._replace(clearing=IGNORED_FAULT_COUNT),
         )
     if status_nibble in codec.ERROR_TEXTS:
-        off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
+        off = state._replace(
+            private=progress._replace(enable_sent=False, enabled_by_other_host=False)
+        )
         return enter_fault(off, status_nibble, codec.ERROR_TEXTS[status_nibble])
-    unknown = state._replace(private=progress._replace(enabled_by_other=True))
+    unknown = state._replace(private=progress._replace(enabled_by_other_host=True))
     unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}")
     return unknown._replace(phase=ENABLED) if progress.disabling else unknown

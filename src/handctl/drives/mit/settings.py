@@ -35,7 +35,7 @@ def on_reply(
     if not cursor.waiting or reply[:2] != (codec.WRITE if cursor.writing else codec.READ, register):
         return cursor, ""
     if cursor.writing:
-        return cursor.after_write(), ""
+        return cursor.cursor_after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
         return cursor.next_setting(), ""
     return readback.on_wrong_value(

@@ -56,7 +56,7 @@ from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQu
 
 FD_FRAME_FLAGS = FDF | BRS
 """Flags of all frames to the drive."""
-REPLY_WANTED = 0x8000
+REPLY_REQUESTED_BIT = 0x8000
 """Bit in the identifier of a request that asks the drive for a reply."""
 STANDARD_IDS = 0x800
 """Number of identifiers with 11 bits. Larger identifiers have 29 bits."""
@@ -158,7 +158,7 @@ STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"
 
 def request_id(node_id: int, source_node: int = 0) -> int:
     """Return the identifier of a request from a source to a node."""
-    return EXTENDED_FLAG | REPLY_WANTED | source_node << 8 | node_id
+    return EXTENDED_FLAG | REPLY_REQUESTED_BIT | source_node << 8 | node_id
 
 
 def reply_id(node_id: int, source_node: int = 0) -> int:
@@ -363,16 +363,19 @@ def _float_signal(
 
 def joined_status(mode: int, fault: int) -> int:
     """Return the status of feedback with a mode and a fault code, as compiled code joins its signals."""
-    heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
-    return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[
-        3
-    ]
+    header_numbers = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
+    return (
+        (((header_numbers[0] << 8 | mode) << 8 | header_numbers[1]) << 8 | fault) << 16
+        | header_numbers[2]
+    ) << 16 | header_numbers[3]
 
 
 def is_feedback(data: bytes) -> bool:
     """Return True if the payload has the layout of a feedback frame."""
-    heads = all(data[at : at + len(content)] == content for at, content in STATUS_HEADERS)
-    return len(data) == FEEDBACK_LENGTH and heads
+    are_headers_equal = all(
+        data[at : at + len(content)] == content for at, content in STATUS_HEADERS
+    )
+    return len(data) == FEEDBACK_LENGTH and are_headers_equal
 
 
 class DriveReply(NamedTuple):

@@ -12,7 +12,7 @@ from handctl.drives.discovery import (
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
-    have_two_drives_answered,
+    is_number_used_by_two_drives,
 )
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.moteus import codec
@@ -62,9 +62,9 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
 def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the drives that have reported their mode to this host."""
     answers: dict[int, dict[int, list[bytes]]] = {}
-    by_reply = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
+    number_by_reply_id = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
     for frame in received:
-        number = by_reply.get(frame.can_id)
+        number = number_by_reply_id.get(frame.can_id)
         reply = codec.decode_reply(frame.data) if number is not None else None
         # Each request of a scan reads one register. A reply with more registers answers another
         # host.
@@ -91,17 +91,26 @@ def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> Discov
             values[register] = int(reply.values[register])
     mode = values.get(codec.MODE, codec.STOPPED)
     fault = values.get(codec.FAULT, 0)
-    in_error = mode in (codec.FAULT_MODE, codec.TIMED_OUT)
-    error = error_text(fault if mode == codec.FAULT_MODE and fault else mode) if in_error else ""
+    has_error = mode in (codec.FAULT_MODE, codec.TIMED_OUT)
+    error = error_text(fault if mode == codec.FAULT_MODE and fault else mode) if has_error else ""
     version = values.get(codec.FIRMWARE_VERSION, 0)
     firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
     words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
-    twins = have_two_drives_answered(answers, codec.SERIAL_NUMBER)
-    notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
+    is_number_used_twice = is_number_used_by_two_drives(answers, codec.SERIAL_NUMBER)
+    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
+        "needs a bus with CAN FD: data_bitrate = 5_000_000",
+    )
     state = _MODE_TEXTS.get(mode, f"mode {mode}")
     return DiscoveredNode(
-        "moteus", node_number, firmware, serial, state, error, notes=notes, twins=twins
+        "moteus",
+        node_number,
+        firmware,
+        serial,
+        state,
+        error,
+        notes=notes,
+        twins=is_number_used_twice,
     )
 
 

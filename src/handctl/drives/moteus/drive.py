@@ -26,7 +26,7 @@ from handctl.drives.moteus import codec
 from handctl.drives.moteus import settings as items
 from handctl.drives.moteus.progress import (
     CAUSE_BY_ERROR,
-    CLEAR_TRIES,
+    IGNORED_FAULT_COUNT,
     SERIAL_NUMBER_TRIES,
     SETTING_MISMATCH_ERROR,
     MoteusProgress,
@@ -38,13 +38,13 @@ from handctl.drives.option_checks import refuse_unknown_options
 from handctl.drives.readback import SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
-    after_configuration,
-    after_recheck_reply,
     enter_fault,
     is_steady,
     may_have_lost_power,
     start_disabling,
     start_enabling,
+    state_after_configuration,
+    state_after_recheck_reply,
 )
 from handctl.errors import ConfigError
 
@@ -182,7 +182,7 @@ class MoteusDrive:
         return {}
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True, because the drive sends a single reply per request."""
         return True
 
@@ -209,7 +209,7 @@ class MoteusDrive:
             (self.feedback.message,),
             (torque,),
             position=position,
-            moves_target=position is not None,
+            moves_commanded_position=position is not None,
         )
 
     @property
@@ -240,7 +240,7 @@ class MoteusDrive:
             return self._on_feedback(state, data, t_ns)
         reply = codec.decode_reply(data)
         if reply is None:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         progress = progress_of(state)
         if reply.refused and state.phase == CONFIGURING:
             register, error = next(iter(reply.refused.items()))
@@ -262,8 +262,8 @@ class MoteusDrive:
         """Return the state after feedback, with the values and the effect of the mode and fault code."""
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
-            return state._replace(misread=state.misread + 1)
-        updated = state._replace(
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
+        next_state = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -271,7 +271,7 @@ class MoteusDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        return apply_mode(updated, int(status[1]), int(status[3]))
+        return apply_mode(next_state, int(status[1]), int(status[3]))
 
     def _open_setting(
         self, state: DriveState, progress: MoteusProgress
@@ -291,10 +291,10 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, text: bytes
     ) -> DriveState:
         """Return the state after a part of an answer over the text channel."""
-        emptied = progress.channel.asked_ns < 0
+        is_channel_read = progress.channel.request_sent_ns < 0
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
-        if emptied:
+        if is_channel_read:
             # The frame answers a read that empties the channel. The host may send the next request
             # at once.
             cursor = progress.cursor
@@ -306,7 +306,9 @@ class MoteusDrive:
         if setting is None or setting.register:
             return state
         if state.phase == CONFIGURING and progress.cursor.writing:
-            return state._replace(private=progress._replace(cursor=progress.cursor.after_write()))
+            return state._replace(
+                private=progress._replace(cursor=progress.cursor.cursor_after_write())
+            )
         return self._on_setting_value(
             state, progress, setting, items.value_in_answer(line), line.decode(errors="replace")
         )
@@ -323,29 +325,29 @@ class MoteusDrive:
 
         A text that is not a number counts as a wrong value.
         """
-        same = value is not None and setting.is_right(value)
+        is_equal = value is not None and setting.is_required_value(value)
         shown = text if value is None else f"{value:g}"
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
-            return after_recheck_reply(
+            return state_after_recheck_reply(
                 state,
                 SETTING_MISMATCH_ERROR,
                 len(self.configuration),
-                same,
+                is_equal,
                 setting.name,
                 f"reads {shown}",
                 expected,
             )
         if progress.cursor.writing:
             return state
-        if same:
+        if is_equal:
             return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
-        writes = items.WRITE_TRIES if value is not None else 0
+        write_count = items.WRITE_TRIES if value is not None else 0
         cursor, problem = readback.on_wrong_value(
-            progress.cursor, setting.name, shown, expected, writes
+            progress.cursor, setting.name, shown, expected, write_count
         )
-        updated = state._replace(private=progress._replace(cursor=cursor))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
+        next_state = state._replace(private=progress._replace(cursor=cursor))
+        return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_serial_number(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
@@ -354,7 +356,7 @@ class MoteusDrive:
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
-        return after_configuration(state, t_ns, words[2] << 64 | words[1] << 32 | words[0])
+        return state_after_configuration(state, t_ns, words[2] << 64 | words[1] << 32 | words[0])
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -382,8 +384,8 @@ class MoteusDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
-            return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
+            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            return enabling_state, (self._frame_to_drive(self._torque_payload(0.0)),)
         question = (
             self.cut_frames()[0]
             if progress.clearing
@@ -408,7 +410,7 @@ class MoteusDrive:
             check, problem = readback.next_recheck(state.recheck, setting.name, self.node_id, t_ns)
             state = state._replace(recheck=check)
             channel, data = self._setting_request(channel, setting, False, t_ns)
-        elif channel.empty and channel.asked_ns < 0:
+        elif channel.is_drained and channel.request_sent_ns < 0:
             channel, data = self._setting_request(channel, setting, False, t_ns)
         state = state._replace(private=progress._replace(channel=channel))
         if problem:
@@ -422,7 +424,7 @@ class MoteusDrive:
 
         An enabled drive is stopped first.
         """
-        if progress.enabled_by_other:
+        if progress.enabled_by_other_host:
             text = f"in mode {progress.mode} without a command, and does not stop"
             return state._replace(error_text=text, private=progress), self.cut_frames()
         if progress.cursor.step >= len(self.required):
@@ -433,7 +435,7 @@ class MoteusDrive:
         ):  # the drive answers this write only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.command_limit, self.timeout_s))
             return state._replace(
-                private=progress._replace(cursor=progress.cursor.after_write())
+                private=progress._replace(cursor=progress.cursor.cursor_after_write())
             ), (limits,)
         if progress.channel.is_awaiting_answer(t_ns):
             channel, data = progress.channel.poll()
@@ -452,10 +454,10 @@ class MoteusDrive:
             # first.
             channel = items.DiagnosticChannel() if progress.cursor.waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
-        updated = state._replace(
+        next_state = state._replace(
             error_text="", private=progress._replace(cursor=cursor, channel=channel)
         )
-        return updated, (self._frame_to_drive(data),) if data else ()
+        return next_state, (self._frame_to_drive(data),) if data else ()
 
     def _setting_request(
         self,
@@ -468,7 +470,7 @@ class MoteusDrive:
         if setting.register:
             return channel, codec.read_subframe(codec.FLOAT, setting.register)
         command = items.write_request(setting) if is_write else items.read_request(setting)
-        return channel.ask(command, t_ns)
+        return channel.next_request_payload(command, t_ns)
 
     def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -477,10 +479,10 @@ class MoteusDrive:
         cursor, send, unanswered = readback.request_setting(
             progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
         )
-        updated = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
-            return after_configuration(updated, t_ns, 0), ()
-        return updated, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
+            return state_after_configuration(next_state, t_ns, 0), ()
+        return next_state, (self._frame_to_drive(SERIAL_REQUEST),) if send else ()
 
     def _torque_payload(self, torque: float) -> bytes:
         """Return the payload of a torque command.
@@ -510,7 +512,10 @@ class MoteusDrive:
         After the clear command, the host reads back the settings again.
         """
         fresh = state._replace(
-            phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES)
+            phase=SILENT,
+            error=0,
+            error_text="",
+            private=MoteusProgress(clearing=IGNORED_FAULT_COUNT),
         )
         return fresh, self.cut_frames()
 
@@ -539,7 +544,7 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
     Raises:
         ConfigError: a gain is missing in the hand file.
     """
-    if not motor.holds_position:
+    if not motor.closes_position_loop:
         return None
     given = {"kp_N_m_per_rad": motor.kp_N_m_per_rad, "kd_N_m_s_per_rad": motor.kd_N_m_s_per_rad}
     for key, value in given.items():

@@ -22,11 +22,11 @@ ENABLED_BY_OTHER_HOST_ERROR = 0x102
 CAUSE_BY_ERROR = {
     codec.FAULT_MODE: DriveFaultCause.OTHER, codec.TIMED_OUT: DriveFaultCause.WATCHDOG, 34: DriveFaultCause.VOLTAGE,
     40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.HOT,
-    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
-    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.FAULT_TEXTS.keys() - {34, 38, 40}, DriveFaultCause.OTHER)  # fmt: skip
 """Cause of each error, by the fault code, the mode, or the error code added by handctl."""
-CLEAR_TRIES = 3
+IGNORED_FAULT_COUNT = 3
 """Number of feedback frames that may still show an error after the clear command."""
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Safety does not depend on the serial number."""
@@ -40,10 +40,10 @@ class MoteusProgress(NamedTuple):
         channel: state of the exchange over the diagnostic text channel.
         configured: True if all settings have their required values.
         mode: mode of the drive in the latest feedback.
-        enabled_by_other: True if the drive may make torque without a command of this host.
+        enabled_by_other_host: True if the drive may make torque without a command of this host.
         enable_sent: True from the enable command until the drive reports the state stopped.
         disabling: True while the drive is being stopped.
-        disabling_ns: time of the first stop command [ns].
+        disable_command_ns: time of the first stop command [ns].
         clearing: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
@@ -54,10 +54,10 @@ class MoteusProgress(NamedTuple):
     channel: DiagnosticChannel = DiagnosticChannel()
     configured: bool = False
     mode: int = codec.STOPPED
-    enabled_by_other: bool = False
+    enabled_by_other_host: bool = False
     enable_sent: bool = False
     disabling: bool = False
-    disabling_ns: int = 0
+    disable_command_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
     serial: int = 0
@@ -65,7 +65,7 @@ class MoteusProgress(NamedTuple):
     @property
     def may_be_enabled(self) -> bool:
         """Return True if an enable command was sent, or the drive may make torque without one."""
-        return self.enable_sent or self.enabled_by_other
+        return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
@@ -80,14 +80,14 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     The argument ``state`` already contains the values of the same feedback.
     """
     progress = progress_of(state)
-    was_preparing = progress.mode in codec.PREPARING_MODES
+    was_preparing_control = progress.mode in codec.PREPARING_MODES
     if progress.mode != mode:
         progress = progress._replace(mode=mode)
         state = state._replace(private=progress)
     if mode == codec.STOPPED:
         # If this host had enabled the drive, or was enabling it, the drive has stopped by itself.
-        dropped_out = state.phase == ENABLED or (was_preparing and progress.enable_sent)
-        return state_when_off(state, dropped_out, DROPPED_OUT_ERROR, "stopped by itself")
+        has_dropped_out = state.phase == ENABLED or (was_preparing_control and progress.enable_sent)
+        return state_when_off(state, has_dropped_out, DROPPED_OUT_ERROR, "stopped by itself")
     if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
         return _state_after_error(
             state, progress, fault if mode == codec.FAULT_MODE and fault else mode
@@ -105,7 +105,7 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
     The drive may make torque in this mode.
     """
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
-        enabled = state._replace(private=progress._replace(enabled_by_other=True))
+        enabled = state._replace(private=progress._replace(enabled_by_other_host=True))
         return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
     # Another host or a restart has caused this mode.
     return state_when_on_by_other(
@@ -120,7 +120,7 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: 
     """
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
+    off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other_host=False))
     return enter_fault(off, error_code, error_text(error_code))
 
 

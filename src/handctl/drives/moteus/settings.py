@@ -39,10 +39,10 @@ class MoteusSetting(NamedTuple):
     value: float
     register: int = 0
 
-    def is_right(self, value: float) -> bool:
+    def is_required_value(self, value: float) -> bool:
         """Return True if a value equals the required value in float32 precision."""
-        same = rounded_to_float32(value) == rounded_to_float32(self.value)
-        return same or (math.isnan(value) and math.isnan(self.value))
+        is_equal = rounded_to_float32(value) == rounded_to_float32(self.value)
+        return is_equal or (math.isnan(value) and math.isnan(self.value))
 
 
 REQUIRED_CONFIGURATION = (
@@ -141,36 +141,38 @@ class DiagnosticChannel(NamedTuple):
     """State of the exchange over the diagnostic text channel.
 
     Attributes:
-        empty: True if no text of an earlier request can still arrive.
-        asked_ns: time at which the open request was sent [ns], -1 if no request is open.
-        polls: number of reads for the answer of the open request.
+        is_drained: True if no text of an earlier request can still arrive.
+        request_sent_ns: time at which the open request was sent [ns], -1 if no request is open.
+        poll_count: number of reads for the answer of the open request.
         text: part of the answer that has been received so far.
     """
 
-    empty: bool = False
-    asked_ns: int = -1
-    polls: int = 0
+    is_drained: bool = False
+    request_sent_ns: int = -1
+    poll_count: int = 0
     text: bytes = b""
 
-    def ask(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
+    def next_request_payload(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel and the next payload: the request, or a read that empties the channel first."""
-        if not self.empty:
+        if not self.is_drained:
             return DiagnosticChannel(), codec.TEXT_REQUEST
         return DiagnosticChannel(True, t_ns), codec.text_request(command)
 
     def is_awaiting_answer(self, t_ns: int) -> bool:
         """Return True if the host must read the answer of the open request in this tick."""
-        late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= UNANSWERED_READS
-        return 0 <= self.asked_ns < t_ns and not late
+        late = (
+            t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS and self.poll_count >= UNANSWERED_READS
+        )
+        return 0 <= self.request_sent_ns < t_ns and not late
 
     def poll(self) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the payload that reads the answer of the open request."""
-        return self._replace(polls=self.polls + 1), codec.TEXT_REQUEST
+        return self._replace(poll_count=self.poll_count + 1), codec.TEXT_REQUEST
 
     def take(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the first complete line of the answer, empty if no line is complete."""
-        if self.asked_ns < 0:
-            return self._replace(empty=not text), b""
+        if self.request_sent_ns < 0:
+            return self._replace(is_drained=not text), b""
         line, end, _ = (self.text + text).partition(b"\n")
         if end:
             return DiagnosticChannel(True), line.strip()

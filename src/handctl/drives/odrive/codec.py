@@ -279,7 +279,7 @@ def decode_float_pair(data: bytes) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
-def decode_hottest(data: bytes) -> float | None:
+def decode_highest_temperature(data: bytes) -> float | None:
     """Return the larger of two float32 temperatures [degC], or None if both are NaN.
 
     A drive reports NaN for a sensor that is not connected.

@@ -15,7 +15,7 @@ from handctl.drives.discovery import (
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
-    have_two_drives_answered,
+    is_number_used_by_two_drives,
 )
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.odrive import codec
@@ -31,10 +31,10 @@ A single such frame may be the message of another device.
 """
 IQ_CURRENT, BUS_VOLTAGE = 0x14, 0x17
 """Numbers of messages that firmware 0.5 with factory settings sends only on request."""
-_OLD_ANSWERS = (IQ_CURRENT, BUS_VOLTAGE)
-_ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
+_REQUEST_ONLY_MESSAGES = (IQ_CURRENT, BUS_VOLTAGE)
+_MESSAGES_SENT_ONCE = (ADDRESS, codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
 """Numbers of messages that a drive sends once for each request of a scan."""
-FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
+UNSHARED_NODE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
 """Node numbers whose identifiers differ from those of the predefined connection set of CANopen and of the sensor node.
 
 Source: CiA 301, predefined connection set.
@@ -65,7 +65,7 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
         return tuple(
             _remote_request(drive, command)
             for drive in silent
-            for command in (codec.GET_VERSION, *_OLD_ANSWERS)
+            for command in (codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
         )
     return ()
 
@@ -79,7 +79,7 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
     messages = {
         command: _payloads_by_node(received, command)
-        for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)
+        for command in (codec.HEARTBEAT, *_MESSAGES_SENT_ONCE)
     }
     present = {
         node
@@ -101,17 +101,19 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     The argument ``messages`` contains the payloads from the drive, by command number.
     """
     latest = {command: payloads[-1] for command, payloads in messages.items()}
-    beat = codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
+    heartbeat = (
+        codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
+    )
     serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
     version = latest.get(codec.GET_VERSION, b"")
-    twins = have_two_drives_answered(
-        {command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS
+    is_number_used_twice = is_number_used_by_two_drives(
+        {command: messages.get(command, []) for command in _MESSAGES_SENT_ONCE}, ADDRESS
     )
-    notes = [TWO_DRIVES_WARNING] if twins else []
+    notes = [TWO_DRIVES_WARNING] if is_number_used_twice else []
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
     if version or serial:
-        notes += _warnings_06(serial, version)
+        notes += _firmware_06_warnings(serial, version)
     else:
         options["firmware"] = "0.5"
         origins["firmware"] = "concluded: no answer to Get_Version"
@@ -119,23 +121,35 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
-        first, last = FREE_NUMBERS[0][0], FREE_NUMBERS[0][-1]
+        first, last = UNSHARED_NODE_NUMBERS[0][0], UNSHARED_NODE_NUMBERS[0][-1]
         notes.append(f"node 0 shares its identifiers with CANopen's NMT: give it {first} to {last}")
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = (
-        _AXIS_STATE_TEXTS.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
+        _AXIS_STATE_TEXTS.get(heartbeat.state, f"axis state {heartbeat.state}")
+        if heartbeat
+        else "no heartbeat"
     )
     error = (
-        (codec.error_text if version or serial else odrive_05.error_text)(beat.errors)
-        if beat
+        (codec.error_text if version or serial else odrive_05.error_text)(heartbeat.errors)
+        if heartbeat
         else ""
     )
     return DiscoveredNode(
-        "odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins
+        "odrive",
+        node,
+        firmware,
+        serial,
+        state,
+        error,
+        {},
+        options,
+        tuple(notes),
+        origins,
+        is_number_used_twice,
     )
 
 
-def _warnings_06(serial: str, version: bytes) -> list[str]:
+def _firmware_06_warnings(serial: str, version: bytes) -> list[str]:
     """Return the warnings for the operator about a drive with firmware 0.6."""
     notes = [
         "watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"
@@ -151,7 +165,7 @@ def _warnings_06(serial: str, version: bytes) -> list[str]:
     return notes
 
 
-def without_firmware(drive: DiscoveredNode) -> DiscoveredNode:
+def with_unknown_firmware(drive: DiscoveredNode) -> DiscoveredNode:
     """Return the drive with unknown firmware, for a scan that has sent no requests."""
     if "firmware" not in drive.origins:
         return drive
@@ -249,5 +263,5 @@ DISCOVERY = ProtocolDiscovery(
     other_host_frames,
     ping_request,
     is_ping_reply,
-    without_firmware,
+    with_unknown_firmware,
 )

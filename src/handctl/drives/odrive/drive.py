@@ -27,7 +27,7 @@ from handctl.drives.odrive import codec
 from handctl.drives.odrive import settings as endpoints
 from handctl.drives.odrive.options import OPTIONS, pop_options
 from handctl.drives.odrive.progress import (
-    CLEAR_TRIES,
+    IGNORED_FAULT_COUNT,
     MAX_MISSED_HEARTBEATS,
     REPEAT_PERIOD_NS,
     SERIAL_NUMBER_TRIES,
@@ -45,9 +45,9 @@ from handctl.drives.option_checks import refuse_unknown_options
 from handctl.drives.readback import ReadbackCursor, SettingRecheck
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
-    after_recheck_reply,
     enter_fault,
     request_recheck,
+    state_after_recheck_reply,
 )
 from handctl.errors import ConfigError
 
@@ -69,7 +69,7 @@ class OdriveDrive:
         zero: angle of the shaft when the spool angle is zero [rad].
         limits: payload of the message Set_Limits, with velocity [turn/s] and current [A].
         settings: settings verified by SDO.
-        cyclic_s: period of the drive's unrequested position messages [s], 0 to request the position
+        encoder_period_s: period of the drive's unrequested position messages [s], 0 to request the position
             in every tick.
         torque_feedback: True to request the torque in every tick.
         heartbeat_timeout_ns: time without a heartbeat after which the drive counts as lost [ns].
@@ -87,7 +87,7 @@ class OdriveDrive:
     zero: float
     limits: bytes
     settings: tuple[endpoints.OdriveSetting, ...]
-    cyclic_s: float
+    encoder_period_s: float
     torque_feedback: bool
     heartbeat_timeout_ns: int
     firmware_05: bool = False
@@ -103,7 +103,7 @@ class OdriveDrive:
             SignalTable(codec.torque_message(self.node_id, self.ratio, self.command_limit)),
         )
         encoder = codec.encoder_message(
-            self.node_id, self.ratio, self.zero, is_requested=not self.cyclic_s
+            self.node_id, self.ratio, self.zero, is_requested=not self.encoder_period_s
         )
         object.__setattr__(self, "encoder", SignalTable(encoder))
         object.__setattr__(
@@ -123,9 +123,9 @@ class OdriveDrive:
             raise ConfigError(
                 str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
             )
-        parsed = pop_options(options, where)
+        motor_options = pop_options(options, where)
         settings = endpoints.pop_settings(
-            options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio
+            options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / motor_options.ratio
         )
         refuse_unknown_options(options, where, OPTIONS)
         return OdriveDrive(
@@ -133,16 +133,16 @@ class OdriveDrive:
             bus=bus,
             node_id=motor.node_id,
             command_limit=motor.torque_max_N_m,
-            ratio=motor.direction * parsed.ratio,
+            ratio=motor.direction * motor_options.ratio,
             zero=motor.zero_rad,
             limits=codec.encode_floats(
-                motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current
+                motor.velocity_range_rad_s * motor_options.ratio / math.tau, motor_options.current
             ),
             settings=settings,
-            cyclic_s=parsed.cyclic_s,
-            torque_feedback=parsed.torque_feedback,
-            heartbeat_timeout_ns=round(parsed.heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
-            firmware_05=parsed.firmware_05,
+            encoder_period_s=motor_options.encoder_period_s,
+            torque_feedback=motor_options.torque_feedback,
+            heartbeat_timeout_ns=round(motor_options.heartbeat * MAX_MISSED_HEARTBEATS * 1e6),
+            firmware_05=motor_options.firmware_05,
         )
 
     @property
@@ -150,7 +150,7 @@ class OdriveDrive:
         """Return the frames of a tick: torque command, remote frames, and the messages that these request."""
         return (
             (4, False),
-            *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)),
+            *(((0, False), (8, False)) * ((not self.encoder_period_s) + self.torque_feedback)),
         )
 
     @property
@@ -161,11 +161,11 @@ class OdriveDrive:
         use these messages.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_PERIOD_NS
-        parsed = 1.0 / (self.cyclic_s or codec.ENCODER_PERIOD_MS * 1e-3)
+        encoder_rate = 1.0 / (self.encoder_period_s or codec.ENCODER_PERIOD_MS * 1e-3)
         recheck = readback.RECHECKS_PER_SECOND if self.settings else 0.0
-        beats = MAX_MISSED_HEARTBEATS * 1e9 / self.heartbeat_timeout_ns + parsed
+        frame_rate = MAX_MISSED_HEARTBEATS * 1e9 / self.heartbeat_timeout_ns + encoder_rate
         return (
-            (8, False, beats),
+            (8, False, frame_rate),
             (0, False, temperature_rate),
             (8, False, temperature_rate),
             (4, False, recheck),
@@ -206,7 +206,7 @@ class OdriveDrive:
         return endpoints.unchecked_properties(self.settings, self.firmware_05)
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return False, because the drive also sends messages without a command."""
         return False
 
@@ -218,12 +218,12 @@ class OdriveDrive:
     @property
     def feedback_period_s(self) -> float:
         """Return the period of the drive's unrequested position messages [s], 0 if every tick requests the position."""
-        return self.cyclic_s
+        return self.encoder_period_s
 
     @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of position and torque, the torque command, and the remote frames."""
-        requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [
+        requests = [codec.ENCODER_ESTIMATES] * (not self.encoder_period_s) + [
             codec.TORQUES
         ] * self.torque_feedback
         questions = [codec.request_message(self.node_id, command) for command in requests]
@@ -238,7 +238,7 @@ class OdriveDrive:
         """
         return (
             0
-            if state.phase == ENABLED and progress_of(state).disabling_ns < 0
+            if state.phase == ENABLED and progress_of(state).disable_command_ns < 0
             else NO_STEADY_STATUS
         )
 
@@ -288,28 +288,28 @@ class OdriveDrive:
         # Address has 7 bytes before firmware 0.6.11.
         shortest = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
         if not shortest <= len(frame.data) <= 8:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         if command == codec.HEARTBEAT:
             return on_heartbeat(state, frame, self.firmware_05)
         if command == codec.GET_VERSION:
             return self._on_version_message(state, frame.data)
         if command == codec.TX_SDO:
-            return self._on_setting(state, frame.data)
+            return self._on_setting_message(state, frame.data)
         if command == codec.ADDRESS:
             return self._on_address_message(state, frame.data)
-        return self._on_values(state, command, frame)
+        return self._on_value_message(state, command, frame)
 
-    def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
+    def _on_value_message(self, state: DriveState, command: int, frame: Frame) -> DriveState:
         """Return the state with the values in a frame: position and velocity, torque, or temperatures."""
         if (
             command == codec.TEMPERATURE
-            and (hottest := codec.decode_hottest(frame.data)) is not None
+            and (hottest := codec.decode_highest_temperature(frame.data)) is not None
         ):
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
         values = table.unpack(frame.data)
         if command == codec.TEMPERATURE or any(map(math.isnan, values)):
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         if command == codec.TORQUES:
             return state._replace(torque=values[0])
         return state._replace(
@@ -343,7 +343,7 @@ class OdriveDrive:
             private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES)
         )
 
-    def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
+    def _on_setting_message(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a TxSdo with the value of a setting."""
         progress = progress_of(state)
         if state.phase == ENABLED and state.recheck.waiting:
@@ -351,8 +351,8 @@ class OdriveDrive:
         if state.phase != CONFIGURING or progress.cursor.step >= len(self.settings):
             return state
         cursor, problem = endpoints.on_reply(progress.cursor, self.settings, data)
-        updated = state._replace(private=progress._replace(cursor=cursor))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
+        next_state = state._replace(private=progress._replace(cursor=cursor))
+        return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
         """Compare the value of a setting, read again from the enabled drive, with the required value."""
@@ -360,14 +360,14 @@ class OdriveDrive:
         endpoint, raw = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
-        same = raw[: len(setting.raw)] == setting.raw
+        is_equal = raw[: len(setting.raw)] == setting.raw
         answer = f"reads {endpoints.value_as_text(raw, setting)}"
         expected = endpoints.value_as_text(setting.raw, setting)
-        return after_recheck_reply(
+        return state_after_recheck_reply(
             state,
             SETTING_MISMATCH_ERROR,
             len(self.settings),
-            same,
+            is_equal,
             setting.name,
             answer,
             expected,
@@ -383,12 +383,12 @@ class OdriveDrive:
         if (
             0 <= progress.heartbeat_ns < t_ns - self.heartbeat_timeout_ns
             and state.phase != FAULT
-            and progress.disabling_ns < 0
+            and progress.disable_command_ns < 0
         ):
             state = state_after_timeout(state, self.firmware_05)
             progress = progress_of(state)
         if target == DISABLE or (
-            state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)
+            state.phase == ENABLED and (target != ENABLE or progress.disable_command_ns >= 0)
         ):
             return start_disabling(state, progress, t_ns), (self._axis_state_frame(codec.IDLE),)
         if state.phase == ENABLED:
@@ -397,14 +397,14 @@ class OdriveDrive:
             return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
             return state, self.cut_frames() if progress.may_be_enabled else ()
-        state = state._replace(private=progress._replace(disabling_ns=-1))
+        state = state._replace(private=progress._replace(disable_command_ns=-1))
         if state.phase == READY and progress.configured:
-            return self._advance_configured(state, t_ns, target)
+            return self._advance_configured_drive(state, t_ns, target)
         return self._configure(
             state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns
         )
 
-    def _advance_configured(
+    def _advance_configured_drive(
         self, state: DriveState, t_ns: int, target: DriveTarget
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for a configured drive: request feedback, and enable it if requested.
@@ -422,13 +422,13 @@ class OdriveDrive:
             recheck = progress._replace(cursor=ReadbackCursor(), configured=False)
             return state._replace(phase=CONFIGURING, private=recheck), requests
         check = readback.first_recheck(self.node_id, t_ns)
-        parsed = state._replace(
+        next_state = state._replace(
             recheck=check,
             private=progress._replace(
                 enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1
             ),
         )
-        return parsed, (
+        return next_state, (
             *self._setup_frames(), self._command_frame(self._rest_command(state)),
             self._axis_state_frame(codec.CLOSED_LOOP), *requests,
         )  # fmt: skip
@@ -463,13 +463,13 @@ class OdriveDrive:
         fault, because other drives may be enabled.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
-        updated = state._replace(private=progress._replace(cursor=cursor))
+        next_state = state._replace(private=progress._replace(cursor=cursor))
         if problem:
-            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
-        updated, requests = (
-            self._feedback_requests(updated, t_ns) if state.feedback_count else (updated, ())
+            return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem), ()
+        next_state, requests = (
+            self._feedback_requests(next_state, t_ns) if state.feedback_count else (next_state, ())
         )
-        return updated, (*((self._data_frame(codec.RX_SDO, data),) if data else ()), *requests)
+        return next_state, (*((self._data_frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup_frames(self) -> tuple[Frame, ...]:
         """Return the frames that set control mode and limits.
@@ -523,7 +523,7 @@ class OdriveDrive:
         self, state: DriveState, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the remote frames to request feedback in a tick."""
-        frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.cyclic_s) + [
+        frames = [self._remote_frame(codec.ENCODER_ESTIMATES)] * (not self.encoder_period_s) + [
             self._remote_frame(codec.TORQUES)
         ] * self.torque_feedback
         progress = progress_of(state)
@@ -574,11 +574,13 @@ class OdriveDrive:
 
         After the clear command, the configuration starts again.
         """
-        just_verified = OdriveProgress(
-            version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES
+        initial_progress = OdriveProgress(
+            version=self.firmware_05,
+            axis=progress_of(state).axis,
+            clearing=IGNORED_FAULT_COUNT,
         )
-        cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
-        return cleared, (self._data_frame(codec.CLEAR_ERRORS, b""),)
+        next_state = state._replace(phase=SILENT, error=0, error_text="", private=initial_progress)
+        return next_state, (self._data_frame(codec.CLEAR_ERRORS, b""),)
 
     def _axis_state_frame(self, state: int) -> Frame:
         """Return the frame that sets the axis state."""

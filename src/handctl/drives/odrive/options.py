@@ -52,7 +52,7 @@ class OdriveOptions(NamedTuple):
         current: current limit of the drive [A].
         heartbeat: period of the heartbeats [ms].
         torque_feedback: True to request the torque in every tick.
-        cyclic_s: period of the drive's unrequested position messages [s], 0 to request the position
+        encoder_period_s: period of the drive's unrequested position messages [s], 0 to request the position
             in every tick.
         firmware_05: True for firmware 0.5.
     """
@@ -61,7 +61,7 @@ class OdriveOptions(NamedTuple):
     current: float
     heartbeat: int
     torque_feedback: bool
-    cyclic_s: float
+    encoder_period_s: float
     firmware_05: bool
 
 
@@ -87,9 +87,11 @@ def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptio
         raise ConfigError(repr(feedback), f"{key_path}.torque_feedback", hint)
     if firmware_05 and (keys := [key for key in options if key in endpoints.ENDPOINT_KEYS]):
         raise ConfigError("firmware 0.5 has no SDO", f"{key_path}.{keys[0]}", "no such key")
-    cyclic = options.pop("encoder_period_ms", None)
-    if cyclic is not None:
-        cyclic = checked_whole_number(cyclic, f"{key_path}.encoder_period_ms", MAX_OPTION_VALUE)
+    encoder_period_ms = options.pop("encoder_period_ms", None)
+    if encoder_period_ms is not None:
+        encoder_period_ms = checked_whole_number(
+            encoder_period_ms, f"{key_path}.encoder_period_ms", MAX_OPTION_VALUE
+        )
     return OdriveOptions(
         ratio=checked_positive(
             options.pop("gear_ratio", 1.0), f"{key_path}.gear_ratio", MAX_OPTION_VALUE
@@ -101,6 +103,6 @@ def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptio
             options.pop("heartbeat_ms", 100), f"{key_path}.heartbeat_ms", MAX_OPTION_VALUE
         ),
         torque_feedback=feedback,
-        cyclic_s=(cyclic or 0) / 1e3,
+        encoder_period_s=(encoder_period_ms or 0) / 1e3,
         firmware_05=firmware_05,
     )

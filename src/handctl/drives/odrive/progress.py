@@ -22,9 +22,9 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 ) = (1 << 32 | number for number in range(5))
 """Error codes added by handctl. These codes are larger than the 32 error bits of the drive."""
 CAUSE_BY_ERROR = {
-    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLE_REFUSED_ERROR: DriveFaultCause.OTHER,
-    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH, DRIVE_LOST_ERROR: DriveFaultCause.LOST,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH, DRIVE_LOST_ERROR: DriveFaultCause.COMMUNICATION_LOST,
 }  # fmt: skip
 """Cause of each error code added by handctl."""
 CAUSE_BY_ERROR_BIT = {
@@ -38,7 +38,7 @@ TEMPERATURE_PERIOD_NS = 200_000_000
 # Number of requests for the version, number of heartbeats that may still show a cleared error, and
 # number of requests for the serial number.
 VERSION_TRIES = 10
-CLEAR_TRIES = 3
+IGNORED_FAULT_COUNT = 3
 SERIAL_NUMBER_TRIES = 3
 ENABLE_COMMANDS = 5
 """Number of enable commands without effect after which the drive is in fault."""
@@ -61,7 +61,7 @@ class OdriveProgress(NamedTuple):
         axis: axis state in the latest heartbeat.
         heartbeat_ns: time of the latest heartbeat [ns], -1 before the first.
         enable_sent_ns: time of the latest enable command [ns], -1 if none was sent.
-        disabling_ns: time of the first disable command [ns], or -1 if none was sent.
+        disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
         sent_ns: time of the latest request for version or serial number [ns].
         tries: number of requests for the version so far.
         temperature_request_ns: time of the latest temperature request [ns].
@@ -80,7 +80,7 @@ class OdriveProgress(NamedTuple):
     axis: int = 0
     heartbeat_ns: int = -1
     enable_sent_ns: int = -1
-    disabling_ns: int = -1
+    disable_command_ns: int = -1
     sent_ns: int = -REPEAT_PERIOD_NS
     tries: int = 0
     temperature_request_ns: int = -TEMPERATURE_PERIOD_NS
@@ -107,22 +107,22 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         frame: the heartbeat.
         firmware_05: True for firmware 0.5.
     """
-    beat = (
+    heartbeat = (
         odrive_05.decode_heartbeat(frame.data)
         if firmware_05
         else codec.decode_heartbeat(frame.data)
     )
-    progress = progress_of(state)._replace(axis=beat.state, heartbeat_ns=frame.t_ns)
-    if beat.errors and progress.clearing:
+    progress = progress_of(state)._replace(axis=heartbeat.state, heartbeat_ns=frame.t_ns)
+    if heartbeat.errors and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    updated = state._replace(private=progress._replace(clearing=0))
-    if beat.errors:
-        return _state_after_error(updated, progress, beat, firmware_05)
-    if beat.state == codec.CLOSED_LOOP:
-        return _state_when_enabled(updated, progress)
-    if beat.state == codec.IDLE:
-        return _state_when_disabled(updated, progress, beat)
-    return _state_when_in_other_axis_state(updated, progress)
+    next_state = state._replace(private=progress._replace(clearing=0))
+    if heartbeat.errors:
+        return _state_after_error(next_state, progress, heartbeat, firmware_05)
+    if heartbeat.state == codec.CLOSED_LOOP:
+        return _state_when_enabled(next_state, progress)
+    if heartbeat.state == codec.IDLE:
+        return _state_when_disabled(next_state, progress, heartbeat)
+    return _state_when_in_other_axis_state(next_state, progress)
 
 
 def _state_after_error(
@@ -134,17 +134,17 @@ def _state_after_error(
     torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
-    in_error = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
+    fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
     if heartbeat.state == codec.IDLE:
-        return in_error._replace(
-            private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0)
+        return fault_state._replace(
+            private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1, clearing=0)
         )
-    return in_error._replace(phase=ENABLED) if progress.disabling_ns >= 0 else in_error
+    return fault_state._replace(phase=ENABLED) if progress.disable_command_ns >= 0 else fault_state
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat that reports closed loop control."""
-    if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
+    if progress.disable_command_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(
             phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0)
         )
@@ -160,7 +160,7 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
 
     In another axis state, the drive may make torque that the host does not control.
     """
-    if state.phase == ENABLED and progress.disabling_ns < 0:
+    if state.phase == ENABLED and progress.disable_command_ns < 0:
         return enter_fault(
             state, DROPPED_OUT_ERROR, f"went to axis state {progress.axis} by itself"
         )
@@ -180,9 +180,9 @@ def _state_when_disabled(
 
     Shortly after a command, the heartbeat may be older than the command.
     """
-    off = state._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1))
-    if progress.disabling_ns >= 0:
-        if progress.heartbeat_ns < progress.disabling_ns + SETTLE_TIME_NS:
+    off = state._replace(private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1))
+    if progress.disable_command_ns >= 0:
+        if progress.heartbeat_ns < progress.disable_command_ns + SETTLE_TIME_NS:
             return state
         return off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
@@ -218,7 +218,7 @@ def _state_when_enable_failed(
             ENABLE_REFUSED_ERROR,
             f"stays idle after {ENABLE_COMMANDS} enable commands: it restarts, or ignores commands",
         )
-    restarted = OdriveProgress(
+    next_progress = OdriveProgress(
         version=progress.version,
         serial=progress.serial,
         serial_requests=progress.serial_requests,
@@ -226,7 +226,7 @@ def _state_when_enable_failed(
         heartbeat_ns=progress.heartbeat_ns,
         enable_commands=progress.enable_commands,
     )
-    return state._replace(phase=CONFIGURING, private=restarted)
+    return state._replace(phase=CONFIGURING, private=next_progress)
 
 
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
@@ -249,8 +249,8 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     A drive that may be enabled counts as enabled until a heartbeat reports idle.
     """
     phase = ENABLED if progress.may_be_enabled else state.phase
-    since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
-    return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
+    since = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
+    return state._replace(phase=phase, private=progress._replace(disable_command_ns=since))
 
 
 def cause_of_error(error_code: int) -> DriveFaultCause:

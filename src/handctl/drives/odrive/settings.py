@@ -84,22 +84,22 @@ def unverified_protections(
 ) -> tuple[str, ...]:
     """Return one line for each protection of the drive that handctl cannot verify."""
     names = {setting.name for setting in settings}
-    guards = []
+    protections = []
     if "watchdog_timeout" not in names:
         remedy = (
             "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}"
         )
-        guards.append(
+        protections.append(
             f"watchdog not verified: CANSimple cannot read it; a dead host may leave torque on; {remedy}"
         )
     if not {"torque_max", "torque_min"} <= names:
         remedy = (
             "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[2]} and {ENDPOINT_KEYS[3]}"
         )
-        guards.append(
+        protections.append(
             f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}"
         )
-    return tuple(guards)
+    return tuple(protections)
 
 
 def unchecked_properties(
@@ -157,7 +157,7 @@ def next_request(
     setting = settings[cursor.step]
     if cursor.writing:  # the drive does not answer a write
         return (
-            cursor.after_write(),
+            cursor.cursor_after_write(),
             codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw),
             "",
         )

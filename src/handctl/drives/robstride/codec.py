@@ -171,9 +171,9 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
     report.
     """
     feedback = {reply_id(FEEDBACK, node_id, host, data) for data in range(0x100)}
-    reads = {reply_id(READ, node_id, host, failed) for failed in (0, 1)}
+    read_reply_ids = {reply_id(READ, node_id, host, failed) for failed in (0, 1)}
     identity = reply_id(GET_ID, node_id, BROADCAST)
-    return frozenset(feedback | reads | {identity, reply_id(FAULT_REPORT, node_id, host)})
+    return frozenset(feedback | read_reply_ids | {identity, reply_id(FAULT_REPORT, node_id, host)})
 
 
 def joined_status(mode: int, fault: int) -> int:

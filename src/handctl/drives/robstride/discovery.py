@@ -46,12 +46,12 @@ def _identity_request(node_number: int) -> Frame:
 
 def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have answered with their identity."""
-    by_reply = {
+    number_by_reply_id = {
         codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS
     }
     serials: dict[int, set[bytes]] = {}
     for frame in received:
-        number = by_reply.get(frame.can_id)
+        number = number_by_reply_id.get(frame.can_id)
         if number is not None and len(frame.data) == 8:
             serials.setdefault(number, set()).add(frame.data)
     return tuple(_describe_motor(number, serials[number]) for number in sorted(serials))
@@ -59,12 +59,16 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 
 def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return a discovered motor, with the serial numbers that were received under its number."""
-    twins = len(serials) > 1
-    notes = (TWO_DRIVES_WARNING,) * twins + (
+    is_number_used_twice = len(serials) > 1
+    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
         "does not report its model: give motor_type in the hand file",
     )
     return DiscoveredNode(
-        "robstride", node_number, serial=min(serials).hex(), notes=notes, twins=twins
+        "robstride",
+        node_number,
+        serial=min(serials).hex(),
+        notes=notes,
+        twins=is_number_used_twice,
     )
 
 

@@ -35,7 +35,7 @@ from handctl.drives.readback import SettingRecheck
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
 from handctl.drives.robstride.progress import (
-    CLEAR_TRIES,
+    IGNORED_FAULT_COUNT,
     SETTING_MISMATCH_ERROR,
     RobstrideProgress,
     apply_fault,
@@ -45,14 +45,14 @@ from handctl.drives.robstride.progress import (
 )
 from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.drives.state_machine import (
-    after_configuration,
-    after_recheck_reply,
     enter_fault,
     is_steady,
     may_have_lost_power,
     request_recheck,
     start_disabling,
     start_enabling,
+    state_after_configuration,
+    state_after_recheck_reply,
 )
 from handctl.errors import ConfigError
 
@@ -191,7 +191,7 @@ class RobstrideDrive:
         return {}
 
     @property
-    def one_reply_per_command(self) -> bool:
+    def sends_one_reply_per_command(self) -> bool:
         """Return True, because the motor sends a single feedback frame per command."""
         return True
 
@@ -253,7 +253,7 @@ class RobstrideDrive:
         if bus != self.bus or can_id not in self.node_ids:
             return state
         if len(data) != 8:
-            return state._replace(misread=state.misread + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
         kind = number >> 24
         status = number >> 16 & 0xFF
         if kind == codec.FEEDBACK:
@@ -270,7 +270,7 @@ class RobstrideDrive:
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
         """Return the state after feedback, with the values and the effect of the status in its identifier."""
         position, velocity, torque, winding = self.feedback.unpack(data)
-        updated = state._replace(
+        next_state = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
@@ -278,7 +278,7 @@ class RobstrideDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        return apply_status(updated, status >> 6, status & 0x3F)
+        return apply_status(next_state, status >> 6, status & 0x3F)
 
     def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a fault report.
@@ -298,13 +298,13 @@ class RobstrideDrive:
             one = self.required[state.recheck.step]
             if number != one.number:
                 return state
-            same = one.is_right(raw) and not has_failed
+            is_equal = one.is_required_value(raw) and not has_failed
             answer = "cannot be read" if has_failed else f"reads {one.value_text(raw)}"
-            return after_recheck_reply(
+            return state_after_recheck_reply(
                 state,
                 SETTING_MISMATCH_ERROR,
                 len(self.required),
-                same,
+                is_equal,
                 one.name,
                 answer,
                 f"{one.value:g}",
@@ -317,13 +317,13 @@ class RobstrideDrive:
             return state
         if has_failed:
             return enter_fault(state, SETTING_MISMATCH_ERROR, f"{one.name} cannot be read")
-        if one.is_right(raw):
+        if one.is_required_value(raw):
             return state._replace(private=progress._replace(cursor=cursor.next_setting()))
         cursor, problem = readback.on_wrong_value(
             cursor, one.name, one.value_text(raw), f"{one.value:g}", parameters.WRITE_TRIES
         )
-        updated = state._replace(private=progress._replace(cursor=cursor))
-        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
+        next_state = state._replace(private=progress._replace(cursor=cursor))
+        return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, command: float
@@ -348,8 +348,8 @@ class RobstrideDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            enabling = start_enabling(state._replace(private=progress), self.node_id, t_ns)
-            return enabling, (self._request_frame(codec.ENABLE),)
+            enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
+            return enabling_state, (self._request_frame(codec.ENABLE),)
         return state._replace(private=progress), (self._idle_request(state, progress),)
 
     def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
@@ -370,17 +370,19 @@ class RobstrideDrive:
 
         An enabled motor is stopped first.
         """
-        if progress.enabled_by_other:
-            updated = state._replace(error_text="enabled, and does not stop", private=progress)
-            return updated, self.cut_frames()
+        if progress.enabled_by_other_host:
+            next_state = state._replace(error_text="enabled, and does not stop", private=progress)
+            return next_state, self.cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
-            updated = state._replace(private=progress)
-            return after_configuration(updated, t_ns, progress.serial), self.cut_frames()
+            next_state = state._replace(private=progress)
+            return state_after_configuration(next_state, t_ns, progress.serial), self.cut_frames()
         one = self.required[cursor.step]
         if cursor.writing:
-            updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
-            return updated, (
+            next_state = state._replace(
+                private=progress._replace(cursor=cursor.cursor_after_write())
+            )
+            return next_state, (
                 self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),
             )
         cursor, send, problem = readback.request_setting(cursor, one.name, t_ns)
@@ -388,8 +390,8 @@ class RobstrideDrive:
             return enter_fault(
                 state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
-        updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
-        return updated, (
+        next_state = state._replace(error_text="", private=progress._replace(cursor=cursor))
+        return next_state, (
             self._request_frame(codec.READ, codec.parameter_request(one.number)),
         ) if send else ()
 
@@ -425,7 +427,10 @@ class RobstrideDrive:
         After the stop command, the host reads back the parameters again.
         """
         fresh = state._replace(
-            phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES)
+            phase=SILENT,
+            error=0,
+            error_text="",
+            private=RobstrideProgress(clearing=IGNORED_FAULT_COUNT),
         )
         return fresh, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 

@@ -40,8 +40,8 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.mit import cubemars
 from handctl.drives.mit.cubemars import (
-    ANSWERS_REQUIRED,
     MAX_RESTING_TORQUE_FRACTION,
+    REQUIRED_ANSWER_COUNT,
     CubemarsDrive,
     CubemarsProgress,
 )
@@ -197,17 +197,17 @@ class RobstrideMitDrive(CubemarsDrive):
         if can_id != self.host_id or bus != self.bus:
             return state
         if len(data) != 8 or data[0] != self.node_id:
-            return state._replace(misread=state.misread + 1)
-        updated = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
+            return state._replace(misread_frame_count=state.misread_frame_count + 1)
+        next_state = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
         # Bytes 4 to 7 are 0 only in the answer to a read of faults. In feedback, they would mean a
         # torque near the negative full scale.
         if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
-            return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
+            return self._on_faults(next_state, int.from_bytes(data[1:4], "little"))
         _, position, velocity, torque, winding = self.feedback.unpack(data)
-        updated = updated._replace(
+        next_state = next_state._replace(
             position=position, velocity=velocity, torque=torque, temperature=winding
         )
-        return self._on_answer(updated, state.private)
+        return self._on_answer(next_state, state.private)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
         """Return the state after an answer to the read of faults, with the bits of the faults."""
@@ -224,18 +224,18 @@ class RobstrideMitDrive(CubemarsDrive):
         To a disabled motor, the host sends a read of the faults instead of every eighth stop
         command.
         """
-        updated, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
-        progress: CubemarsProgress = updated.private
-        disabled = (
-            updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+        next_state, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
+        progress: CubemarsProgress = next_state.private
+        is_disabled = (
+            next_state.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
         )
         if (
             target == DriveTarget.POLL
-            and disabled
-            and updated.feedback_count % FAULT_READ_PERIOD == ANSWERS_REQUIRED
+            and is_disabled
+            and next_state.feedback_count % FAULT_READ_PERIOD == REQUIRED_ANSWER_COUNT
         ):
-            return updated, (self._frame_to_motor(READ_FAULTS),)
-        return updated, frames
+            return next_state, (self._frame_to_motor(READ_FAULTS),)
+        return next_state, frames
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the frames that clear the faults.

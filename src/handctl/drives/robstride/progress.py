@@ -21,8 +21,8 @@ SETTING_MISMATCH_ERROR = 1 << 7
 ENABLED_BY_OTHER_HOST_ERROR = 3 << 6
 CAUSE_BY_ERROR = {
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT,
-    SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
-    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+    SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 }
 """Cause of each error code added by handctl."""
 CAUSE_BY_FAULT_BIT = {
@@ -33,7 +33,7 @@ CAUSE_BY_FAULT_BIT = {
     8: DriveFaultCause.HOT,
 }
 """Cause of fault bits of the motor. All other bits have the cause OTHER."""
-CLEAR_TRIES = 3
+IGNORED_FAULT_COUNT = 3
 """Number of feedback frames that may still show a fault after the clear command."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 """Error text for a motor that has left the running mode without reporting a reason."""
@@ -45,10 +45,10 @@ class RobstrideProgress(NamedTuple):
     Attributes:
         cursor: position in the list of parameters to read back.
         configured: True if all parameters have their required values.
-        enabled_by_other: True if the motor may make torque without a command of this host.
+        enabled_by_other_host: True if the motor may make torque without a command of this host.
         enable_sent: True from the enable command until the motor reports reset mode.
         disabling: True while the motor is being stopped.
-        disabling_ns: time of the first stop command [ns].
+        disable_command_ns: time of the first stop command [ns].
         clearing: number of feedback frames with a fault still to be ignored, while the fault is
             being cleared.
         ready_ns: time at which the last parameter was verified [ns].
@@ -57,10 +57,10 @@ class RobstrideProgress(NamedTuple):
 
     cursor: ReadbackCursor = ReadbackCursor()
     configured: bool = False
-    enabled_by_other: bool = False
+    enabled_by_other_host: bool = False
     enable_sent: bool = False
     disabling: bool = False
-    disabling_ns: int = 0
+    disable_command_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
     serial: int = 0
@@ -68,7 +68,7 @@ class RobstrideProgress(NamedTuple):
     @property
     def may_be_enabled(self) -> bool:
         """Return True if an enable command was sent, or the motor may make torque without one."""
-        return self.enable_sent or self.enabled_by_other
+        return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
@@ -102,11 +102,11 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = mode == codec.RESET_MODE
-    updated = progress._replace(
-        enable_sent=progress.enable_sent and not off, enabled_by_other=not off
+    next_progress = progress._replace(
+        enable_sent=progress.enable_sent and not off, enabled_by_other_host=not off
     )
-    in_error = enter_fault(state._replace(private=updated), fault, fault_text(fault))
-    return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
+    fault_state = enter_fault(state._replace(private=next_progress), fault, fault_text(fault))
+    return fault_state._replace(phase=ENABLED) if progress.disabling and not off else fault_state
 
 
 def fault_text(fault: int) -> str:

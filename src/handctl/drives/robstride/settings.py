@@ -39,7 +39,7 @@ class RequiredParameter(NamedTuple):
         value = self.value if self.coding == "f" else int(self.value)
         return struct.pack(f"<{self.coding}", value).ljust(4, b"\0")
 
-    def is_right(self, value_bytes: bytes) -> bool:
+    def is_required_value(self, value_bytes: bytes) -> bool:
         """Return True if four received bytes are the required value.
 
         If the value is shorter than four bytes, the remaining bytes are ignored.

@@ -131,7 +131,7 @@ class SensorInterface(Protocol):
         """Return the SYNC frame of tick k."""
         ...
 
-    def earliest_answer_ns(self, sync_ns: int) -> int:
+    def earliest_answer_time_ns(self, sync_ns: int) -> int:
         """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
         ...
 
@@ -139,7 +139,7 @@ class SensorInterface(Protocol):
         """Return True if a payload can be the answer to the SYNC with the given counter."""
         ...
 
-    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of lost tension frames, see ``SensorNode.lost_frame_count``."""
         ...
 

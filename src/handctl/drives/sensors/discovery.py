@@ -37,13 +37,13 @@ def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, .
     Consecutive identifiers count as one node.
     """
     ids = sorted(
-        {frame.can_id for frame in received if _answers_both_syncs(received, frame.can_id)}
+        {frame.can_id for frame in received if _answers_both_sync_frames(received, frame.can_id)}
     )
     first = [can_id for can_id in ids if can_id - 1 not in ids]
     return tuple(_describe_node(can_id, received) for can_id in first)
 
 
-def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
+def _answers_both_sync_frames(received: ReceivedFrames, can_id: int) -> bool:
     """Return True if the frames with an identifier repeat the counters of both SYNC frames, in the order sent."""
     counters = [
         frame.data[0] & 0xF

@@ -54,13 +54,13 @@ TENSION_MAX_N = TENSION_ZERO_N + MAX_CHANNEL_COUNT * TENSION_STEP_N
 
 At count 0 and at the largest count the load cell is saturated.
 """
-LOW_MARGIN_N = 2.0
+BROKEN_CELL_MARGIN_N = 2.0
 """Distance of the threshold for a broken load cell from the lower end of the range [N]."""
 # Smallest and largest reading of a load cell without tension that is accepted as a tare [N].
 #
 # With a smaller reading, noise would reach the end of the range, and a broken wire would look like
 # a slack tendon. With a larger reading, the range above the tare would end before ``tension_rail``.
-TARE_MIN_N = TENSION_ZERO_N + LOW_MARGIN_N
+TARE_MIN_N = TENSION_ZERO_N + BROKEN_CELL_MARGIN_N
 TARE_MAX_N = 6.0
 TENSION_RAIL_N = TENSION_MAX_N - TARE_MAX_N
 """Tared tension above which a load cell may be saturated, for any accepted tare [N]."""
@@ -74,7 +74,7 @@ JOINT_STEP_M = 5e-5
 """Change of the position of a prismatic joint per count [m]."""
 JOINT_ZERO_COUNT = 2048
 """Count at joint angle 0, and at position 0."""
-ANY_TIME = -(1 << 62)
+NO_EARLIEST_ARRIVAL_NS = -(1 << 62)
 """Earliest arrival of an answer [ns], for answers with a counter.
 
 The counter alone decides if they are fresh.
@@ -228,9 +228,9 @@ class SensorNode:
         """Return True, because every frame has the counter of its SYNC."""
         return True
 
-    def earliest_answer_ns(self, sync_ns: int) -> int:
-        """Return ``ANY_TIME``, because the counter of an answer identifies its SYNC."""
-        return ANY_TIME
+    def earliest_answer_time_ns(self, sync_ns: int) -> int:
+        """Return ``NO_EARLIEST_ARRIVAL_NS``, because the counter of an answer identifies its SYNC."""
+        return NO_EARLIEST_ARRIVAL_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
         """Return True if the low four bits of the first byte repeat the counter of the SYNC."""
@@ -248,7 +248,7 @@ class SensorNode:
         The threshold is near the lower end of the range of the load cell. Noise cannot reach the
         threshold, because it is far enough below zero.
         """
-        return TENSION_ZERO_N + LOW_MARGIN_N
+        return TENSION_ZERO_N + BROKEN_CELL_MARGIN_N
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
@@ -295,17 +295,17 @@ class SensorNode:
         """Return the SYNC frame of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
-    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of tension frames that the host has not received.
 
         Answers to the last SYNC are not counted, because they may still arrive.
 
         Args:
             syncs: number of sent SYNC frames.
-            accepted: number of accepted tension frames.
-            stale: number of received tension frames that answered an older SYNC.
+            accepted_count: number of accepted tension frames.
+            stale_count: number of received tension frames that answered an older SYNC.
         """
-        return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
+        return max(0, (syncs - 1) * self.tension_frames - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
@@ -344,7 +344,7 @@ def sync_counters(decimation: int) -> bytes:
     equal bits.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
-    by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
+    byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
     chance = 1
     recent = list[int]()
     result = bytearray()
@@ -352,13 +352,13 @@ def sync_counters(decimation: int) -> bytes:
         chance = (
             chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
         )  # Knuth's MMIX
-        fit = sorted(by_nibble[k % decimation])
+        fit = sorted(byte_by_nibble[k % decimation])
         for old in reversed(recent):  # the counter of the latest tick is excluded first
             if len(fit) > 2 and old in fit:
                 fit.remove(old)
         # Only the high bits of a linear congruential generator are random.
         nibble = fit[(chance >> 33) % len(fit)]
-        result.append(by_nibble[k % decimation][nibble])
+        result.append(byte_by_nibble[k % decimation][nibble])
         recent = [*recent[2 - DISTINCT_COUNTERS :], nibble]
     return bytes(result)
 

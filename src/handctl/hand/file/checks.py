@@ -63,7 +63,7 @@ OPTIONAL_KEYS_PER_LINK = (
     *MESH_POSE_KEYS,
 )
 """Optional keys of a digit, with one value per link."""
-UNIT_TOLERANCE = 1e-3
+RELATIVE_ROUNDING_TOLERANCE = 1e-3
 """Tolerance for rounding errors.
 
 It applies to the length of a unit vector and to the triangle inequality of inertias.
@@ -183,16 +183,16 @@ def _check_digit(digit: Digit) -> MistakeIterator:
     yield from check_mesh_keys(digit, "link_mesh", MESH_POSE_KEYS, where)
     for i in range(links) if not wrong else ():
         yield from _check_body(digit, i, where)
-    for least, most in (REVOLUTE_KEYS[:2], PRISMATIC_KEYS[:2]) if not wrong else ():
-        pairs = zip(getattr(digit, least), getattr(digit, most), strict=True)
+    for min_key, max_key in (REVOLUTE_KEYS[:2], PRISMATIC_KEYS[:2]) if not wrong else ():
+        pairs = zip(getattr(digit, min_key), getattr(digit, max_key), strict=True)
         for i, (low, high) in enumerate(pairs):
             if low >= high:
                 yield FileMistake(
-                    f"{high:g}", f"{where}.{most}[{i}]", f"more than {least}[{i}] = {low:g}"
+                    f"{high:g}", f"{where}.{max_key}[{i}]", f"more than {min_key}[{i}] = {low:g}"
                 )
     for i, axis in enumerate(digit.joint_axis or ()):
         length = float(np.linalg.norm(axis))
-        if abs(length - 1.0) > UNIT_TOLERANCE:
+        if abs(length - 1.0) > RELATIVE_ROUNDING_TOLERANCE:
             yield FileMistake(
                 f"a vector of length {length:.3g}",
                 f"{where}.joint_axis[{i}]",
@@ -257,8 +257,10 @@ def check_mesh_keys(
             yield FileMistake(
                 f"given without {mesh}", f"{key_path}.{key}", f"{mesh} as well, or no such key"
             )
-    scales = getattr(section, f"{mesh}_scale")
-    for i, scale in enumerate(scales if isinstance(section, Digit) and scales else [scales]):
+    mesh_scales = getattr(section, f"{mesh}_scale")
+    for i, scale in enumerate(
+        mesh_scales if isinstance(section, Digit) and mesh_scales else [mesh_scales]
+    ):
         if isinstance(scale, tuple) and 0.0 in scale:
             place = f"{key_path}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
             yield FileMistake("a factor of 0", place, "factors that are not 0")
@@ -290,7 +292,7 @@ def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
         yield FileMistake(
             what, f"{key_path}.link_inertia_kg_m2[{i}]", "a positive definite inertia"
         )
-    elif moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
+    elif moments[-1] > (moments[0] + moments[1]) * (1.0 + RELATIVE_ROUNDING_TOLERANCE):
         what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
         yield FileMistake(
             what, f"{key_path}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two"
@@ -314,13 +316,13 @@ def _check_references(hand: Hand) -> MistakeIterator:
     """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
     yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
-    for key, names, valid in (
+    for key, names, valid_names in (
         ("tendons", node.tendons, hand.tendon_names),
         ("joints", node.joints, hand.joints),
     ):
         yield from _check_unique(names, f"sensor_node.{key}")
         for i, name in enumerate(names):
-            yield from _check_name(f"sensor_node.{key}[{i}]", name, valid)
+            yield from _check_name(f"sensor_node.{key}[{i}]", name, valid_names)
     for motor in hand.motor:
         yield from _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
     for tendon in hand.tendon:
@@ -347,23 +349,23 @@ def _check_joint_type(hand: Hand, key: str, joint: str, key_path: str) -> Mistak
 
 def _check_motors(hand: Hand) -> MistakeIterator:
     """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
-    driven: dict[str, str] = {}
+    tendon_by_motor: dict[str, str] = {}
     wrong: list[FileMistake] = []
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].motor"
         wrong += _check_name(where, tendon.motor, hand.motor_names)
-        if tendon.motor in driven:
-            what = f'"{tendon.motor}" drives {driven[tendon.motor]} already'
+        if tendon.motor in tendon_by_motor:
+            what = f'"{tendon.motor}" drives {tendon_by_motor[tendon.motor]} already'
             right = (
                 "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
             )
             wrong.append(FileMistake(what, where, right))
-        driven[tendon.motor] = tendon.name
+        tendon_by_motor[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
         # If a tendon names a wrong motor, the right motor has no tendon as a consequence. In this
         # case, only the wrong name is reported.
-        if motor.name not in driven and not wrong:
+        if motor.name not in tendon_by_motor and not wrong:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
             )
@@ -413,13 +415,13 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
             yield from _check_arm(hand, tendon, joint)
         name = hand.digit_of_tendon(tendon)
         if name is None:
-            crossed = [
+            crossed_digits = [
                 digit.name
                 for digit in hand.digit
                 if not tendon.arms.keys().isdisjoint(digit.joints)
             ]
             right = "joints of one digit, and of digits that carry it (mount_on)"
-            yield FileMistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
+            yield FileMistake(f"moves {' and '.join(crossed_digits) or 'no digit'}", where, right)
             continue
         passed = [joint for joint in tendon.arms if joint not in hand.digit_named(name).joints]
         for joint in passed:
@@ -459,7 +461,7 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
         return
     angle = np.linspace(low, high, ARM_SAMPLES)
     values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of_arm(arm))
-    least = int(np.argmin(np.abs(values)))
+    smallest_index = int(np.argmin(np.abs(values)))
     size = float(np.abs(values).max())
     if values.min() < 0.0 < values.max():
         turned = int(np.argmax(values * values[0] < 0.0))
@@ -467,10 +469,10 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
         yield FileMistake(
             what, where, f"one sign over {range_text}: a tendon either closes or opens a joint"
         )
-    elif abs(values[least]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
+    elif abs(values[smallest_index]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
         worst = (
-            values[least]
-            if abs(values[least]) < SMALLEST_ARM_M
+            values[smallest_index]
+            if abs(values[smallest_index]) < SMALLEST_ARM_M
             else values[np.argmax(np.abs(values))]
         )
         place = angle[np.argmin(np.abs(values - worst))]
@@ -539,27 +541,29 @@ def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
 def _check_limits(tendon: Tendon) -> MistakeIterator:
     """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
-    strength = tendon.rated_breaking_force_N
-    too_high = False
+    breaking_force = tendon.rated_breaking_force_N
+    is_too_high = False
     for below, key, above in zip(
         (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
     ):
         value = values[key]
-        next_value = values[above]
+        value_above = values[above]
         # The limit before this one has been reported as too high. Therefore this limit is not also
         # reported as too low.
-        too_low = below is not None and value <= values[below] and not too_high
+        is_too_low = below is not None and value <= values[below] and not is_too_high
         bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
-        if above == STRENGTH_KEY or strength < next_value:
-            bounds.append(f"at most {STRENGTH_KEY} = {strength:g} N")
-            too_high = value > strength
+        if above == STRENGTH_KEY or breaking_force < value_above:
+            bounds.append(f"at most {STRENGTH_KEY} = {breaking_force:g} N")
+            is_too_high = value > breaking_force
         else:
-            bounds.append(f"less than {above} = {next_value:g} N")
-            too_high = value >= next_value
-        if too_high or too_low:
-            breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
+            bounds.append(f"less than {above} = {value_above:g} N")
+            is_too_high = value >= value_above
+        if is_too_high or is_too_low:
+            breaking_text = (
+                f", and the tendon breaks at {breaking_force:g} N" if value > breaking_force else ""
+            )
             yield FileMistake(
-                f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds)
+                f"{value:g}{breaking_text}", f"tendon[{tendon.name}].{key}", " and ".join(bounds)
             )
 
 
@@ -638,7 +642,7 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
     Only a drive with ``control = "position"`` may have these keys.
     """
     where = f"motor[{motor.name}]"
-    if not motor.holds_position:
+    if not motor.closes_position_loop:
         for key in ("kp_N_m_per_rad", "kd_N_m_s_per_rad"):
             value = getattr(motor, key)
             if value is not None:
@@ -651,9 +655,9 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
         if tendon in hand.tendon[tendons] and tendons.stop - tendons.start > coordinates:
             right = '"torque": position loops of antagonistic tendons would pull against each other'
             yield FileMistake('"position"', f"{where}.control", right)
-    stiffest = tendon.stiffness_N_per_m * motor.spool_radius_m**2
-    if (motor.kp_N_m_per_rad or 0.0) > stiffest:
-        right = f"at most stiffness_N_per_m x spool_radius_m^2 = {stiffest:.3g} N m/rad"
+    max_stiffness = tendon.stiffness_N_per_m * motor.spool_radius_m**2
+    if (motor.kp_N_m_per_rad or 0.0) > max_stiffness:
+        right = f"at most stiffness_N_per_m x spool_radius_m^2 = {max_stiffness:.3g} N m/rad"
         yield FileMistake(f"{motor.kp_N_m_per_rad:g}", f"{where}.kp_N_m_per_rad", right)
 
 
@@ -715,8 +719,8 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
         for message in range(32):
             yield motor.node_id << 5 | message, where
     elif motor.protocol == "cia402":
-        for service in CANOPEN_SERVICES:
-            yield service + motor.node_id, where
+        for service_base_id in CANOPEN_SERVICES:
+            yield service_base_id + motor.node_id, where
     elif motor.protocol == "moteus":
         # These are the identifiers of the requests. They contain the source 0 and the bit that asks
         # for a reply. The identifiers of the replies follow. They have 11 bits if the number is

@@ -24,14 +24,14 @@ class DisplayUnits(NamedTuple):
     Attributes:
         is_prismatic: (n,) True for the positions that are in m.
         factor: (n,) displayed value per SI value [deg/rad or mm/m].
-        inverse: (n,) SI value per displayed value.
+        si_factor: (n,) SI value per displayed value.
         scale: (n,) factor of thresholds in rad for each position: 1, or ``EQUIVALENT_M_PER_RAD``.
         per_degree: (n,) displayed change that counts as 1 deg in a speed limit: 1, or 0.17 mm.
     """
 
     is_prismatic: NDArray[np.bool_]
     factor: Array
-    inverse: Array
+    si_factor: Array
     scale: Array
     per_degree: Array
 
@@ -54,11 +54,11 @@ class DisplayUnits(NamedTuple):
 
     def si(self, values: ArrayLike) -> Array:
         """Convert displayed positions (.., n) [deg or mm] to SI units [rad or m]."""
-        return np.asarray(np.asarray(values, dtype=np.float64) * self.inverse)
+        return np.asarray(np.asarray(values, dtype=np.float64) * self.si_factor)
 
-    def as_angles(self, values: ArrayLike) -> Array:
+    def as_equivalent_angles(self, values: ArrayLike) -> Array:
         """Convert positions (.., n) [rad or m] to rad, where a displayed mm counts as much as a deg."""
-        return np.asarray(np.asarray(values, dtype=np.float64) / (self.inverse / (np.pi / 180.0)))
+        return np.asarray(np.asarray(values, dtype=np.float64) / (self.si_factor / (np.pi / 180.0)))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -64,35 +64,44 @@ def validation_mistakes(
         model: pydantic model of the file, for the names of valid keys.
         content: content of the file that pydantic validated, for the names of list entries.
     """
-    details = error.errors(include_url=False)
-    within = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
-    # If pydantic refuses entries of a list, it also reports that the list has too few entries.
-    details = [
-        detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within
-    ]
-    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    found = [_unknown_key_mistake(detail["loc"], model, content) for detail in unknown]
-    misspelt = {
-        (detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)
+    error_details = error.errors(include_url=False)
+    parent_locations = {
+        error_detail["loc"][:depth]
+        for error_detail in error_details
+        for depth in range(1, len(error_detail["loc"]))
     }
-    for detail in details:
-        location = detail["loc"]
+    # If pydantic refuses entries of a list, it also reports that the list has too few entries.
+    error_details = [
+        error_detail
+        for error_detail in error_details
+        if error_detail["type"] != "too_short" or error_detail["loc"] not in parent_locations
+    ]
+    unknown = [
+        error_detail for error_detail in error_details if error_detail["type"] == "extra_forbidden"
+    ]
+    found = [_unknown_key_mistake(error_detail["loc"], model, content) for error_detail in unknown]
+    misspelt_keys = {
+        (error_detail["loc"][:-1], mistake.right)
+        for error_detail, mistake in zip(unknown, found, strict=True)
+    }
+    for error_detail in error_details:
+        location = error_detail["loc"]
         where = key_path(content, location)
-        if detail["type"] == "missing":
-            if (location[:-1], location[-1]) not in misspelt:
+        if error_detail["type"] == "missing":
+            if (location[:-1], location[-1]) not in misspelt_keys:
                 found.append(
                     FileMistake("missing", where, _meaning_of_missing_key(location, model))
                 )
-        elif detail["type"] != "extra_forbidden":
-            context = {"right": detail["msg"], **detail.get("ctx", {})}
-            right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
-            if detail["input"] == UNMEASURED_PLACEHOLDER:
+        elif error_detail["type"] != "extra_forbidden":
+            context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
+            right = EXPECTED_TYPES.get(error_detail["type"], "{right}").format(**context)
+            if error_detail["input"] == UNMEASURED_PLACEHOLDER:
                 right += _field_meaning(_field_of_key(location, model))
-            found.append(FileMistake(toml_spelling(detail["input"]), where, right))
+            found.append(FileMistake(toml_spelling(error_detail["input"]), where, right))
     return found
 
 
-WITHIN_DIGITS = ("tendon", "motor")
+SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
 """Kinds of section that may also stand as tables within a digit."""
 
 
@@ -108,9 +117,9 @@ def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseM
     annotation = field.model.model_fields[field.name].annotation
     if len(key_location) == 1 and _models_in_annotation(annotation):
         name = key_location[0]
-        is_list = not isinstance(annotation, type)
-        form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
-        form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
+        is_section_list = not isinstance(annotation, type)
+        form = f"[[{name}]] sections" if is_section_list else f"a section [{name}]"
+        form += f", or {name}.NAME in each digit" if name in SECTIONS_ALLOWED_IN_DIGITS else ""
     return form + _field_meaning(field)
 
 
@@ -172,11 +181,13 @@ def _unknown_key_mistake(
             key_path(content, key_location),
             "no mode; one drive: handctl jog --mode",
         )
-    valid = most_similar_key(str(key_location[-1]), _valid_keys_at(model, key_location[:-1]))
-    return FileMistake("unknown key", key_path(content, key_location), valid)
+    proposal = most_similar_valid_key(
+        str(key_location[-1]), _valid_keys_at(model, key_location[:-1])
+    )
+    return FileMistake("unknown key", key_path(content, key_location), proposal)
 
 
-def with_paths_of_file(
+def with_paths_in_hand_file(
     mistakes: Iterable[FileMistake], origin_of_path: Mapping[str, str]
 ) -> list[FileMistake]:
     """Return the mistakes with the key paths of the hand file in place of those of the resolved content.
@@ -207,11 +218,13 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
         section = SECTION_PATTERN.fullmatch(mistake.where)
-        pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
-        names.setdefault(pattern, []).append(section[2] if section else "")
+        mistake_pattern = (
+            mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
+        )
+        names.setdefault(mistake_pattern, []).append(section[2] if section else "")
     return [
-        pattern._replace(where=pattern.where.replace("{}", shortened_list(found)))
-        for pattern, found in names.items()
+        mistake_pattern._replace(where=mistake_pattern.where.replace("{}", shortened_list(found)))
+        for mistake_pattern, found in names.items()
     ]
 
 
@@ -299,7 +312,7 @@ def _models_in_annotation(type_annotation: Any) -> list[type[BaseModel]]:
     ]
 
 
-def most_similar_key(key: str, valid_keys: list[str]) -> str:
+def most_similar_valid_key(key: str, valid_keys: list[str]) -> str:
     """Return the valid key that is most similar to a key.
 
     If none is similar, return all valid keys.

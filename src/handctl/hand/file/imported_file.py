@@ -17,7 +17,7 @@ from handctl.hand.file.new_file import (
     MOTORS_PER_BUS,
     SENSOR_IDS,
     TENSION_FLOOR_N,
-    TRIP_RATIO,
+    TENSION_TRIP_RATIO,
 )
 from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
 from handctl.hand.file.sections import (
@@ -49,7 +49,7 @@ ROUNDING_TOLERANCE = 1e-9
 """Tolerance for rounding errors in an axis, a position or a rotation."""
 WRITTEN_DECIMALS = 12
 """Number of decimals with which a length, a mass or an inertia in SI units is written."""
-CHOSEN_KEYS = {
+KEYS_CHOSEN_BY_USER = {
     "protocol",
     "tendons",
     "joints",
@@ -76,7 +76,7 @@ PLACEHOLDER_TENDONS_COMMENT = (
 
 
 @dataclass(frozen=True)
-class TendonAnswers:
+class ImportAnswers:
     """The user's answers about values that a robot description does not contain.
 
     If an answer is missing, the new file contains ``"TODO"``.
@@ -202,7 +202,7 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
 
 
 def imported_hand_text(
-    described: DescribedHand, answers: TendonAnswers, option_words: str, can_fd: bool
+    described: DescribedHand, answers: ImportAnswers, option_words: str, can_fd: bool
 ) -> str:
     """Return the text of a hand file of schema 2.
 
@@ -213,17 +213,19 @@ def imported_hand_text(
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(described)
-    skeleton = not tendons
-    tendons = tendons or [one for digit in described.digits for one in _skeleton(digit, answers)]
+    has_placeholder_tendons = not tendons
+    tendons = tendons or [
+        one for digit in described.digits for one in _placeholder_tendons(digit, answers)
+    ]
     buses = _bus_by_digit(described, tendons)
     parts = [_head_text(described, answers, max(buses.values(), default=0) + 1, can_fd)]
-    if skeleton:
+    if has_placeholder_tendons:
         parts[0] = (
             PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint")
             + parts[0]
         )
-    common = _common_lines(described, answers)
-    parts += [_section_text("default.digit", common)] if common else []
+    common_lines = _common_lines(described, answers)
+    parts += [_section_text("default.digit", common_lines)] if common_lines else []
     largest = {tendon["tension_max"] for tendon in tendons}
     if answers.tension_N is None and len(largest) == 1:
         answers = replace(answers, tension_N=largest.pop())
@@ -242,15 +244,15 @@ def imported_hand_text(
     return "\n\n".join(parts) + "\n"
 
 
-def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, Any]]:
+def _placeholder_tendons(digit: ModelDigit, answers: ImportAnswers) -> Iterable[dict[str, Any]]:
     """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     sliding = _sliding_joints(digit)
     arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
-    crossed = (
+    crossed_joints = (
         [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
     )
-    for i, names in enumerate(crossed):
+    for i, names in enumerate(crossed_joints):
         yield {
             "digit": digit.name,
             "name": f"t{i + 1}",
@@ -285,7 +287,7 @@ def _bus_name(bus: int) -> str:
     return "main" if bus == 0 else f"bus_{bus + 1}"
 
 
-def _head_text(described: DescribedHand, answers: TendonAnswers, buses: int, can_fd: bool) -> str:
+def _head_text(described: DescribedHand, answers: ImportAnswers, buses: int, can_fd: bool) -> str:
     """Return the text of the tables before the first digit."""
     joints = sum(len(digit.joints) for digit in described.digits)
     turned = (
@@ -314,7 +316,7 @@ def _head_text(described: DescribedHand, answers: TendonAnswers, buses: int, can
     )
 
 
-def _sensor_node(answers: TendonAnswers) -> str:
+def _sensor_node(answers: ImportAnswers) -> str:
     """Return the text of the section ``sensor_node``.
 
     If the hand has no sensors, the text is empty.
@@ -336,16 +338,16 @@ def _sensor_node(answers: TendonAnswers) -> str:
         ("tension_bias_drift_N", answers.cells),
         ("joint_noise_rad", answers.encoders),
     ):
-        unused = "0.001" if key == "joint_noise_rad" else "0.0"
+        value_without_sensor = "0.001" if key == "joint_noise_rad" else "0.0"
         lines.append(
-            _SectionLine(key, unused, "no such sensor")
+            _SectionLine(key, value_without_sensor, "no such sensor")
             if answer == "none"
             else _todo_line(SensorNode, key)
         )
     return "\n\n" + _section_text("sensor_node", lines)
 
 
-def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_SectionLine]:
+def _common_lines(described: DescribedHand, answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for those values of digits that the robot description does not contain.
 
     The new file contains these values only once, for all digits.
@@ -365,7 +367,7 @@ def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_Sec
     return [_todo_line(Digit, key) for key, is_known in known.items() if not is_known]
 
 
-def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine]:
+def _digit_lines(digit: ModelDigit, answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for the values of a digit, as far as the description contains them."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
@@ -380,14 +382,14 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine
     if any(slides):
         kinds = ", ".join(f'"{PRISMATIC if slide else "revolute"}"' for slide in slides)
         lines.append(_SectionLine("joint_type", f"[{kinds}]"))
-    usual = [Y_AXIS if slide else Z_AXIS for slide in slides]
-    if np.abs(digit.axes - usual).max() > ROUNDING_TOLERANCE:
+    default_axes = [Y_AXIS if slide else Z_AXIS for slide in slides]
+    if np.abs(digit.axes - default_axes).max() > ROUNDING_TOLERANCE:
         lines.append(_SectionLine("joint_axis", _number_rows_text(digit.axes)))
     if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
         turned = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
         lines.append(_SectionLine("joint_rpy_deg", f"[{turned}]"))
     lines += [
-        _SectionLine("link_com_m", _number_rows_text(digit.coms)),
+        _SectionLine("link_com_m", _number_rows_text(digit.centres_of_mass)),
         _SectionLine("link_mass_kg", _number_list_text([link.mass for link in links])),
         _SectionLine(
             "link_inertia_kg_m2",
@@ -427,8 +429,8 @@ def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLin
     """Yield lines for the meshes of a digit. Keys with their default value are left out."""
     if not any(link_meshes):
         return
-    none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
-    shown = [mesh or none for mesh in link_meshes]
+    no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
+    shown = [mesh or no_mesh for mesh in link_meshes]
     yield _SectionLine("link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in shown)}]")
     if any((mesh.scale != 1.0).any() for mesh in shown):
         yield _SectionLine(
@@ -456,7 +458,7 @@ def _scale_text(scale: Array) -> str:
     )
 
 
-def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_SectionLine]:
+def _joint_lines(digit: ModelDigit, answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the damping, the armature and the springs of a digit.
 
     In a robot description, 0 means that the value is not known.
@@ -519,7 +521,7 @@ def _drive_lines(
             last_node_of_bus[bus] = node + 1
 
 
-def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
+def _tendon_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all tendons."""
     tension = answers.tension_N
     given: dict[str, float | None] = {
@@ -533,14 +535,14 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
         "rated_breaking_force_N": answers.strength_N,
         "tension_floor_N": None if tension is None else TENSION_FLOOR_N,
         "tension_max_N": tension,
-        "tension_trip_N": None if tension is None else TRIP_RATIO * tension,
+        "tension_trip_N": None if tension is None else TENSION_TRIP_RATIO * tension,
         "drive_limit_N": None if tension is None else DRIVE_LIMIT_RATIO * tension,
     }
     for key, value in given.items():
         yield _todo_line(Tendon, key) if value is None else _SectionLine(key, _number_text(value))
 
 
-def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
+def _motor_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all motors."""
     torque = None
     if answers.tension_N is not None and answers.spool_mm is not None:
@@ -574,7 +576,7 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
     """Return the line for a key whose value is missing, with ``"TODO"`` in place of the value."""
-    verb = "set" if key in CHOSEN_KEYS else "measure"
+    verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,
         f'"{UNMEASURED_PLACEHOLDER}"',
@@ -638,5 +640,5 @@ def _inline_table_text(table_values: Mapping[str, float]) -> str:
     return ", ".join(f"{key} = {_number_text(value)}" for key, value in table_values.items())
 
 
-ANSWER_NAMES = tuple(one.name for one in fields(TendonAnswers))
+IMPORT_ANSWER_NAMES = tuple(one.name for one in fields(ImportAnswers))
 """Names of all answers of the user."""

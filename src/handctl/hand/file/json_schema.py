@@ -10,12 +10,12 @@ from typing import Any
 from handctl.hand.description import Hand
 from handctl.hand.file.key_descriptions import DescribedSchema
 from handctl.hand.file.templates import (
+    ALL_NAMES_WORD,
     DIGIT_KINDS,
-    KEYS_ONE_FOR_ALL_LINKS,
+    KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS,
     RESOLVED_SCHEMA,
     SECTION_KINDS,
     TEMPLATE_KEYS,
-    WORD_FOR_ALL,
     WRITTEN_SCHEMA,
 )
 
@@ -40,7 +40,7 @@ def hand_schema() -> dict[str, Any]:
     for kind, name in SECTION_DEFINITIONS.items():
         definition = definitions[name]
         if kind == "digit":
-            _extend_digit(definition)
+            _add_short_forms_of_digit(definition)
         definition["properties"]["template"] = {
             "type": "string",
             "description": f"Name of a table [{TEMPLATE_KEYS[kind]}.NAME] with values that this section does not have.",
@@ -54,7 +54,7 @@ def hand_schema() -> dict[str, Any]:
     for key in ("tendons", "joints"):
         node[key] = {
             "description": node[key].pop("description"),
-            "anyOf": [{"const": WORD_FOR_ALL}, node[key]],
+            "anyOf": [{"const": ALL_NAMES_WORD}, node[key]],
         }
     properties = schema["properties"]
     properties["schema"] = {
@@ -85,14 +85,14 @@ def hand_schema_text() -> str:
     return json.dumps(hand_schema(), indent=1, sort_keys=True) + "\n"
 
 
-def _extend_digit(digit_schema: dict[str, Any]) -> None:
+def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
     """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
     properties = digit_schema["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(
             kind, f"Each {kind} of this digit, named DIGIT_NAME."
         )
-    for key in KEYS_ONE_FOR_ALL_LINKS:
+    for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
         lists = properties[key]
         items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
         properties[key] = {

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from handctl.hand.file.quantities import (
     CheckedType,
     NumberRange,
-    in_range,
+    number_in_range,
     number_or_list,
     validation_error,
 )
@@ -21,8 +21,8 @@ SMALLEST_MESH_SCALE = 1e-6
 
 def _check_mesh_file(value: Any) -> str:
     """Return the value if it is a valid path of a mesh file. An empty string means no mesh."""
-    printable = isinstance(value, str) and value.isprintable()
-    if not printable or (value and PurePath(value).suffix.lower() not in MESH_SUFFIXES):
+    is_printable = isinstance(value, str) and value.isprintable()
+    if not is_printable or (value and PurePath(value).suffix.lower() not in MESH_SUFFIXES):
         raise validation_error(f'a file of type {" or ".join(MESH_SUFFIXES)}, or "" for none')
     return str(value)
 
@@ -41,4 +41,4 @@ MeshScale = Annotated[
         3,
     ),
 ]
-MeshPosition = Annotated[float, in_range(-1.0, 1.0, "m", "in metres?")]
+MeshPosition = Annotated[float, number_in_range(-1.0, 1.0, "m", "in metres?")]

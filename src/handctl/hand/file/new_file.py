@@ -20,7 +20,7 @@ PRELOAD_RAD = 0.6
 """Preload of the return springs of a new hand [rad]."""
 OPENING_TORQUE_RATIO = 3.0
 """Torque of a return spring in the open digit, divided by the torque of the tension floor at the same joint."""
-TRIP_RATIO = 1.2
+TENSION_TRIP_RATIO = 1.2
 """Tension limit ``tension_trip_N`` divided by the largest commanded tension."""
 DRIVE_LIMIT_RATIO = 1.4
 """Tension at the torque limit inside the drive, divided by the largest commanded tension."""
@@ -31,7 +31,7 @@ Around a thinner object, the tips of opposed digits would touch each other.
 """
 SMALLEST_OBJECT_MM = 35.0
 """Smallest diameter of an object for which the palm gets space [mm]."""
-STRAIGHT_OBJECT_MM = 26.0
+MIN_OBJECT_SPACE_OF_STRAIGHT_DIGITS_MM = 26.0
 """Smallest free distance at which two facing digits with one link each can grasp an object [mm]."""
 CLEARANCE_MM = 5.0
 """Free space between the open digits and an object [mm]."""
@@ -40,7 +40,7 @@ DIGIT_LENGTH_RATIO = 14.0
 
 With this ratio of length to moment arm, digits of any length press equally hard.
 """
-SIDE_GAP_MM = 2.0
+DIGIT_SIDE_CLEARANCE_MM = 2.0
 """Space on each side of a digit [mm]."""
 ROW_WIDTH_MM = 80.0
 """Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
@@ -71,7 +71,7 @@ MAX_DIGITS_PER_SIDE = 8
 
 
 @dataclass(frozen=True)
-class HandAnswers:
+class NewHandAnswers:
     """The user's answers about a new hand.
 
     Attributes:
@@ -115,7 +115,7 @@ class HandAnswers:
     springs: str = "all"
 
     @property
-    def digit_mm(self) -> float:
+    def digit_length_mm(self) -> float:
         """Return the length of a digit [mm]."""
         return sum(self.links_mm)
 
@@ -125,13 +125,13 @@ class HandAnswers:
 
         The default leaves space for a thick object.
         """
-        return self.spacious_palm if self.palm_mm is None else self.palm_mm
+        return self.palm_width_for_thick_object if self.palm_mm is None else self.palm_mm
 
     @property
-    def spacious_palm(self) -> float:
+    def palm_width_for_thick_object(self) -> float:
         """Return the distance between both sides of the palm at which a thick object fits between the digits [mm]."""
         return (
-            max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm)
+            max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_length_mm)
             + self.width_mm
             + CLEARANCE_MM
         )
@@ -142,10 +142,12 @@ class HandAnswers:
 
         By default, the moment arm is in proportion to the length of the digits.
         """
-        return self.digit_mm / DIGIT_LENGTH_RATIO if self.pulley_mm is None else self.pulley_mm
+        return (
+            self.digit_length_mm / DIGIT_LENGTH_RATIO if self.pulley_mm is None else self.pulley_mm
+        )
 
 
-def check_answers(answers: HandAnswers) -> None:
+def check_answers(answers: NewHandAnswers) -> None:
     """Check the user's answers before the hand file is written.
 
     All other mistakes are found by the checks of the hand file.
@@ -160,12 +162,12 @@ def check_answers(answers: HandAnswers) -> None:
             raise ConfigError(f"{count}", option, f"0 to {MAX_DIGITS_PER_SIDE}")
     if answers.fingers + answers.opposed == 0:
         raise ConfigError("no digit", "--fingers", "a digit at least")
-    least = answers.width_mm + 2 * CLEARANCE_MM
-    if answers.opposed and answers.fingers and answers.palm < least:
+    min_palm_width = answers.width_mm + 2 * CLEARANCE_MM
+    if answers.opposed and answers.fingers and answers.palm < min_palm_width:
         raise ConfigError(
             f"{answers.palm:g}",
             "--palm",
-            f"at least {least:g} mm, for an object between the digits",
+            f"at least {min_palm_width:g} mm, for an object between the digits",
         )
     if not answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
@@ -200,7 +202,7 @@ def check_name(name: str) -> None:
         raise ConfigError(repr(name), "--name", "letters, digits and _, first a letter")
 
 
-def opposition_warnings(answers: HandAnswers) -> tuple[str, ...]:
+def opposition_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
     """Return a warning that proposes opposed digits if all digits are on one side."""
     digits = answers.fingers + answers.opposed
     if answers.fingers and answers.opposed:
@@ -215,23 +217,23 @@ def opposition_warnings(answers: HandAnswers) -> tuple[str, ...]:
     )
 
 
-def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
+def palm_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
     """Return one line for each warning that the palm is too narrow for digits that face each other."""
     # If the digits have a single straight link, they touch thinner objects before their tips meet.
-    enough = (
-        answers.spacious_palm
+    sufficient_palm_width = (
+        answers.palm_width_for_thick_object
         if len(answers.links_mm) > 1
-        else answers.width_mm + STRAIGHT_OBJECT_MM
+        else answers.width_mm + MIN_OBJECT_SPACE_OF_STRAIGHT_DIGITS_MM
     )
-    if answers.fingers != answers.opposed or answers.palm >= enough:
+    if answers.fingers != answers.opposed or answers.palm >= sufficient_palm_width:
         return ()
     return (
-        f"--palm {answers.palm:g}: tips of {answers.digit_mm:g} mm digits may meet around an object that fits, and not "
-        f"press on it; expected {enough:.0f} mm, shorter links, or a finger more on one side",
+        f"--palm {answers.palm:g}: tips of {answers.digit_length_mm:g} mm digits may meet around an object that fits, "
+        f"and not press on it; expected {sufficient_palm_width:.0f} mm, shorter links, or a finger more on one side",
     )
 
 
-def new_hand_text(answers: HandAnswers, given_options: Mapping[str, Any], can_fd: bool) -> str:
+def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can_fd: bool) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
@@ -243,13 +245,13 @@ def new_hand_text(answers: HandAnswers, given_options: Mapping[str, Any], can_fd
     parts += [_tendon_values(answers), _motor_values(answers, given_options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
-    per_bus = _digits_per_bus(answers)
+    digits_per_bus = _digits_per_bus(answers)
     digits = zip(_digit_names(answers), _mount_places(answers), strict=True)
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
-        bus = buses[number // per_bus]
+        bus = buses[number // digits_per_bus]
         # On each bus, the node numbers begin at 1.
-        first = number % per_bus * len(motors) + 1
+        first = number % digits_per_bus * len(motors) + 1
         on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
         ids = ", ".join(
             f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors)
@@ -263,7 +265,7 @@ def new_hand_text(answers: HandAnswers, given_options: Mapping[str, Any], can_fd
     return "\n\n".join(parts) + "\n"
 
 
-def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
+def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
     """Return name and side of each digit. Fingers are on side 0, opposed digits on side 1."""
     fingers = [
         FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}"
@@ -273,46 +275,47 @@ def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
-def _mount_places(answers: HandAnswers) -> list[float]:
+def _mount_places(answers: NewHandAnswers) -> list[float]:
     """Return the position of each digit along the axes of the hinges [m]. The fingers come first.
 
     If the sides have different numbers of digits, each digit faces a gap of the other side. Tips
     that face each other would meet before the digits press on an object.
     """
     counts = (answers.fingers, answers.opposed)
-    passing = answers.width_mm * 2 + SIDE_GAP_MM
-    spacing = max(
-        answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1))
+    spacing_of_passing_digits = answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
+    digit_spacing = max(
+        answers.width_mm + DIGIT_SIDE_CLEARANCE_MM,
+        min(spacing_of_passing_digits, ROW_WIDTH_MM / max(1, max(counts) - 1)),
     )
     # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
     # of the distance between its digits. Otherwise, digits of both rows would face each other.
-    moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
+    moved = digit_spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
         offset = moved if count == min(counts) else 0.0
-        places += [1e-3 * (spacing * ((count - 1) / 2 - i) + offset) for i in range(count)]
+        places += [1e-3 * (digit_spacing * ((count - 1) / 2 - i) + offset) for i in range(count)]
     return places
 
 
-def _bus_names(answers: HandAnswers) -> list[str]:
+def _bus_names(answers: NewHandAnswers) -> list[str]:
     """Return the names of the buses."""
     count = math.ceil((answers.fingers + answers.opposed) / _digits_per_bus(answers))
     return ["main", *(f"bus_{i + 1}" for i in range(1, count))]
 
 
-def _digits_per_bus(answers: HandAnswers) -> int:
+def _digits_per_bus(answers: NewHandAnswers) -> int:
     """Return the number of digits whose motors are on the same bus.
 
     All motors of a digit are on the same bus.
     """
     digits = answers.fingers + answers.opposed
-    is_fast = answers.springs == answers.cells == "none"
-    motors_per_bus = MOTORS_PER_FAST_BUS if is_fast else MOTORS_PER_BUS
+    needs_fast_bus = answers.springs == answers.cells == "none"
+    motors_per_bus = MOTORS_PER_FAST_BUS if needs_fast_bus else MOTORS_PER_BUS
     buses = math.ceil(digits / max(1, motors_per_bus // len(_motor_names(answers))))
     return math.ceil(digits / buses)
 
 
-def _motor_names(answers: HandAnswers) -> list[str]:
+def _motor_names(answers: NewHandAnswers) -> list[str]:
     """Return the short names of the motors of a digit."""
     if answers.tendons == "one":
         return ["motor"]
@@ -320,7 +323,7 @@ def _motor_names(answers: HandAnswers) -> list[str]:
     return closing if answers.springs == "all" else [*closing, EXTENSOR]
 
 
-def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
+def _head_tables(answers: NewHandAnswers, can_fd: bool) -> str:
     """Return the text of the tables before the first digit."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     if answers.springs == "none":
@@ -342,7 +345,7 @@ gravity_m_s2 = [0.0, 0.0, -9.81]   # palm frame: x out of the palm, y from thumb
 {buses}{_sensor_table(answers)}"""
 
 
-def _sensor_table(answers: HandAnswers) -> str:
+def _sensor_table(answers: NewHandAnswers) -> str:
     """Return the text of the section ``sensor_node``, or an empty text for a hand without sensors."""
     if answers.cells == answers.encoders == "none":
         return ""
@@ -371,7 +374,7 @@ tension_bias_drift_N = {_number_text(answers.tension_N * 0.01)}         # ASSUME
 joint_noise_rad = 0.001            # standard deviation of an encoder sample"""
 
 
-def _digit_values(answers: HandAnswers) -> str:
+def _digit_values(answers: NewHandAnswers) -> str:
     """Return the text of the values that are the same for all digits."""
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
@@ -409,7 +412,7 @@ def _digit_values(answers: HandAnswers) -> str:
     return "\n".join(lines)
 
 
-def _spring_lines(answers: HandAnswers) -> list[str]:
+def _spring_lines(answers: NewHandAnswers) -> list[str]:
     """Return the lines about the return springs of a digit, or no lines for a digit without springs."""
     if answers.springs == "none":
         return []
@@ -425,13 +428,13 @@ def _spring_lines(answers: HandAnswers) -> list[str]:
     ]
 
 
-def _closing_tendons(answers: HandAnswers) -> list[int]:
+def _closing_tendons(answers: NewHandAnswers) -> list[int]:
     """Return the number of tendons that close each joint of a digit."""
     count = len(answers.links_mm)
     return [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
 
 
-def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
+def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
     """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
 
     A tendon that closes the digit crosses all joints up to its own. The tendon that opens a digit
@@ -451,9 +454,9 @@ def _moment_arms(answers: HandAnswers, tendon: int) -> list[float]:
     return [-arm * crossing / count for crossing in _closing_tendons(answers)]
 
 
-def _tendon_values(answers: HandAnswers) -> str:
+def _tendon_values(answers: NewHandAnswers) -> str:
     """Return the text of the values that are the same for all tendons."""
-    trip = _number_text(TRIP_RATIO * answers.tension_N)
+    trip = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
 damping_N_s_per_m = 30.0           # ASSUMED
@@ -469,7 +472,7 @@ tension_trip_N = {trip}              # above this one valid sample relaxes the h
 drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: HandAnswers, given_options: Mapping[str, Any]) -> str:
+def _motor_values(answers: NewHandAnswers, given_options: Mapping[str, Any]) -> str:
     """Return the text of the values that are the same for all motors."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear

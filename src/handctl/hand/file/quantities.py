@@ -94,13 +94,13 @@ class NumberRange:
         return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
-def in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
+def number_in_range(minimum: float, maximum: float, unit: str = "", hint: str = "") -> CheckedType:
     """Return the validation of a number within [low, high], see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
     return CheckedType(number, number.schema)
 
 
-def whole_in_range(minimum: int, maximum: int) -> CheckedType:
+def integer_in_range(minimum: int, maximum: int) -> CheckedType:
     """Return the validation of an integer within [low, high]."""
 
     def check_value(value: Any) -> int:
@@ -112,7 +112,7 @@ def whole_in_range(minimum: int, maximum: int) -> CheckedType:
     return CheckedType(check_value, {"type": "integer", "minimum": minimum, "maximum": maximum})
 
 
-def one_of(*allowed_words: str) -> CheckedType:
+def text_one_of(*allowed_words: str) -> CheckedType:
     """Return the validation of a text that must be one of the given words."""
 
     def check_value(value: Any) -> str:
@@ -162,14 +162,14 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     return value
 
 
-def zero_or_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
+def zero_or_number_in_range(minimum: float, maximum: float, unit: str, hint: str) -> CheckedType:
     """Return the validation of a number that must be 0 or within [low, high], see ``NumberRange``."""
     number = NumberRange(minimum, maximum, unit, hint)
 
     def check_value(value: Any) -> float:
         """Return the value as a float."""
-        zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
-        if zero:
+        is_zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
+        if is_zero:
             return 0.0
         try:
             return number(value)
@@ -298,12 +298,12 @@ ProtocolOptions = Annotated[
     ),
 ]
 
-JointType = Annotated[str, one_of("revolute", "prismatic")]
-MotorControl = Annotated[str, one_of("torque", "position")]
-SensorProtocol = Annotated[str, one_of("handctl", "cia404")]
-ProcessValue = Annotated[str, one_of("int32", "real32")]
+JointType = Annotated[str, text_one_of("revolute", "prismatic")]
+MotorControl = Annotated[str, text_one_of("torque", "position")]
+SensorProtocol = Annotated[str, text_one_of("handctl", "cia404")]
+ProcessValue = Annotated[str, text_one_of("int32", "real32")]
 
-Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
+Length = Annotated[float, zero_or_number_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. The length is 0 if the axes of two joints intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
@@ -311,13 +311,13 @@ CentreOfMass = Annotated[
         NumberRange(0.0, 0.2, "m", "in metres?"), NumberRange(-0.2, 0.2, "m", "in metres?"), 3
     ),
 ]
-DirectionComponent = Annotated[float, in_range(-1.0, 1.0)]
-Radius = Annotated[float, in_range(5e-4, 0.05, "m", "in metres?")]
+DirectionComponent = Annotated[float, number_in_range(-1.0, 1.0)]
+Radius = Annotated[float, number_in_range(5e-4, 0.05, "m", "in metres?")]
 MomentArm = Annotated[
     float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, ARM_SCHEMA)
 ]
-Position = Annotated[float, in_range(-0.5, 0.5, "m", "in metres?")]
-Mass = Annotated[float, in_range(1e-5, 0.5, "kg", "in kilograms?")]
+Position = Annotated[float, number_in_range(-0.5, 0.5, "m", "in metres?")]
+Mass = Annotated[float, number_in_range(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
     float | tuple[float, ...],
     number_or_list(
@@ -327,63 +327,65 @@ LinkInertia = Annotated[
         6,
     ),
 ]
-Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
-MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
-JointAngle = Annotated[float, in_range(-180.0, 180.0, "deg")]
-MountAngle = Annotated[float, in_range(-360.0, 360.0, "deg")]
-JointTravel = Annotated[float, in_range(-0.1, 0.1, "m", "in metres?")]
+Armature = Annotated[float, number_in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
+MotorInertia = Annotated[float, number_in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
+JointAngle = Annotated[float, number_in_range(-180.0, 180.0, "deg")]
+MountAngle = Annotated[float, number_in_range(-360.0, 360.0, "deg")]
+JointTravel = Annotated[float, number_in_range(-0.1, 0.1, "m", "in metres?")]
 """Position of a prismatic joint. A joint encoder's frame can represent these positions."""
-ExcursionRatio = Annotated[float, in_range(-5.0, 5.0, "", "in metres of tendon per metre?")]
-TravelPreload = Annotated[float, in_range(0.0, 0.2, "m", "in metres?")]
-TravelDamping = Annotated[float, in_range(0.0, 1000.0, "N s/m")]
-TravelArmature = Annotated[float, in_range(0.0, 1.0, "kg", "in kilograms?")]
-TravelStiffness = Annotated[float, in_range(0.0, 1e5, "N/m", "in N/m?")]
-TravelNoise = Annotated[float, in_range(1e-9, 5e-3, "m", "in metres?")]
-SpringPreload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
-WrapAngle = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
-MotorZeroAngle = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
+ExcursionRatio = Annotated[float, number_in_range(-5.0, 5.0, "", "in metres of tendon per metre?")]
+TravelPreload = Annotated[float, number_in_range(0.0, 0.2, "m", "in metres?")]
+TravelDamping = Annotated[float, number_in_range(0.0, 1000.0, "N s/m")]
+TravelArmature = Annotated[float, number_in_range(0.0, 1.0, "kg", "in kilograms?")]
+TravelStiffness = Annotated[float, number_in_range(0.0, 1e5, "N/m", "in N/m?")]
+TravelNoise = Annotated[float, number_in_range(1e-9, 5e-3, "m", "in metres?")]
+SpringPreload = Annotated[float, number_in_range(0.0, 6.3, "rad", "in radians?")]
+WrapAngle = Annotated[float, number_in_range(0.0, 20.0, "rad", "in radians?")]
+MotorZeroAngle = Annotated[float, number_in_range(-100.0, 100.0, "rad", "in radians?")]
 MAX_POSITION_RANGE_RAD = 1000.0
 """Largest position range of a drive, and so the largest motor position on either side of 0 [rad]."""
-PositionRange = Annotated[float, in_range(0.1, MAX_POSITION_RANGE_RAD, "rad", "in radians?")]
+PositionRange = Annotated[float, number_in_range(0.1, MAX_POSITION_RANGE_RAD, "rad", "in radians?")]
 MAX_SPEED_RANGE_RAD_S = 1000.0
 """Largest speed range of a drive [rad/s]."""
-SpeedRange = Annotated[float, in_range(0.1, MAX_SPEED_RANGE_RAD_S, "rad/s", "in rad/s?")]
-Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
-ServoStiffness = Annotated[float, in_range(1e-3, 5000.0, "N m/rad", "at the spool?")]
-ServoDamping = Annotated[float, in_range(0.0, 100.0, "N m s/rad", "at the spool?")]
-SpringStiffness = Annotated[float, in_range(0.0, 10.0, "N m/rad", "in N m per radian?")]
-Gravity = Annotated[float, in_range(-20.0, 20.0, "m/s2")]
-Coupling = Annotated[float, in_range(-10.0, 10.0)]
-Force = Annotated[float, in_range(0.0, 5000.0, "N", "in newtons?")]
-PositiveForce = Annotated[float, in_range(0.1, 5000.0, "N", "in newtons?")]
-TendonStiffness = Annotated[float, in_range(1e3, 1e7, "N/m", "in N/m?")]
-TendonDamping = Annotated[float, in_range(0.0, 1e4, "N s/m")]
-StiffnessRatio = Annotated[float, in_range(0.01, 10.0)]
-KneeWidth = Annotated[float, in_range(1e-6, 0.01, "m", "in metres?")]
-FrictionCoefficient = Annotated[float, in_range(0.0, 1.0)]
+SpeedRange = Annotated[float, number_in_range(0.1, MAX_SPEED_RANGE_RAD_S, "rad/s", "in rad/s?")]
+Damping = Annotated[float, number_in_range(0.0, 0.1, "N m s/rad")]
+ServoStiffness = Annotated[float, number_in_range(1e-3, 5000.0, "N m/rad", "at the spool?")]
+ServoDamping = Annotated[float, number_in_range(0.0, 100.0, "N m s/rad", "at the spool?")]
+SpringStiffness = Annotated[float, number_in_range(0.0, 10.0, "N m/rad", "in N m per radian?")]
+Gravity = Annotated[float, number_in_range(-20.0, 20.0, "m/s2")]
+Coupling = Annotated[float, number_in_range(-10.0, 10.0)]
+Force = Annotated[float, number_in_range(0.0, 5000.0, "N", "in newtons?")]
+PositiveForce = Annotated[float, number_in_range(0.1, 5000.0, "N", "in newtons?")]
+TendonStiffness = Annotated[float, number_in_range(1e3, 1e7, "N/m", "in N/m?")]
+TendonDamping = Annotated[float, number_in_range(0.0, 1e4, "N s/m")]
+StiffnessRatio = Annotated[float, number_in_range(0.01, 10.0)]
+KneeWidth = Annotated[float, number_in_range(1e-6, 0.01, "m", "in metres?")]
+FrictionCoefficient = Annotated[float, number_in_range(0.0, 1.0)]
 MIN_TORQUE_LIMIT_N_M = 1e-3
 """Smallest torque limit of a motor that a hand file allows [N m]."""
 MAX_TORQUE_N_M = 50.0
 """Largest torque that a hand file allows [N m]."""
-Torque = Annotated[float, in_range(0.0, MAX_TORQUE_N_M, "N m", "in N m?")]
-PositiveTorque = Annotated[float, in_range(MIN_TORQUE_LIMIT_N_M, MAX_TORQUE_N_M, "N m", "in N m?")]
-TorqueConstant = Annotated[float, in_range(1e-4, 50.0, "N m/A", "at the spool?")]
-JointNoise = Annotated[float, in_range(1e-7, 0.5, "rad", "in radians?")]
-JointSpeed = Annotated[float, in_range(1.0, 3000.0, "deg/s", "in degrees?")]
-JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?")]
-TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
-StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
+Torque = Annotated[float, number_in_range(0.0, MAX_TORQUE_N_M, "N m", "in N m?")]
+PositiveTorque = Annotated[
+    float, number_in_range(MIN_TORQUE_LIMIT_N_M, MAX_TORQUE_N_M, "N m", "in N m?")
+]
+TorqueConstant = Annotated[float, number_in_range(1e-4, 50.0, "N m/A", "at the spool?")]
+JointNoise = Annotated[float, number_in_range(1e-7, 0.5, "rad", "in radians?")]
+JointSpeed = Annotated[float, number_in_range(1.0, 3000.0, "deg/s", "in degrees?")]
+JointAcceleration = Annotated[float, number_in_range(10.0, 1e6, "deg/s2", "in degrees?")]
+TensionRate = Annotated[float, number_in_range(1.0, 1e5, "N/s")]
+StaleTime = Annotated[float, number_in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
 # Smallest and largest bit rate that is accepted for classical CAN and for the data phase of CAN FD
 # [bit/s].
 MIN_BITRATE_BIT_S = 10_000
 MAX_BITRATE_BIT_S = 8_000_000
-Bitrate = Annotated[int, whole_in_range(MIN_BITRATE_BIT_S, MAX_BITRATE_BIT_S)]
-NodeId = Annotated[int, whole_in_range(1, 0x7F)]
-CanId = Annotated[int, whole_in_range(1, 0x7FF)]
-AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
+Bitrate = Annotated[int, integer_in_range(MIN_BITRATE_BIT_S, MAX_BITRATE_BIT_S)]
+NodeId = Annotated[int, integer_in_range(1, 0x7F)]
+CanId = Annotated[int, integer_in_range(1, 0x7FF)]
+AmplifierId = Annotated[int, integer_in_range(1, 0x7E)]
 """Node number of a CANopen device. 0x7F is the node number of handctl itself."""
-ChannelCount = Annotated[int, whole_in_range(1, 8)]
-DecimalDigits = Annotated[int, whole_in_range(0, 6)]
-JointDecimation = Annotated[int, whole_in_range(1, 256)]
-WatchdogTimeout = Annotated[int, whole_in_range(1, 10_000)]
-SchemaNumber = Annotated[int, whole_in_range(1, 1)]
+ChannelCount = Annotated[int, integer_in_range(1, 8)]
+DecimalDigits = Annotated[int, integer_in_range(0, 6)]
+JointDecimation = Annotated[int, integer_in_range(1, 256)]
+WatchdogTimeout = Annotated[int, integer_in_range(1, 10_000)]
+SchemaNumber = Annotated[int, integer_in_range(1, 1)]

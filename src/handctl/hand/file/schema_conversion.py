@@ -17,12 +17,12 @@ from tomlkit.items import AoT, Comment, Item, Table, Whitespace
 
 from handctl.errors import ConfigError
 from handctl.hand.file.templates import (
+    ALL_NAMES_WORD,
     ARM_KEYS,
     DIGIT_KINDS,
-    KEYS_ONE_FOR_ALL_LINKS,
+    KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS,
     SECTION_KINDS,
     SHORT_JOINT_PATTERN,
-    WORD_FOR_ALL,
     WRITTEN_SCHEMA,
 )
 from handctl.hand.file.toml_text import toml_text
@@ -84,9 +84,9 @@ class TomlTable:
         """Return the values of the table by key."""
         return {entry.key: entry.value for entry in self.entries if entry.key}
 
-    def take(self, taken_keys: Iterable[str]) -> list[TomlEntry]:
+    def take(self, keys: Iterable[str]) -> list[TomlEntry]:
         """Remove the lines with the given keys from the table, and return these lines."""
-        taken = [entry for entry in self.entries if entry.key in set(taken_keys)]
+        taken = [entry for entry in self.entries if entry.key in set(keys)]
         self.entries = [entry for entry in self.entries if entry not in taken]
         return taken
 
@@ -112,10 +112,10 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
     sections = {kind: [block for name, block in tables if name == kind] for kind in SECTION_KINDS}
     others = [(name, block) for name, block in tables if name not in SECTION_KINDS]
     _shorten_sensor_node(others, sections)
-    defaults = {kind: _take_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
+    defaults = {kind: _remove_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
     for kind in DIGIT_KINDS:
-        _move_into_digits(kind, sections)
-    templates = _take_templates(sections["digit"])
+        _move_sections_into_digits(kind, sections)
+    templates = _remove_values_to_templates(sections["digit"])
     lines = _table_lines(root, "")
     for name, block in others:
         array = isinstance(document[name], AoT)
@@ -176,19 +176,21 @@ def _trailing_comments(block: TomlTable) -> list[str]:
     return trailing
 
 
-def _take_common_values(section_kind: str, section_tables: Sequence[TomlTable]) -> list[TomlEntry]:
+def _remove_common_values(
+    section_kind: str, section_tables: Sequence[TomlTable]
+) -> list[TomlEntry]:
     """Remove the values that all sections of a kind have in common, and return their lines."""
     if section_kind == "digit":
         for block in section_tables:
             _shorten_lists_per_link(block)
     if len(section_tables) < MIN_SECTIONS_TO_SHARE:
         return []
-    kept = (*INDIVIDUAL_KEYS[section_kind], "motor", *ARM_KEYS)
-    return _take_shared_values(section_tables, lambda key, value: key not in kept)
+    individual_keys = (*INDIVIDUAL_KEYS[section_kind], "motor", *ARM_KEYS)
+    return _remove_shared_values(section_tables, lambda key, value: key not in individual_keys)
 
 
-def _take_shared_values(
-    section_tables: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
+def _remove_shared_values(
+    section_tables: Sequence[TomlTable], may_be_shared: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
     """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
     first = section_tables[0].values()
@@ -196,7 +198,7 @@ def _take_shared_values(
     keys = [
         key
         for key, value in first.items()
-        if can_be(key, value)
+        if may_be_shared(key, value)
         and all(key in other and _are_equal(other[key], value) for other in others)
     ]
     entries = {entry.key: entry for entry in section_tables[0].take(keys)}
@@ -224,7 +226,11 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
     """Replace each list of equal numbers, one per link, by a single number."""
     for entry in block.entries:
         values = entry.value
-        if entry.key not in KEYS_ONE_FOR_ALL_LINKS or not isinstance(values, list) or not values:
+        if (
+            entry.key not in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS
+            or not isinstance(values, list)
+            or not values
+        ):
             continue
         if isinstance(values[0], int | float) and all(value == values[0] for value in values):
             # The text between the bracket and the first comma is the number as the file spells it.
@@ -249,10 +255,12 @@ def _shorten_sensor_node(
     for name, block in other_tables:
         for entry in block.entries if name == "sensor_node" else ():
             if entry.key in names and entry.value == names[entry.key]:
-                entry.text = f'"{WORD_FOR_ALL}"'
+                entry.text = f'"{ALL_NAMES_WORD}"'
 
 
-def _move_into_digits(section_kind: str, tables_of_kind: dict[str, list[TomlTable]]) -> None:
+def _move_sections_into_digits(
+    section_kind: str, tables_of_kind: dict[str, list[TomlTable]]
+) -> None:
     """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
     moved: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
@@ -298,7 +306,7 @@ def _move_into_digits(section_kind: str, tables_of_kind: dict[str, list[TomlTabl
         tables_of_kind[section_kind].append(TomlTable([], comments))
 
 
-def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
+def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
     """Remove the values that digits with equal links have in common, and return templates with these values."""
     groups: dict[str, list[TomlTable]] = {}
     for block in digits:
@@ -308,7 +316,7 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
         if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
             continue
         template = TomlTable(
-            _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
+            _remove_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
         )
         for kind in DIGIT_KINDS:
             # In the resolved file, the tendons and motors of a template come before those of the
@@ -317,11 +325,11 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
             for short in group[0].held[kind]:
                 if not all(short in block.held[kind] for block in group):
                     break
-                held = [block.held[kind][short] for block in group]
-                common = _take_shared_values(held, lambda key, value: key != "node_id")
-                if not common:
+                tables = [block.held[kind][short] for block in group]
+                shared_entries = _remove_shared_values(tables, lambda key, value: key != "node_id")
+                if not shared_entries:
                     break
-                template.held[kind][short] = TomlTable(common)
+                template.held[kind][short] = TomlTable(shared_entries)
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
         templates[name] = template
         for block in group:
@@ -363,30 +371,32 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
     for kind, held in block.held.items():
-        for short, inner in held.items():
-            keyed = [entry for entry in inner.entries if entry.key]
-            comments = "; ".join(entry.comment.lstrip("# ") for entry in keyed if entry.comment)
+        for short, table in held.items():
+            key_entries = [entry for entry in table.entries if entry.key]
+            comments = "; ".join(
+                entry.comment.lstrip("# ") for entry in key_entries if entry.comment
+            )
             behind = f"   # {comments}" if comments else ""
             line = (
                 f"{kind}.{short} = {{ "
-                + ", ".join(f"{entry.key} = {entry.text}" for entry in keyed)
+                + ", ".join(f"{entry.key} = {entry.text}" for entry in key_entries)
                 + " }"
                 + behind
             )
-            alone = [entry for entry in inner.entries if not entry.key]
-            if len(keyed) == 1 and not alone and not inner.before:
-                lines.append(f"{kind}.{short}.{keyed[0].line()}")
-            elif keyed and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
+            comment_entries = [entry for entry in table.entries if not entry.key]
+            if len(key_entries) == 1 and not comment_entries and not table.before:
+                lines.append(f"{kind}.{short}.{key_entries[0].line()}")
+            elif key_entries and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
                 lines += (
-                    [*inner.before, *(entry.text for entry in alone), line]
-                    if alone or not lines
+                    [*table.before, *(entry.text for entry in comment_entries), line]
+                    if comment_entries or not lines
                     else [line]
                 )
-            elif keyed:
+            elif key_entries:
                 tables += [
                     "",
                     f"[{header}.{kind}.{short}]",
-                    *(entry.line() for entry in inner.entries),
+                    *(entry.line() for entry in table.entries),
                 ]
             elif kind == "motor":
                 lines.append(f"{kind}.{short} = {{}}")

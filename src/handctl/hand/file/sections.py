@@ -609,6 +609,6 @@ class Motor(Section):
     """
 
     @property
-    def holds_position(self) -> bool:
+    def closes_position_loop(self) -> bool:
         """Return True if the control loop for the position of a moving digit runs in the drive."""
         return self.control == "position"

@@ -27,7 +27,7 @@ The identifier of a frame is this number plus the node number of the amplifier.
 
 Source: CiA 301.
 """
-TARE_MARGIN_N = 6.0
+MAX_TARE_N = 6.0
 """Largest accepted tare of a load cell [N]. The tare reduces the usable range."""
 MAX_COUNT = (1 << 31) - 1
 """Largest value of the CANopen type INTEGER32."""
@@ -66,14 +66,16 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
     twice = sorted({number for number in node.node_ids if node.node_ids.count(number) > 1})
     if twice:
         yield FileMistake(f"0x{twice[0]:X} twice", where, "every node number once")
-    cells, room = len(node.tendons), len(node.node_ids) * node.channels_per_node
-    if cells > room:
+    cells, channel_count = len(node.tendons), len(node.node_ids) * node.channels_per_node
+    if cells > channel_count:
         what = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"
         yield FileMistake(what, where, f"room for {cells} load cells, or another channels_per_node")
     elif 0 in node.amplifier_channels:
-        unused = node.node_ids[node.amplifier_channels.index(0)]
+        unused_node_id = node.node_ids[node.amplifier_channels.index(0)]
         yield FileMistake(
-            f"0x{unused:X} has no load cell", where, "only amplifiers with a load cell of tendons"
+            f"0x{unused_node_id:X} has no load cell",
+            where,
+            "only amplifiers with a load cell of tendons",
         )
 
 
@@ -85,9 +87,9 @@ def _check_range(hand: Hand) -> Iterator[FileMistake]:
         return
     measured = [tendon for tendon in hand.tendon if tendon.name in node.tendons]
     strongest = max(measured, key=lambda tendon: tendon.drive_limit_N, default=None)
-    if strongest is not None and node.range_N < strongest.drive_limit_N + TARE_MARGIN_N:
-        needed = strongest.drive_limit_N + TARE_MARGIN_N
-        right = f"at least {needed:g} N: drive_limit_N of {strongest.name}, and {TARE_MARGIN_N:g} N for the tare"
+    if strongest is not None and node.range_N < strongest.drive_limit_N + MAX_TARE_N:
+        needed = strongest.drive_limit_N + MAX_TARE_N
+        right = f"at least {needed:g} N: drive_limit_N of {strongest.name}, and {MAX_TARE_N:g} N for the tare"
         yield FileMistake(f"{node.range_N:g}", where, right)
     if node.process_value == "int32" and node.range_N * 10**node.decimal_digits > MAX_COUNT:
         what = f"{node.range_N:g} N has more than 32 bits with {node.decimal_digits} digits"
@@ -101,5 +103,5 @@ def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
     for identifier in node.tension_ids:
         yield identifier, "sensor_node.node_ids"
     for number in node.node_ids:
-        for service in AMPLIFIER_SERVICES:
-            yield service + number, "sensor_node.node_ids"
+        for service_base_id in AMPLIFIER_SERVICES:
+            yield service_base_id + number, "sensor_node.node_ids"

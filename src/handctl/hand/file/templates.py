@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from handctl.hand.file.checks import KEYS_PER_LINK
-from handctl.hand.file.error_text import FileMistake, most_similar_key, toml_spelling
+from handctl.hand.file.error_text import FileMistake, most_similar_valid_key, toml_spelling
 from handctl.hand.file.sections import PRISMATIC, PRISMATIC_KEYS, REVOLUTE_KEYS
 
 RESOLVED_SCHEMA = 1
@@ -39,13 +39,13 @@ KEYS_PER_JOINT_TYPE = {
     **dict.fromkeys((*PRISMATIC_KEYS, "joint_rated_force_N"), True),
 }
 """Keys of a digit with a value per joint of one type: True for those of prismatic joints."""
-KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
+KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS = (*KEYS_PER_LINK, *KEYS_PER_JOINT_TYPE, "link_mesh_scale")
 """Keys of a digit that accept one number in place of a list with a value per link or joint."""
 ARM_KEYS = ("moment_arm_m", "excursion_ratio")
 """Keys of a tendon whose value is a table with an entry per joint."""
-WORD_FOR_ALL = "all"
+ALL_NAMES_WORD = "all"
 """Value of the sensor node that stands for all tendons or all joints."""
-MERGE_DEPTH = 3
+MAX_MERGED_TABLE_DEPTH = 3
 """Number of levels of nested tables that are merged key by key.
 
 A deeper table is replaced as a whole.
@@ -100,7 +100,7 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
             FileMistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA))
         )
     names = ("default", *TEMPLATE_KEYS.values())
-    resolved = {key: value for key, value in content.items() if key not in names} | {
+    resolved_content = {key: value for key, value in content.items() if key not in names} | {
         "schema": RESOLVED_SCHEMA
     }
     resolver.check_tables()
@@ -120,11 +120,13 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
     # If a section is missing, it is not added, so that the validation reports it as missing.
-    resolved |= {kind: section for kind, section in sections.items() if section or kind in content}
+    resolved_content |= {
+        kind: section for kind, section in sections.items() if section or kind in content
+    }
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
-        resolved["sensor_node"] = _expand_all_names(node, sections)
-    return ResolvedContent(resolved, resolver.origins, resolver.mistakes)
+        resolved_content["sensor_node"] = _expand_all_names(node, sections)
+    return ResolvedContent(resolved_content, resolver.origins, resolver.mistakes)
 
 
 class _TemplateResolver:
@@ -151,7 +153,9 @@ class _TemplateResolver:
             if kind not in SECTION_KINDS:
                 self.mistakes.append(
                     FileMistake(
-                        "unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS])
+                        "unknown key",
+                        f"default.{kind}",
+                        most_similar_valid_key(kind, [*SECTION_KINDS]),
                     )
                 )
         layers = [(f"default.{kind}", values) for kind, values in default.items()]
@@ -171,28 +175,30 @@ class _TemplateResolver:
                 )
 
     def entry(
-        self, section_kind: str, own_layers: Sequence[ValueLayer], name: str | None = None
+        self, section_kind: str, section_layers: Sequence[ValueLayer], name: str | None = None
     ) -> dict[str, Any]:
         """Return one digit, tendon or motor with all of its values.
 
         Args:
             section_kind: kind of section.
-            own_layers: layers of the section itself, without those of the default and the template.
+            section_layers: layers of the section itself, without those of the default and the template.
             name: name of the section, or None if the layers contain the name.
         """
-        layers = [*self.shared(section_kind, own_layers), *own_layers]
-        values, origins = _merge_layers(layers, MERGE_DEPTH)
+        layers = [*self.shared(section_kind, section_layers), *section_layers]
+        values, origins = _merge_layers(layers, MAX_MERGED_TABLE_DEPTH)
         values.pop("template", None)
         label = name or values.get("name")
         if name:
             values["name"] = name
-        path = f"{section_kind}[{label}]" if name else own_layers[-1].path
+        path = f"{section_kind}[{label}]" if name else section_layers[-1].path
         self.origins |= {f"{path}.{key}": origin for key, origin in origins.items()}
         if section_kind == "digit":
             self._resolve_digit(layers, values, path)
         return values
 
-    def shared(self, section_kind: str, own_layers: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
+    def shared(
+        self, section_kind: str, section_layers: Sequence[ValueLayer]
+    ) -> Iterator[ValueLayer]:
         """Yield the layers of the default for a kind of section, and of the template that the section names."""
         given = self.content.get("default")
         default: TableContent = given if isinstance(given, Mapping) else {}
@@ -202,27 +208,29 @@ class _TemplateResolver:
             misspelt = (
                 key not in SECTION_KINDS
                 and section_kind not in default
-                and most_similar_key(key, [*SECTION_KINDS]) == section_kind
+                and most_similar_valid_key(key, [*SECTION_KINDS]) == section_kind
             )
             if isinstance(values, Mapping) and (key == section_kind or misspelt):
                 yield ValueLayer(_without_entry_keys(values), f"default.{key}")
-        named = [layer for layer in own_layers if "template" in layer.values]
+        named = [layer for layer in section_layers if "template" in layer.values]
         if not named:
             return
         key = TEMPLATE_KEYS[section_kind]
         name = named[-1].values["template"]
         templates = self.content.get(key)
-        valid = [*templates] if isinstance(templates, Mapping) else []
-        if not isinstance(name, str) or name not in valid:
+        valid_names = [*templates] if isinstance(templates, Mapping) else []
+        if not isinstance(name, str) or name not in valid_names:
             right = (
-                most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
+                most_similar_valid_key(str(name), valid_names)
+                if valid_names
+                else f"the name of a table [{key}.NAME]"
             )
             self.mistakes.append(
                 FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
             )
             # If a template does not exist, the template with the most similar name is used.
             # Otherwise all values of the template would also be reported as missing.
-            name = right if right in valid else next(iter(valid), None)
+            name = right if right in valid_names else next(iter(valid_names), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
@@ -231,7 +239,9 @@ class _TemplateResolver:
     ) -> None:
         """Take the tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
-        inner = {kind: _template_layers_by_name(digit_layers, kind) for kind in DIGIT_KINDS}
+        layers_by_kind = {
+            kind: _template_layers_by_name(digit_layers, kind) for kind in DIGIT_KINDS
+        }
         for kind in DIGIT_KINDS:
             held = values.get(kind)
             if not isinstance(held, Mapping):
@@ -241,12 +251,14 @@ class _TemplateResolver:
                 where = self.origins[f"{path}.{kind}.{name}"]
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(
-                        self._part_of_digit(kind, digit, name, inner[kind][name], inner["motor"])
+                        self._part_of_digit(
+                            kind, digit, name, layers_by_kind[kind][name], layers_by_kind["motor"]
+                        )
                     )
                 else:
                     self.mistakes.append(FileMistake(toml_spelling(table), where, "a table"))
         links = values.get("link_length_m", [0.0])
-        for key in KEYS_ONE_FOR_ALL_LINKS:
+        for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
             value = values.get(key)
             if (
                 isinstance(links, list | tuple)
@@ -263,7 +275,7 @@ class _TemplateResolver:
         section_kind: str,
         digit: Any,
         name: str,
-        own_layers: list[ValueLayer],
+        section_layers: list[ValueLayer],
         motors: TableContent,
     ) -> dict[str, Any]:
         """Return a tendon or motor that a digit contains, with the full names of itself, its motor and its joints.
@@ -272,17 +284,19 @@ class _TemplateResolver:
             section_kind: kind of section.
             digit: name of the digit.
             name: short name of the section.
-            own_layers: layers of the section itself.
+            section_layers: layers of the section itself.
             motors: motors of the digit by short name.
         """
-        full = f"{digit}_{name}"
-        values = self.entry(section_kind, own_layers, full)
-        path = f"{section_kind}[{full}]"
-        self.origins[path] = own_layers[0].path
-        for layer in own_layers:
+        full_name = f"{digit}_{name}"
+        values = self.entry(section_kind, section_layers, full_name)
+        path = f"{section_kind}[{full_name}]"
+        self.origins[path] = section_layers[0].path
+        for layer in section_layers:
             if "name" in layer.values:
                 self.mistakes.append(
-                    FileMistake("unknown key", f"{layer.path}.name", f"none: the name is {full}")
+                    FileMistake(
+                        "unknown key", f"{layer.path}.name", f"none: the name is {full_name}"
+                    )
                 )
         if section_kind == "tendon":
             if values.get("motor") in motors:
@@ -371,17 +385,17 @@ def _merge_layers(
         value, path = given[-1]
         origins[key] = path
         if isinstance(value, Mapping) and table_depth > 0:
-            value, inner = _merge_layers(
+            value, origins_in_table = _merge_layers(
                 [layer for layer in given if isinstance(layer.values, Mapping)], table_depth - 1
             )
-            origins |= {f"{key}.{below}": origin for below, origin in inner.items()}
-        values[key] = _copy_list(value)
+            origins |= {f"{key}.{below}": origin for below, origin in origins_in_table.items()}
+        values[key] = _copy_of_lists(value)
     return values, origins
 
 
-def _copy_list(value: Any) -> Any:
+def _copy_of_lists(value: Any) -> Any:
     """Return a copy of a list, because two sections must not share one list."""
-    return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
+    return [_copy_of_lists(entry) for entry in value] if isinstance(value, list) else value
 
 
 def _template_layers_by_name(
@@ -408,7 +422,7 @@ def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, A
             for i in range(len(digit["link_length_m"]))
         ],
     }
-    return dict(node) | {key: names[key] for key in names if node.get(key) == WORD_FOR_ALL}
+    return dict(node) | {key: names[key] for key in names if node.get(key) == ALL_NAMES_WORD}
 
 
 def _without_entry_keys(values: TableContent) -> dict[str, Any]:

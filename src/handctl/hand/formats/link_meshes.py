@@ -90,9 +90,14 @@ def _link_mesh(
 ) -> LinkMesh:
     """Return the mesh of a link. Arguments that are None get default values."""
     scale = 1.0 if scale is None else scale
-    scales = (scale, scale, scale) if isinstance(scale, float) else scale
+    axis_scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(
-        link_name, key, file_path, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0)
+        link_name,
+        key,
+        file_path,
+        axis_scales,
+        position or (0.0, 0.0, 0.0),
+        rpy_deg or (0.0, 0.0, 0.0),
     )
 
 
@@ -151,22 +156,22 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
     """Check that the size of a mesh and its distance from the link are plausible."""
     points = mesh.place(triangles).reshape(-1, 3)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
-    far = float(np.abs(points).max())
+    max_distance = float(np.abs(points).max())
     scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"
-    largest = max(extent, far)
+    largest = max(extent, max_distance)
     if not largest <= LARGEST_EXTENT_M:
         what = (
             f"{extent:.3g} m long"
             if extent > LARGEST_EXTENT_M
-            else f"{far:.3g} m away from its link"
+            else f"{max_distance:.3g} m away from its link"
         )
-        in_millimetres = (
+        could_be_millimetres = (
             largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M
             and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
         )
         hint = (
             f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres"
-            if in_millimetres
+            if could_be_millimetres
             else ""
         )
         yield FileMistake(

@@ -187,18 +187,18 @@ def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) ->
 def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
     """Add an equality constraint for each joint that follows another joint, see ``coupled_joints``."""
     rows = [
-        (digit.joints[follower], digit.joints[leader], ratio)
+        (digit.joints[follower], digit.joints[leading_joint], ratio)
         for digit in hand.digit
-        for follower, (leader, ratio) in coupled_joints(hand, digit).items()
+        for follower, (leading_joint, ratio) in coupled_joints(hand, digit).items()
     ]
     if not rows:
         return
     equality = ET.SubElement(model_root, "equality")
-    for follower, leader, ratio in rows:
+    for follower, leading_joint, ratio in rows:
         # The constraint is follower = 0 + ratio * leader. Both angles are measured from their zero
         # in the model.
         polynomial = numbers_text((0.0, ratio, 0.0, 0.0, 0.0))
-        ET.SubElement(equality, "joint", joint1=follower, joint2=leader, polycoef=polynomial)
+        ET.SubElement(equality, "joint", joint1=follower, joint2=leading_joint, polycoef=polynomial)
 
 
 def _add_tendons(model_root: ET.Element, hand: Hand) -> None:

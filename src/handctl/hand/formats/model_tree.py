@@ -73,7 +73,7 @@ class ModelMesh:
     rotation: Array
 
     @staticmethod
-    def from_values(values: Mapping[str, Any]) -> "ModelMesh":
+    def from_plain_values(values: Mapping[str, Any]) -> "ModelMesh":
         """Build a mesh from plain values."""
         return ModelMesh(
             file=values["file"],
@@ -82,7 +82,7 @@ class ModelMesh:
             rotation=np.array(values["rotation"], dtype=float),
         )
 
-    def in_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
+    def seen_from_frame(self, frame_rotation: Array, frame_origin: Array) -> "ModelMesh":
         """Return the mesh as seen from another frame of the link.
 
         The rotation (3, 3) and the origin (3,) [m] of the other frame are given in the present
@@ -144,7 +144,7 @@ class ModelLink:
     mesh: ModelMesh | None
 
     @staticmethod
-    def from_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
+    def from_plain_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
         """Build a link from plain values and its mesh.
 
         If the joint flexes towards negative angles, its axis is reversed.
@@ -202,7 +202,7 @@ class ModelDigit:
         lengths: length of each link (n,) [m].
         axes: axis of each joint in the frame of its link (n, 3).
         links: the links of the description.
-        coms: centre of mass of each link in its frame (n, 3) [m].
+        centres_of_mass: centre of mass of each link in its frame (n, 3) [m].
         inertias: inertia of each link about its centre of mass (n, 3, 3) [kg m2].
         meshes: mesh of each link, or None for a link without a mesh.
     """
@@ -216,7 +216,7 @@ class ModelDigit:
     lengths: Array
     axes: Array
     links: tuple[ModelLink, ...]
-    coms: Array
+    centres_of_mass: Array
     inertias: Array
     meshes: tuple[ModelMesh | None, ...]
 
@@ -274,12 +274,14 @@ def digits_of_links(
                 lengths=np.array([frames[i][1] for i in chain.members]),
                 axes=np.array([turn.T @ link.axis for turn, link in zip(own, bodies, strict=True)]),
                 links=tuple(bodies),
-                coms=np.array([turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]),
+                centres_of_mass=np.array(
+                    [turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]
+                ),
                 inertias=np.array(
                     [turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]
                 ),
                 meshes=tuple(
-                    link.mesh and link.mesh.in_frame(turn, np.zeros(3))
+                    link.mesh and link.mesh.seen_from_frame(turn, np.zeros(3))
                     for turn, link in zip(own, bodies, strict=True)
                 ),
             )
@@ -317,17 +319,22 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: i
     names do not begin with a usable text, the digit gets a number.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
-        common = names[0]
+        common_prefix = names[0]
         for name in names[1:]:
-            common = common[
+            common_prefix = common_prefix[
                 : next(
-                    (i for i, (a, b) in enumerate(zip(common, name, strict=False)) if a != b), None
+                    (
+                        i
+                        for i, (a, b) in enumerate(zip(common_prefix, name, strict=False))
+                        if a != b
+                    ),
+                    None,
                 )
             ]
-            common = common[: len(name)]
-        common = re.sub(r"\W", "_", JOINT_SUFFIX.sub("", common))
-        if NAME_PATTERN.fullmatch(common) and common not in used_names:
-            return common
+            common_prefix = common_prefix[: len(name)]
+        common_prefix = re.sub(r"\W", "_", JOINT_SUFFIX.sub("", common_prefix))
+        if NAME_PATTERN.fullmatch(common_prefix) and common_prefix not in used_names:
+            return common_prefix
     return next(
         name
         for i in range(len(used_names) + 1)
@@ -383,33 +390,37 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         ConfigError: neither a named frame nor a shape shows where the link ends.
     """
     link = links[i]
-    away = {
+    distant_frames = {
         name: place
         for name, place in link.frames.items()
         if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M
     }
-    named = [place for name, place in away.items() if TIP_NAME_PATTERN.search(name)]
+    named = [place for name, place in distant_frames.items() if TIP_NAME_PATTERN.search(name)]
     if named:
         return named[0]
-    carried = [other.position for other in links if other.parent == i]
-    if carried:
+    carried_digit_positions = [other.position for other in links if other.parent == i]
+    if carried_digit_positions:
         # A link that carries digits has no fingertip of its own. So any end that differs from the
         # joint can be used.
         return (
-            np.mean(carried, axis=0)
-            if np.linalg.norm(np.mean(carried, axis=0)) > INTERSECTION_TOLERANCE_M
-            else carried[0]
+            np.mean(carried_digit_positions, axis=0)
+            if np.linalg.norm(np.mean(carried_digit_positions, axis=0)) > INTERSECTION_TOLERANCE_M
+            else carried_digit_positions[0]
         )
-    if not len(link.points) and away:
-        return next(iter(away.values()))
+    if not len(link.points) and distant_frames:
+        return next(iter(distant_frames.values()))
     if not len(link.points):
         what = f"neither a frame nor a shape tells where its last link {link.name} ends"
         raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
     # The end lies on the line from the joint to the middle of the link's shapes, at the distance of
     # the farthest corner.
-    middle = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
-    across = middle - (middle @ link.axis) * link.axis
-    direction = across if np.linalg.norm(across) > INTERSECTION_TOLERANCE_M else middle
+    centre_of_shapes = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
+    perpendicular_part = centre_of_shapes - (centre_of_shapes @ link.axis) * link.axis
+    direction = (
+        perpendicular_part
+        if np.linalg.norm(perpendicular_part) > INTERSECTION_TOLERANCE_M
+        else centre_of_shapes
+    )
     direction = direction / np.linalg.norm(direction)
     return np.asarray(direction * (link.points @ direction).max())
 
@@ -431,19 +442,19 @@ def _palm_frame(
     carriers = {chain.carrier for chain in chains}
     fingers = [chain for i, chain in enumerate(chains) if i not in carriers]
     mounts = np.array([places[chain.members[0]][0] for chain in fingers])
-    pointing = np.zeros(3)
+    mean_direction = np.zeros(3)
     for chain, mount in zip(fingers, mounts, strict=True):
         last = chain.members[-1]
         position, rotation = places[last]
         along = position + rotation @ frame_of_link[last][0][:, 0] * frame_of_link[last][1] - mount
-        pointing += along / np.linalg.norm(along) / len(fingers)
+        mean_direction += along / np.linalg.norm(along) / len(fingers)
     last = fingers[0].members[-1]
     closing = places[last][1] @ frame_of_link[last][0][:, 1]
     palm = np.eye(3)
-    if pointing[0] < MIN_FORWARD_X * np.linalg.norm(pointing):
+    if mean_direction[0] < MIN_FORWARD_X * np.linalg.norm(mean_direction):
         palm = max(
-            _right_angles(),
-            key=lambda turn: float(2 * turn[:, 0] @ pointing - turn[:, 1] @ closing),
+            _right_angle_rotations(),
+            key=lambda turn: float(2 * turn[:, 0] @ mean_direction - turn[:, 1] @ closing),
         )
     elif carriers != {None}:
         return palm, np.zeros(3)
@@ -456,7 +467,7 @@ def _palm_frame(
     return palm, origin
 
 
-def _right_angles() -> Iterator[Array]:
+def _right_angle_rotations() -> Iterator[Array]:
     """Yield all 24 rotations (3, 3) by right angles."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):

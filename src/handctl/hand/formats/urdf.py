@@ -141,13 +141,18 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
         rpy=numbers_text(np.add(rpy_of_rotation(rotation), 0.0)),
     )
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
-    crossing = [tendon for tendon in hand.tendon if name in tendon.arms]
+    crossing_tendons = [tendon for tendon in hand.tendon if name in tendon.arms]
     arms = [
         abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)]))
-        for tendon in crossing
+        for tendon in crossing_tendons
     ]
-    effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
-    motors = [(hand.motor_of(tendon.name), arm) for arm, tendon in zip(arms, crossing, strict=True)]
+    max_effort = sum(
+        arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing_tendons, strict=True)
+    )
+    motors = [
+        (hand.motor_of(tendon.name), arm)
+        for arm, tendon in zip(arms, crossing_tendons, strict=True)
+    ]
     # The joint speed is the spool speed times the spool radius, divided by the moment arm. The
     # slowest tendon determines the limit of the joint. A prismatic joint has an effort in N and a
     # speed in m/s.
@@ -159,13 +164,15 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
         "limit",
         lower=number_text(low[i]),
         upper=number_text(high[i]),
-        effort=number_text(effort),
+        effort=number_text(max_effort),
         velocity=number_text(speed),
     )
     ET.SubElement(joint, "dynamics", damping=number_text(damping), friction="0")
-    if i in (coupled := coupled_joints(hand, digit)):
-        leader, ratio = coupled[i]
-        ET.SubElement(joint, "mimic", joint=digit.joints[leader], multiplier=number_text(ratio))
+    if i in (leader_by_joint := coupled_joints(hand, digit)):
+        leading_joint, ratio = leader_by_joint[i]
+        ET.SubElement(
+            joint, "mimic", joint=digit.joints[leading_joint], multiplier=number_text(ratio)
+        )
 
 
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
@@ -185,9 +192,9 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
         if len(columns) != 1:
             continue
         k = int(columns[0])
-        leader = leaders.setdefault(k, i)
-        if leader != i:
-            found[i] = (leader, float(row[k] / coupling[leader, k]))
+        leading_joint = leaders.setdefault(k, i)
+        if leading_joint != i:
+            found[i] = (leading_joint, float(row[k] / coupling[leading_joint, k]))
     return found
 
 
@@ -225,12 +232,14 @@ def _add_link(
     """
     radius = digit.link_radius_m
     link = ET.SubElement(robot_element, "link", name=f"{digit.name}_link{i + 1}")
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=numbers_text(centre_of_mass(digit, i)), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=number_text(digit.link_mass_kg[i]))
+    inertial_element = ET.SubElement(link, "inertial")
+    ET.SubElement(
+        inertial_element, "origin", xyz=numbers_text(centre_of_mass(digit, i)), rpy="0 0 0"
+    )
+    ET.SubElement(inertial_element, "mass", value=number_text(digit.link_mass_kg[i]))
     moments = link_inertia(digit, i)
     values = {f"i{key}": number_text(moments[place]) for key, place in INERTIA_INDICES.items()}
-    ET.SubElement(inertial, "inertia", values)
+    ET.SubElement(inertial_element, "inertia", values)
     if mesh:
         _add_mesh(link, mesh)
     for element in _shape_elements(mesh):

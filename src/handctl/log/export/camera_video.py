@@ -22,7 +22,7 @@ from handctl.printing import printable_text
 VIDEO_PATH_PATTERN = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
 """Largest number of videos in one folder. LeRobot calls such a folder a chunk."""
-MAX_FRAME_GAP_S = 0.5
+MAX_MISSING_VIDEO_S = 0.5
 """Longest time at the start or end of an episode that may lack camera frames [s].
 
 The first or last camera frame then fills this time.
@@ -32,7 +32,7 @@ STATISTICS_WIDTH = 160
 
 Wider images are scaled down.
 """
-CHANNEL_LEVELS = 256
+PIXEL_VALUE_COUNT = 256
 """Number of different values that a colour channel can have."""
 
 
@@ -42,13 +42,13 @@ class DatasetCamera(NamedTuple):
     Attributes:
         name: name of the camera, such as ``wrist``.
         videos: video file that the camera recorded, for each episode.
-        starts_s: time from the start of the run to the first image of the video [s], for each
+        start_times_s: time from the start of the run to the first image of the video [s], for each
             episode.
     """
 
     name: str
     videos: tuple[Path, ...]
-    starts_s: tuple[float, ...]
+    start_times_s: tuple[float, ...]
 
     @property
     def feature_key(self) -> str:
@@ -72,15 +72,18 @@ class EpisodeVideo(NamedTuple):
     histogram: NDArray[np.int64]
 
 
-def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_s: Sequence[float], logs: int) -> tuple[
-    DatasetCamera, ...
-]:  # fmt: skip
+def make_cameras(
+    names: Sequence[str],
+    videos: Sequence[Sequence[Path]],
+    start_times_s: Sequence[float],
+    logs: int,
+) -> tuple[DatasetCamera, ...]:
     """Check the names, files and times given for cameras, and return the cameras.
 
     Args:
         names: name of each camera.
         videos: video files of each camera, one for each log.
-        starts_s: time from the start of each run to the first frame of its video [s]. A single
+        start_times_s: time from the start of each run to the first frame of its video [s]. A single
             value applies to all runs.
         logs: number of logs.
 
@@ -88,10 +91,10 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
         ConfigError: a name is wrong, the number of videos or times is wrong, a video does not
             exist, or ffmpeg is not installed.
     """
-    starts = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
+    starts = tuple(start_times_s) * (logs if len(start_times_s) == 1 else 1)
     if len(starts) != logs or not np.isfinite(starts).all():
         raise ConfigError(
-            f"{len(starts_s)} times", "--camera-start", f"one, or {logs} finite times [s]"
+            f"{len(start_times_s)} times", "--camera-start", f"one, or {logs} finite times [s]"
         )
     for name, files in zip(names, videos, strict=True):
         if not name.isidentifier() or not name.isascii() or list(names).count(name) > 1:
@@ -120,14 +123,14 @@ def video_file_numbers(episode: int) -> dict[str, int]:
 
 
 def write_episode_video(
-    source_video: Path, target: Path, first_s: float, frame_count: int, fps: int
+    source_video: Path, target: Path, episode_start_s: float, frame_count: int, fps: int
 ) -> EpisodeVideo:
     """Write the video of an episode for the dataset.
 
     Args:
         source_video: video file that the camera recorded.
         target: video file to write.
-        first_s: time in the source video at which the episode begins [s]. If the time is negative,
+        episode_start_s: time in the source video at which the episode begins [s]. If the time is negative,
             the source video begins after the start of the episode.
         frame_count: number of frames of the episode.
         fps: frame rate of the dataset [Hz].
@@ -136,13 +139,15 @@ def write_episode_video(
         LogError: the source is not a video or does not cover the whole episode.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    if first_s < -MAX_FRAME_GAP_S:
-        late = f"the video begins {-first_s:.2f} s after the start of the episode"
-        raise LogError(late, str(source_video), "a video of the whole run")
+    if episode_start_s < -MAX_MISSING_VIDEO_S:
+        late_start_text = (
+            f"the video begins {-episode_start_s:.2f} s after the start of the episode"
+        )
+        raise LogError(late_start_text, str(source_video), "a video of the whole run")
     filters = [
-        f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
+        f"setpts=PTS-STARTPTS-({episode_start_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
-        f"tpad=stop_mode=clone:stop_duration={MAX_FRAME_GAP_S:g}",
+        f"tpad=stop_mode=clone:stop_duration={MAX_MISSING_VIDEO_S:g}",
         "scale=trunc(iw/2)*2:trunc(ih/2)*2",
     ]
     encode = [
@@ -161,17 +166,17 @@ def write_episode_video(
     _run_ffmpeg(source_video, *encode, "-pix_fmt", "yuv420p", str(target))
     width, height, _ = next(_video_frames(target, "null"))
     scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
-    histogram = np.zeros((3, CHANNEL_LEVELS), np.int64)
+    histogram = np.zeros((3, PIXEL_VALUE_COUNT), np.int64)
     count = 0
     for _, _, pixels in _video_frames(target, scaled):
         histogram += [
-            np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T
+            np.bincount(channel, minlength=PIXEL_VALUE_COUNT) for channel in pixels.reshape(-1, 3).T
         ]
         count += 1
     if count < frame_count:
-        missing = (frame_count - count) / fps + MAX_FRAME_GAP_S
-        early = f"the video ends {missing:.2f} s before the end of the episode"
-        raise LogError(early, str(source_video), "a video of the whole run")
+        missing = (frame_count - count) / fps + MAX_MISSING_VIDEO_S
+        early_end_text = f"the video ends {missing:.2f} s before the end of the episode"
+        raise LogError(early_end_text, str(source_video), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
 
@@ -182,9 +187,9 @@ def _run_ffmpeg(source_video: Path, *arguments: str) -> None:
         LogError: ffmpeg reports an error.
     """
     command = ["ffmpeg", "-nostdin", "-v", "error", "-y", "-i", str(source_video), *arguments]
-    ran = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    if ran.returncode != 0:
-        raise _unreadable_video_error(source_video, ran.stderr)
+    result = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    if result.returncode != 0:
+        raise _unreadable_video_error(source_video, result.stderr)
 
 
 def _unreadable_video_error(source_video: Path, stderr: str) -> LogError:
@@ -225,7 +230,7 @@ def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
 
 
 def histogram_statistics(
-    histogram: NDArray[np.int64], frames: int, percents: Sequence[int]
+    histogram: NDArray[np.int64], frames: int, percentiles: Sequence[int]
 ) -> dict[str, list[Any]]:
     """Return the statistics of the images of a video.
 
@@ -234,23 +239,25 @@ def histogram_statistics(
     Args:
         histogram: (3, 256) number of pixels with each value, for each colour channel.
         frames: number of images.
-        percents: percentiles to compute.
+        percentiles: percentiles to compute.
     """
-    values = np.arange(CHANNEL_LEVELS) / (CHANNEL_LEVELS - 1)
+    values = np.arange(PIXEL_VALUE_COUNT) / (PIXEL_VALUE_COUNT - 1)
     total = histogram.sum(axis=1)
     mean = histogram @ values / total
     spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
     present = [np.flatnonzero(channel) for channel in histogram]
-    cumulated = np.cumsum(histogram, axis=1) / total[:, None]
+    cumulative_fractions = np.cumsum(histogram, axis=1) / total[:, None]
     statistics = {
-        "min": values[[levels[0] for levels in present]],
-        "max": values[[levels[-1] for levels in present]],
+        "min": values[[pixel_values[0] for pixel_values in present]],
+        "max": values[[pixel_values[-1] for pixel_values in present]],
         "mean": mean,
         "std": spread,
     }
-    for percent in percents:
-        levels = [int(np.searchsorted(channel, percent / 100.0)) for channel in cumulated]
-        statistics[f"q{percent:02d}"] = values[levels]
+    for percent in percentiles:
+        pixel_values = [
+            int(np.searchsorted(channel, percent / 100.0)) for channel in cumulative_fractions
+        ]
+        statistics[f"q{percent:02d}"] = values[pixel_values]
     return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {
         "count": [frames]
     }

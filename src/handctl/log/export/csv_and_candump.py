@@ -174,7 +174,7 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     the tick.
     """
     pending: list[tuple[int, str, Frame]] = []
-    complete_ns = 0
+    complete_until_ns = 0
     for tick in log.ticks():
         start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
         received = tick.tick_in.frames
@@ -185,10 +185,10 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
         # Frames that the next tick reads arrive after the start of the present tick. However, the
         # kernel may deliver a frame slightly later than the frame's time stamp says. Therefore each
         # frame is yielded one tick later.
-        ready = bisect_left(pending, complete_ns, key=itemgetter(0))
+        ready = bisect_left(pending, complete_until_ns, key=itemgetter(0))
         yield from pending[:ready]
         pending = pending[ready:]
-        complete_ns = start_ns
+        complete_until_ns = start_ns
     yield from pending
 
 
@@ -199,8 +199,8 @@ def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: st
     """
     # Extended identifiers and error frames have eight hexadecimal digits, and standard identifiers
     # have three.
-    long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
-    can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
+    has_long_id = frame.can_id & (EXTENDED_FLAG | ERROR_FLAG)
+    can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if has_long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()
     if frame.flags & FDF:
         body = f"##{frame.flags & 0xF & ~FDF:X}{data}"

@@ -68,13 +68,13 @@ class _Episode(NamedTuple):
     """Frames of a dataset that are computed from one log.
 
     Attributes:
-        vectors: names and values (frames, n) of each vector feature.
+        vector_features: names and values (frames, n) of each vector feature.
         task: description of the task that the log shows.
         frames: number of frames of the episode.
         start_s: time from the start of the run to the first frame [s].
     """
 
-    vectors: dict[str, tuple[list[str], Array]]
+    vector_features: dict[str, tuple[list[str], Array]]
     task: str
     frames: int
     start_s: float
@@ -82,7 +82,7 @@ class _Episode(NamedTuple):
     @property
     def element_names(self) -> dict[str, list[str]]:
         """Return the names of the elements of each vector feature."""
-        return {name: names for name, (names, _) in self.vectors.items()}
+        return {name: names for name, (names, _) in self.vector_features.items()}
 
 
 def export_lerobot(
@@ -116,9 +116,9 @@ def export_lerobot(
             first, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
         )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
-    scalars = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
+    scalar_features = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
     parts = [
-        {name: values for name, (_, values) in episode.vectors.items()} | scalars[i]
+        {name: values for name, (_, values) in episode.vector_features.items()} | scalar_features[i]
         for i, episode in enumerate(episodes)
     ]
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -136,14 +136,14 @@ def export_lerobot(
     table = _episode_table(episodes, statistics, videos.keys(), fps)
     _write_parquet(path / EPISODES_PATH_PATTERN.format(chunk_index=0, file_index=0), table)
     _write_parquet(path / "meta" / "tasks.parquet", _task_table(tasks))
-    info = _info_content(first, fps, episodes, len(tasks), scalars[0])
-    info["features"] |= {key: _video_feature(files, fps) for key, files in videos.items()}
-    info["video_path"] = VIDEO_PATH_PATTERN if videos else None
-    _write_json(path / "meta" / "info.json", info)
-    of_videos = {key: _video_statistics(files) for key, files in videos.items()}
+    info_content = _info_content(first, fps, episodes, len(tasks), scalar_features[0])
+    info_content["features"] |= {key: _video_feature(files, fps) for key, files in videos.items()}
+    info_content["video_path"] = VIDEO_PATH_PATTERN if videos else None
+    _write_json(path / "meta" / "info.json", info_content)
+    video_statistics = {key: _video_statistics(files) for key, files in videos.items()}
     _write_json(
         path / "meta" / "stats.json",
-        {name: _feature_statistics(table) for name, table in whole.items()} | of_videos,
+        {name: _feature_statistics(table) for name, table in whole.items()} | video_statistics,
     )
     return sum(episode.frames for episode in episodes)
 
@@ -173,9 +173,9 @@ def _write_videos(
         target = path / VIDEO_PATH_PATTERN.format(
             video_key=camera.feature_key, **video_file_numbers(number)
         )
-        first_s = episode.start_s - camera.starts_s[number]
+        episode_start_s = episode.start_s - camera.start_times_s[number]
         written.append(
-            write_episode_video(camera.videos[number], target, first_s, episode.frames, fps)
+            write_episode_video(camera.videos[number], target, episode_start_s, episode.frames, fps)
         )
         sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
         if sizes[0] != sizes[1]:
@@ -211,14 +211,14 @@ def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
     }
 
 
-def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, log_name: str) -> None:
+def _check_same_dataset(first: RunLog, log: RunLog, has_same_names: bool, log_name: str) -> None:
     """Check that a log has the same hand and the same control rate as the first log of the dataset.
 
     Raises:
         LogError: the log belongs to another hand or has another control rate.
     """
     hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
-    if hands[0] != hands[1] or not same_names:
+    if hands[0] != hands[1] or not has_same_names:
         raise LogError(
             f"a run of hand {hands[1]}", log_name, f"a run of hand {hands[0]}, as in the first log"
         )
@@ -265,7 +265,7 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
             np.where(np.isnan(tension_commands), tension, tension_commands),
         ]
     )
-    vectors = {
+    vector_features = {
         "observation.state": (names, np.hstack([q, tension])),
         "observation.tip_force": (
             [f"{digit}.force_N" for digit in header.digits],
@@ -275,8 +275,11 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
     }
     if SIGMA_FIELDS[0] in log.fields:
         sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA_FIELDS])
-        vectors["observation.sigma"] = ([_standard_deviation_name(name) for name in names], sigma)
-    return vectors
+        vector_features["observation.sigma"] = (
+            [_standard_deviation_name(name) for name in names],
+            sigma,
+        )
+    return vector_features
 
 
 def _standard_deviation_name(name: str) -> str:
@@ -326,17 +329,21 @@ def _task_description(log: RunLog) -> str:
         )
     except (ConfigError, UnicodeDecodeError):
         task = {}
-    otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
-    return printable_text(str(task.get("description") or task.get("name") or otherwise))
+    default_description = f"run of hand {log.header.metadata.get('hand', '?')}"
+    return printable_text(str(task.get("description") or task.get("name") or default_description))
 
 
 def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -> pa.Table:
     """Return the table of all frames. The features in `names` are vectors."""
     columns = {}
     for name, table in values.items():
-        flat = pa.array(np.ascontiguousarray(table, np.float32 if name in names else None).ravel())
+        flat_values = pa.array(
+            np.ascontiguousarray(table, np.float32 if name in names else None).ravel()
+        )
         width = len(names.get(name, ()))
-        columns[name] = pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
+        columns[name] = (
+            pa.FixedSizeListArray.from_arrays(flat_values, width) if width > 1 else flat_values
+        )
     return pa.table(columns)
 
 
@@ -410,16 +417,16 @@ def _info_content(
     fps: int,
     episodes: Sequence[_Episode],
     task_count: int,
-    scalars: dict[str, NDArray[Any]],
+    scalar_features: dict[str, NDArray[Any]],
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {
-        name: {"dtype": "float32", "shape": [len(inner)], "names": inner}
-        for name, inner in episodes[0].element_names.items()
+        name: {"dtype": "float32", "shape": [len(names)], "names": names}
+        for name, names in episodes[0].element_names.items()
     }
     features |= {
         name: {"dtype": str(values.dtype), "shape": [1], "names": None}
-        for name, values in scalars.items()
+        for name, values in scalar_features.items()
     }
     return {
         "codebase_version": "v3.0",

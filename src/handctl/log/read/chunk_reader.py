@@ -99,7 +99,7 @@ def iter_messages(
     """
     raw = np.frombuffer(content, np.uint8)
     at = 0
-    defined = 0
+    definition_count = 0
     remaining = MIN_BLOCKS + compressed_size // BYTES_PER_BLOCK
     while at < len(content):
         remaining -= 1
@@ -118,8 +118,8 @@ def iter_messages(
             if channels is None or channel in channels:
                 yield MessageRows(channel, at, raw[at : at + count * size].reshape(count, size))
         elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
-            defined += 1
-            if defined > 2 * MAX_CHANNELS:
+            definition_count += 1
+            if definition_count > 2 * MAX_CHANNELS:
                 raise ValueError(f"more than {MAX_CHANNELS} channels")
         else:
             raise ValueError(f"a record of kind {code} in a chunk")
@@ -148,10 +148,14 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
     # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
     while count < max_count:
         number = min(step, max_count - count)
-        heads = np.ndarray(
+        record_heads = np.ndarray(
             number, _RECORD_HEADERS, content, offset + count * size, (size,)
         ).tobytes()
-        equal = number if heads == head * number else _count_equal_heads(heads, head, number)
+        equal = (
+            number
+            if record_heads == head * number
+            else _count_equal_heads(record_heads, head, number)
+        )
         count += equal
         step *= 4
         if equal < number:
@@ -166,11 +170,11 @@ def _count_equal_heads(head_bytes: bytes, head: bytes, count_limit: int) -> int:
     """
     low = 0
     while count_limit - low > 1:
-        middle = (low + count_limit) // 2
-        if head_bytes[: middle * _MESSAGE_HEAD_BYTES] == head * middle:
-            low = middle
+        tried_count = (low + count_limit) // 2
+        if head_bytes[: tried_count * _MESSAGE_HEAD_BYTES] == head * tried_count:
+            low = tried_count
         else:
-            count_limit = middle
+            count_limit = tried_count
     return low
 
 

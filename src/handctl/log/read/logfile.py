@@ -23,7 +23,7 @@ MAX_CHUNK_BYTES = 32 << 20
 """Largest accepted uncompressed size of a chunk [bytes]. The recorder writes chunks below 8 MiB."""
 
 
-DAMAGE_ERRORS = (
+ERRORS_OF_DAMAGED_FILES = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
 """Exceptions that a damaged or malicious file can cause in the code that reads it."""
@@ -53,7 +53,11 @@ class LogErrorContext:
         trace: TracebackType | None,
     ) -> None:
         """Raise a LogError instead of an exception that a bad file has caused."""
-        if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE_ERRORS):
+        if (
+            error is None
+            or isinstance(error, LogError)
+            or not isinstance(error, ERRORS_OF_DAMAGED_FILES)
+        ):
             return
         missing = isinstance(error, KeyError)
         problem = (

@@ -72,15 +72,15 @@ class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
-        fixed_parts: (ticks,) first part of each Tick message. This part has a constant length.
-        first_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
+        constant_parts: (ticks,) first part of each Tick message. This part has a constant length.
+        first_tick_of_chunk: (chunks + 1,) index of the first tick in each chunk. The last element is the
             number of all ticks.
         snapshots: index of the chunk that contains each snapshot. The keys are the sequence numbers
             of the snapshot messages.
     """
 
-    fixed_parts: NDArray[np.void]
-    first_of_chunk: NDArray[np.intp]
+    constant_parts: NDArray[np.void]
+    first_tick_of_chunk: NDArray[np.intp]
     snapshots: dict[int, int]
 
 
@@ -181,14 +181,14 @@ class RunLog:
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
-    def _rows(
+    def _message_rows(
         self, channel: int, chunks: slice = slice(None)
     ) -> Iterator[tuple[ChunkLocation, MessageRows]]:
         """Yield the blocks of messages of a channel, each with the location of its chunk."""
         for chunk in self._chunks[chunks]:
-            yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
+            yield from ((chunk, rows) for rows in self._message_rows_of_chunk(chunk, channel))
 
-    def _rows_of(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
+    def _message_rows_of_chunk(self, chunk: ChunkLocation, channel: int) -> list[MessageRows]:
         """Return the blocks of messages of one channel in one chunk.
 
         The latest chunk stays in memory, for callers that read several channels of the same chunk.
@@ -203,14 +203,14 @@ class RunLog:
         return self._latest[1].get(channel, [])
 
     @functools.cached_property
-    def _index(self) -> _ChunkIndex:
+    def _chunk_index(self) -> _ChunkIndex:
         """Read the file once, and return the index of all chunks."""
         parts = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
         for i, chunk in enumerate(self._chunks):
             before = len(parts)
-            for rows in self._rows_of(chunk, self._tick):
+            for rows in self._message_rows_of_chunk(chunk, self._tick):
                 data = rows.data()
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
@@ -223,28 +223,28 @@ class RunLog:
                         )[:, 0]
                     )
             counts.append(sum(map(len, parts[before:])))
-            for rows in self._rows_of(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
+            for rows in self._message_rows_of_chunk(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
                 snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
         return _ChunkIndex(np.concatenate(parts), np.cumsum(counts), snapshots)
 
     @property
-    def _fixed(self) -> NDArray[np.void]:
+    def _fixed_parts(self) -> NDArray[np.void]:
         """Return the first part of each Tick message (ticks,), whose length is constant."""
-        return self._index.fixed_parts
+        return self._chunk_index.constant_parts
 
     def __len__(self) -> int:
         """Return the number of ticks in the log."""
-        return len(self._fixed)
+        return len(self._fixed_parts)
 
     @property
     def k(self) -> NDArray[np.int64]:
         """Return the number of each tick (ticks,)."""
-        return self._fixed["k"]
+        return self._fixed_parts["k"]
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
         """Return the time of each tick since the start of the run (ticks,) [ns]."""
-        return self._fixed["t_ns"]
+        return self._fixed_parts["t_ns"]
 
     @property
     def times(self) -> Array:
@@ -254,22 +254,22 @@ class RunLog:
     @property
     def late_ns(self) -> NDArray[np.int64]:
         """Return the lateness of each tick (ticks,) [ns]."""
-        return self._fixed["late_ns"]
+        return self._fixed_parts["late_ns"]
 
     @property
     def state_hash(self) -> NDArray[np.void]:
         """Return the 8-byte hash of the controller's state after each tick (ticks,)."""
-        return self._fixed["state_hash"]
+        return self._fixed_parts["state_hash"]
 
     @property
     def mode(self) -> NDArray[np.uint8]:
         """Return the mode of the hand in each tick (ticks,), as a `core.tick_types.HandMode`."""
-        return self._fixed["mode"]
+        return self._fixed_parts["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
         """Return the reaction to faults in each tick (ticks,), as a `safety.safety_action.SafetyAction`."""
-        return self._fixed["action"]
+        return self._fixed_parts["action"]
 
     @property
     def gaps(self) -> list[TickGap]:
@@ -298,8 +298,8 @@ class RunLog:
         slices = columns_of_fields(self.header, self.fields)
         if name not in slices:  # the version that wrote this log did not have this field
             return np.full((len(self), len(self.names(name))), np.nan)
-        if 8 * self._width * len(self) <= _CACHE_BYTES:
-            return self._numbers[:, slices[name]]
+        if 8 * self._telemetry_column_count * len(self) <= _CACHE_BYTES:
+            return self._all_telemetry[:, slices[name]]
         return self._columns(slices[name])
 
     @functools.cached_property
@@ -308,7 +308,7 @@ class RunLog:
 
         Logs of earlier versions of handctl do not contain the last fields of TELEMETRY_FIELDS.
         """
-        for chunk, rows in self._rows(self._values):
+        for chunk, rows in self._message_rows(self._values):
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 return row_fields(
                     self.header,
@@ -317,14 +317,14 @@ class RunLog:
         return TELEMETRY_FIELDS
 
     @property
-    def _width(self) -> int:
+    def _telemetry_column_count(self) -> int:
         """Return the number of telemetry columns in the file."""
         return column_count(self.header, self.fields)
 
     @functools.cached_property
-    def _numbers(self) -> Array:
+    def _all_telemetry(self) -> Array:
         """Return the whole telemetry of all ticks (ticks, columns)."""
-        return self._columns(slice(0, self._width))
+        return self._columns(slice(0, self._telemetry_column_count))
 
     def _columns(self, columns: slice) -> Array:
         """Read some columns of the telemetry (ticks, columns).
@@ -339,8 +339,8 @@ class RunLog:
             part = np.ascontiguousarray(data[:, 8 * columns.start : 8 * columns.stop])
             parts.append(part.view("<f8"))
             sequence.append(numbers)
-        numbers_in_file = np.concatenate(sequence)
-        if len(numbers_in_file) != len(self) or (numbers_in_file != (self.k & 0xFFFF_FFFF)).any():
+        sequence_numbers = np.concatenate(sequence)
+        if len(sequence_numbers) != len(self) or (sequence_numbers != (self.k & 0xFFFF_FFFF)).any():
             raise LogError(
                 "telemetry and ticks do not belong together", self._file.name, "an intact file"
             )
@@ -354,8 +354,8 @@ class RunLog:
         A block consists of its rows as bytes (rows, bytes), and of the sequence numbers of these
         rows.
         """
-        size = VALUES_START_OFFSET + 8 * self._width + 4
-        for chunk, rows in self._rows(self._values, chunks):
+        size = VALUES_START_OFFSET + 8 * self._telemetry_column_count + 4
+        for chunk, rows in self._message_rows(self._values, chunks):
             data = rows.data()
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 if data.shape[1] != size:
@@ -383,7 +383,7 @@ class RunLog:
         Logs of earlier versions contain no hash chain.
         """
         if CHAIN_TOPIC in self._others:
-            for _, rows in self._rows(self._others[CHAIN_TOPIC]):
+            for _, rows in self._message_rows(self._others[CHAIN_TOPIC]):
                 yield from (row[-HASH_SIZE:].tobytes() for row in rows.data())
 
     @functools.cached_property
@@ -396,7 +396,7 @@ class RunLog:
         """
         pairs = []
         if CLOCK_TOPIC in self._others:
-            for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
+            for chunk, rows in self._message_rows(self._others[CLOCK_TOPIC]):
                 with LogErrorContext(self._file.position_text(chunk.offset)):
                     pairs += [
                         decode_clock_pair(row.tobytes(), self.header.offset_ns)
@@ -413,7 +413,7 @@ class RunLog:
 
         Logs of earlier versions contain no snapshots.
         """
-        chunks = self._index.snapshots
+        chunks = self._chunk_index.snapshots
         ticks = self.k[np.isin(self.k & _SEQUENCE_MASK, list(chunks))].tolist()
         return _SnapshotMapping({k: chunks[k & _SEQUENCE_MASK] for k in ticks}, self._snapshot)
 
@@ -425,7 +425,7 @@ class RunLog:
         """
         location = self._chunks[chunk]
         with LogErrorContext(self._file.position_text(location.offset)):
-            rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
+            rows_of_chunk = self._message_rows_of_chunk(location, self._others[SNAPSHOT_TOPIC])
             snapshots = dict(
                 decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data()
             )
@@ -437,16 +437,16 @@ class RunLog:
 
     def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
         """Yield each Tick message, together with the location of its chunk."""
-        for chunk, rows in self._rows(self._tick):
+        for chunk, rows in self._message_rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
 
     @property
-    def first_of_chunk(self) -> NDArray[np.intp]:
+    def first_tick_of_chunk(self) -> NDArray[np.intp]:
         """Return the index of the first tick in each chunk (chunks + 1,).
 
         The last element is the number of all ticks.
         """
-        return self._index.first_of_chunk
+        return self._chunk_index.first_tick_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """Yield the ticks of the given chunks in order.
@@ -457,7 +457,7 @@ class RunLog:
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 messages = [
                     message
-                    for rows in self._rows_of(chunk, self._tick)
+                    for rows in self._message_rows_of_chunk(chunk, self._tick)
                     for message in rows.messages()
                 ]
                 ticks = unpack_ticks(messages)

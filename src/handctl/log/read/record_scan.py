@@ -79,7 +79,7 @@ class RecordScan:
     unknown: int = 0
 
 
-class _FieldReader:
+class _RecordFieldReader:
     """Reader for the fields of one record, in order."""
 
     def __init__(self, data: bytes) -> None:
@@ -109,7 +109,7 @@ class _FieldReader:
 
 
 def scan_records(
-    file: LogFile, scan: RecordScan, is_checked: bool = True, skip_chunks: bool = False
+    file: LogFile, scan: RecordScan, is_checked: bool = True, skip_chunk_content: bool = False
 ) -> None:
     """Read the outermost records of a file, and add their content to a scan.
 
@@ -122,7 +122,7 @@ def scan_records(
             shorter. An earlier scan continues at ``scan.end``. If an error is raised, the scan
             contains the records before the damage.
         is_checked: True to read the whole file and to check the checksum of the data section.
-        skip_chunks: True to skip damaged records if their ends are known. If it is False, a damaged record
+        skip_chunk_content: True to skip damaged records if their ends are known. If it is False, a damaged record
             raises an error.
 
     Raises:
@@ -161,7 +161,7 @@ def scan_records(
             with LogErrorContext(file.position_text(at)):
                 unpacked += _add_record(file, scan, code, at, end)
         except LogError as error:
-            if not skip_chunks:
+            if not skip_chunk_content:
                 raise
             scan.problem = scan.problem or str(error)
             scan.skipped.append((at, end))
@@ -219,7 +219,9 @@ def _add_record(file: LogFile, scan: RecordScan, opcode: int, offset: int, end_o
             scan, file.read_range(start, _checked_size(length, MAX_ATTACHMENT_BYTES))
         )
     elif opcode == Opcode.METADATA:
-        fields = _FieldReader(file.read_range(start, _checked_size(length, MAX_METADATA_BYTES)))
+        fields = _RecordFieldReader(
+            file.read_range(start, _checked_size(length, MAX_METADATA_BYTES))
+        )
         name = fields.read_string()
         scan.metadata[name] = _text_map(fields)
     elif opcode == Opcode.MESSAGE:
@@ -254,7 +256,7 @@ def _decode_chunk_head(file: LogFile, offset: int, end_offset: int) -> ChunkLoca
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     """Decode an attachment, and check the checksum of the attachment."""
-    fields = _FieldReader(data)
+    fields = _RecordFieldReader(data)
     time_ns = fields.read_number("Q")
     fields.read_number("Q")  # the time at which the attachment was created
     name = fields.read_string()
@@ -268,13 +270,13 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     scan.attachments[name] = (media, time_ns, content)
 
 
-def _text_map(fields: _FieldReader) -> dict[str, str]:
+def _text_map(fields: _RecordFieldReader) -> dict[str, str]:
     """Decode a map in a record. The keys and values of the map are texts."""
-    inner = _FieldReader(fields.read_bytes(fields.read_number("I")))
+    map_reader = _RecordFieldReader(fields.read_bytes(fields.read_number("I")))
     values = {}
-    while inner.unread_bytes():
-        key = inner.read_string()
-        values[key] = inner.read_string()
+    while map_reader.unread_bytes():
+        key = map_reader.read_string()
+        values[key] = map_reader.read_string()
     return values
 
 

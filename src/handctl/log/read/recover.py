@@ -92,7 +92,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     After the call, `scan` contains the intact records before and after a damaged record.
     """
     try:
-        scan_records(file, scan, skip_chunks=True)
+        scan_records(file, scan, skip_chunk_content=True)
     except LogError as error:
         if scan.end == 0:
             raise
@@ -122,7 +122,7 @@ def _copy_intact_parts(
     if not scan.complete and scan.end < file.size:
         lost.append((scan.end, file.size))
     new.write_metadata("handctl.end", _end_record(scan, problem_text))
-    new.finish()
+    new.write_summary_and_footer()
     status = (
         RecoveryStatus.NOTHING
         if not copied

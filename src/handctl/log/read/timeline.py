@@ -26,8 +26,8 @@ class LoggedEvent(NamedTuple):
 class TickGap(NamedTuple):
     """Gap in a log, where ticks are missing: the last tick before the gap and the first tick after the gap."""
 
-    last_before: int
-    first_after: int
+    last_tick_before: int
+    first_tick_after: int
 
 
 class PhaseChange(NamedTuple):
@@ -38,7 +38,9 @@ class PhaseChange(NamedTuple):
     name: str
 
 
-def phase_of_each(phase_changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
+def phase_of_each_tick(
+    phase_changes: Sequence[PhaseChange], k: NDArray[np.int64]
+) -> NDArray[np.str_]:
     """Return the name of the grasp phase in each tick (ticks,).
 
     Args:
@@ -62,9 +64,9 @@ def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
     Raises:
         LogError: the ticks are out of order, or nearly all ticks of the run are missing.
     """
-    early = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
-    if len(early):
-        at = early[0]
+    early_indices = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
+    if len(early_indices):
+        at = early_indices[0]
         raise LogError(
             f"{t_ns[at + 1] / 1e9:.3f} s follows {t_ns[at] / 1e9:.3f} s",
             "the log",

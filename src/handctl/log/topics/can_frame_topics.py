@@ -147,14 +147,16 @@ def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> M
 def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
     """Return the values of the variable fields of can_msgs/Frame messages."""
     can_id = frames["can_id"]
-    small = {
+    scalar_values = {
         "id": can_id & _ID_MASK,
         "is_rtr": (can_id & REMOTE_FLAG) != 0,
         "is_extended": (can_id & EXTENDED_FLAG) != 0,
         "is_error": (can_id & ERROR_FLAG) != 0,
         "dlc": frames["length"],
     }
-    return {name: value[:, None] for name, value in small.items()} | {"data": frames["data"]}
+    return {name: value[:, None] for name, value in scalar_values.items()} | {
+        "data": frames["data"]
+    }
 
 
 class CanTopics:
@@ -176,11 +178,11 @@ class CanTopics:
 
         The time of a sent frame is the start of the tick.
         """
-        sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick_indexes]
+        send_times_ns = (batch.t_ns + batch.late_ns)[batch.sent.tick_indexes]
         blocks = []
         for direction, frames, t_ns in (
             (self._rx, batch.received, batch.received.frames["t_ns"]),
-            (self._tx, batch.sent, sent_at),
+            (self._tx, batch.sent, send_times_ns),
         ):
             measured = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
             blocks += direction.blocks(frames, stamps.selected(frames.tick_indexes), measured)

@@ -146,22 +146,24 @@ class EventTopics:
 
     def _line_messages(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages for the log lines and changed gains in a batch of ticks."""
-        at: list[int] = []
+        line_indexes: list[int] = []
         lines: list[bytes] = []
-        gains_at = []
+        gain_indexes = []
         gains = []
         for index, tick in batch.ticks_with_events.items():
             t_ns = int(stamps.log_times[index])
             for level, name, text in _log_lines(tick):
-                at.append(index)
+                line_indexes.append(index)
                 lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
             changed = {event.where: event.text for event in tick.events if event.name == GAIN_EVENT}
             if changed:
-                gains_at.append(index)
+                gain_indexes.append(index)
                 gains.append(encode_parameter_event(t_ns, {}, changed))
         return [
-            variable_length_block(self._rosout, stamps.selected(_index_array(at)), lines),
-            variable_length_block(self._parameters, stamps.selected(_index_array(gains_at)), gains),
+            variable_length_block(self._rosout, stamps.selected(_index_array(line_indexes)), lines),
+            variable_length_block(
+                self._parameters, stamps.selected(_index_array(gain_indexes)), gains
+            ),
         ]
 
 

@@ -159,13 +159,13 @@ class HealthTopics:
         self._last = state[-1], int(periods[-1])
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
-    def _count_frames(self, batch: TickBatch, first_tick: int, end_tick: int) -> None:
+    def _count_frames(self, batch: TickBatch, first_tick: int, tick_end: int) -> None:
         """Count the frames and io events of the ticks whose indices are from `first_tick` to `end_tick` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
-            first, last = np.searchsorted(frames.tick_indexes, (first_tick, end_tick))
+            first, last = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
             bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
             self._frames[:, direction] += bus[: len(self._frames)]
-        for index in range(first_tick, end_tick):
+        for index in range(first_tick, tick_end):
             tick = batch.ticks_with_events.get(index)
             for event in tick.tick_in.io_events if tick else ():
                 key = " ".join(filter(None, (event.kind, event.where)))

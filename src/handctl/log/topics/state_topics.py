@@ -65,10 +65,10 @@ def moment_arms(header: RunHeader) -> FloatArray:
     If a moment arm depends on the joint angle, R contains the mean of this moment arm over the
     range of the joint.
     """
-    return _hand_of(header).moment_arms
+    return _hand_from_header(header).moment_arms
 
 
-def _hand_of(header: RunHeader) -> Hand:
+def _hand_from_header(header: RunHeader) -> Hand:
     """Return the hand that a header describes."""
     return hand_from_content(parse_toml(header.hand_toml, "hand"), "hand")
 
@@ -158,7 +158,7 @@ class StateTopics:
         """Register the topics for the hand that a header describes."""
         self._header = header
         self._columns = columns_of_fields(header)
-        hand = _hand_of(header)
+        hand = _hand_from_header(header)
         self._arms = hand.moment_arms
         self._limits = hand.joint_limits
         self._polynomials = hand.arm_polynomials if hand.has_varying_arm.any() else None
@@ -259,9 +259,9 @@ class StateTopics:
         """Return the tensions of both tendons of all P spool pairs (n, 2 P) [N], see ``estimation.spool_pair``."""
         names = list(self._header.tendons)
         net = tension[:, [names.index(name) for name in self._pretension]]
-        both = np.stack([net, -net], axis=2)
-        taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both
-        return np.maximum(np.maximum(taut, both), 0.0).reshape(len(net), -1)
+        both_tensions = np.stack([net, -net], axis=2)
+        taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
+        return np.maximum(np.maximum(taut, both_tensions), 0.0).reshape(len(net), -1)
 
     def _joint_state_values(
         self, topic: str, part: dict[str, FloatArray]
@@ -288,5 +288,5 @@ class StateTopics:
         last_reply = np.where(received, (np.where(received, latest, 0) - before) * 1e-9, np.nan)
         self._last = int(batch.k[-1]), int(start[-1])
         numbers = np.stack([period, batch.late_ns * 1e-9, last_reply], axis=1)
-        small = {"missed": missed, "mode": batch.mode, "action": batch.action}
-        return {"cycle": numbers, **{name: value[:, None] for name, value in small.items()}}
+        scalar_values = {"missed": missed, "mode": batch.mode, "action": batch.action}
+        return {"cycle": numbers, **{name: value[:, None] for name, value in scalar_values.items()}}

@@ -11,7 +11,7 @@ from handctl.log.header import RunHeader
 from handctl.log.tick_batch import TickBatch
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import (
-    OpenStream,
+    OpenStreamRequest,
     is_stream_target,
     parse_request,
     parse_target,
@@ -35,7 +35,7 @@ class TargetTopic:
         at = list[int]()
         messages = list[bytes]()
         for index, tick in batch.ticks_with_events.items():
-            for target in self._targets_among(tick.tick_in.requests):
+            for target in self._stream_targets(tick.tick_in.requests):
                 at.append(index)
                 messages.append(self._target_message(int(stamps.log_times[index]), target))
         if not messages:
@@ -44,7 +44,7 @@ class TargetTopic:
             variable_length_block(self._channel, stamps.selected(np.array(at, np.intp)), messages)
         ]
 
-    def _targets_among(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
+    def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
         The request that opens a stream gives the names for the values in all later targets of the
@@ -56,7 +56,7 @@ class TargetTopic:
                     yield target
                 continue
             opening = parse_request(request)
-            if isinstance(opening, OpenStream):
+            if isinstance(opening, OpenStreamRequest):
                 self._names[opening.stream] = opening.names
 
     def _target_message(self, log_ns: int, target: StreamTarget) -> bytes:

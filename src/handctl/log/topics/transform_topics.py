@@ -154,11 +154,12 @@ class TfTopics:
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         tree = link_frames(header.hand_toml)
-        self._moving, self._fixed = (
-            [link for link in tree if (link.joint >= 0) == moves] for moves in (True, False)
+        self._moving, self._fixed_parts = (
+            [link for link in tree if (link.joint >= 0) == is_moving] for is_moving in (True, False)
         )
         self._static = _transform_stream(
-            registry.register_topic("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed
+            registry.register_topic("/tf_static", "tf2_msgs/TFMessage", latched=True),
+            self._fixed_parts,
         )
         self._stream = _transform_stream(
             registry.register_topic("/tf", "tf2_msgs/TFMessage"), self._moving
@@ -169,7 +170,7 @@ class TfTopics:
     def latched(self, stamps: MessageStamps) -> MessageBlock:
         """Return the single message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
-        for index, link in enumerate(self._fixed):
+        for index, link in enumerate(self._fixed_parts):
             values[f"position{index}"] = np.array([link.position])
             values[f"rotation{index}"] = np.array([link.rotation])
         return self._static.block(stamps, values)

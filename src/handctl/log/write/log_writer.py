@@ -60,7 +60,7 @@ def _create_file(path: Path) -> int:
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
 
-class _ReservedSpace:
+class _ReservedDiskSpace:
     """Disk space that is reserved for the end of a log.
 
     A file without a name occupies this space on the disk. If the recorder is killed, this file
@@ -106,9 +106,9 @@ class LogWriter:
         path: Path,
         header: RunHeader,
         report: ReportFunction,
-        floor_bytes: int,
+        min_free_bytes: int,
         clocks: ClockFunction = _read_both_clocks,
-        to_disk: Callable[[int], None] = sync_now,
+        sync_file: Callable[[int], None] = sync_now,
     ) -> None:
         """Create the file, and write the header.
 
@@ -117,11 +117,11 @@ class LogWriter:
             header: header of the run.
             report: function that is called for each event. The arguments of this function are one
                 of disk_low, disk_full, error and misshapen, and a number: free bytes, errno, or 1.
-            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
+            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less space
                 is free, the writer finishes the file early.
             clocks: function that reads the wall clock and the monotonic clock [ns]. In a lockstep
                 run, this function is not called.
-            to_disk: function that takes a file descriptor, and syncs the file to the disk.
+            sync_file: function that takes a file descriptor, and syncs the file to the disk.
 
         Raises:
             OSError: the file cannot be created. Later failures raise no error. Instead, `report` is
@@ -129,15 +129,15 @@ class LogWriter:
         """
         self._clocks = clocks
         self._next_pair_ns = 0
-        self._to_disk = to_disk
+        self._to_disk = sync_file
         self._path = path
         self._header = header
         self._report = report
-        self._floor = floor_bytes
+        self._floor = min_free_bytes
         self._topics = TopicSet(header)
         self._batcher = TickBatcher(header)
         self._fd = _create_file(path)
-        self._reserved = _ReservedSpace(path.parent)
+        self._reserved = _ReservedDiskSpace(path.parent)
         self._warned = self.closed = False
         self._mark = -1
         self._first_k = 0
@@ -187,13 +187,13 @@ class LogWriter:
         if self.closed:
             self.lost += 1
             return
-        misshapen = self._batcher.misshapen_ticks
-        begins = not self.has_pending_ticks
+        misshapen_before = self._batcher.misshapen_ticks
+        is_chunk_start = not self.has_pending_ticks
         t_ns = self._batcher.add_tick(body)
         self.ticks += 1
-        if self._batcher.misshapen_ticks > misshapen == 0:
+        if self._batcher.misshapen_ticks > misshapen_before == 0:
             self._report("misshapen", 1)
-        if self._ends_chunk(t_ns, begins) or self._batcher.size > CHUNK_BYTES:
+        if self._is_chunk_end(t_ns, is_chunk_start) or self._batcher.size > CHUNK_BYTES:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
@@ -209,7 +209,7 @@ class LogWriter:
                 )
             )
 
-    def _ends_chunk(self, t_ns: int, begins_chunk: bool) -> bool:
+    def _is_chunk_end(self, t_ns: int, is_chunk_start: bool) -> bool:
         """Return True if the current chunk must end with this tick.
 
         In a lockstep run, the chunks end at fixed times. In other runs, a chunk ends after
@@ -219,7 +219,7 @@ class LogWriter:
             before = self._mark
             self._mark = t_ns // CHUNK_SPAN_NS
             return before != self._mark
-        if begins_chunk:
+        if is_chunk_start:
             self._mark = t_ns
         return t_ns - self._mark >= CHUNK_SPAN_NS
 
@@ -264,18 +264,18 @@ class LogWriter:
             return
         free = disk.f_bavail * disk.f_frsize
         if free < self._floor:
-            self._stop_early(free)
+            self._finish_log_early(free)
         elif free < 4 * self._floor and not self._warned:
             self._warned = True
             self._report("disk_low", free)
 
-    def _stop_early(self, free_bytes: int) -> None:
+    def _finish_log_early(self, free_bytes: int) -> None:
         """Finish the log early, because the disk is almost full."""
         self.flush()
         if not self.closed:
             self._report("disk_full", free_bytes)
             with suppress(OSError):
-                self._write_end("disk full", 0)
+                self._write_end_of_file("disk full", 0)
 
     def _close_after_failure(self, error: OSError) -> None:
         """Close the file after a write has failed."""
@@ -283,10 +283,10 @@ class LogWriter:
         self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
         with suppress(OSError):
             self._container.cut_incomplete_record()
-            self._write_end(f"write failed: {error.strerror}", 0)
+            self._write_end_of_file(f"write failed: {error.strerror}", 0)
 
-    def _write_end(
-        self, end_reason: str, dropped_records: int, run_facts: Mapping[str, str] | None = None
+    def _write_end_of_file(
+        self, end_reason: str, dropped_records: int, facts_at_end: Mapping[str, str] | None = None
     ) -> None:
         """Write the end of the log file: the end record, the summary and the footer.
 
@@ -301,7 +301,7 @@ class LogWriter:
             "misshapen": self._batcher.misshapen_ticks,
         }
         values = {
-            **(run_facts or {}),
+            **(facts_at_end or {}),
             "reason": end_reason,
             "messages": str(self._container.message_count),
             "chain": self._topics.last_digest.hex(),
@@ -310,7 +310,7 @@ class LogWriter:
             self._container.write_metadata(
                 "handctl.end", values | {name: str(value) for name, value in numbers.items()}
             )
-            self._container.finish()
+            self._container.write_summary_and_footer()
         except OSError:
             self._container.cut_incomplete_record()
             raise
@@ -318,19 +318,19 @@ class LogWriter:
             os.fsync(self._fd)
 
     def finish(
-        self, end_reason: str, dropped_records: int, run_facts: Mapping[str, str] | None = None
+        self, end_reason: str, dropped_records: int, facts_at_end: Mapping[str, str] | None = None
     ) -> dict[str, object]:
         """Close the log file, and return a summary of the recording.
 
         Args:
             end_reason: reason why the run ended.
             dropped_records: number of records that the controller could not send to the recorder.
-            run_facts: facts about the run that are known only at its end, by the name of the fact.
+            facts_at_end: facts about the run that are known only at its end, by the name of the fact.
         """
         self.flush()
         if not self.closed:
             try:
-                self._write_end(end_reason, dropped_records, run_facts)
+                self._write_end_of_file(end_reason, dropped_records, facts_at_end)
             except OSError as error:
                 self._report(
                     "disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0

@@ -25,7 +25,7 @@ from handctl.log.tick_record import (
     HEADER_RECORD_KIND,
     record_bytes,
 )
-from handctl.log.write.recorder_start import RecorderProcess, take_recorder_process
+from handctl.log.write.recorder_start import RecorderProcess, prestarted_or_new_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
@@ -44,7 +44,7 @@ CLOSE_TIMEOUT_S = 20.0
 """Longest wait until the recorder has finished the log at the end of a run [s]."""
 LOCKSTEP_TIMEOUT_S = 60.0
 """Longest wait until the recorder accepts one record of a lockstep run [s]."""
-CALLS_PER_CHECK = 8
+CALLS_PER_PROCESS_CHECK = 8
 """Number of calls of ``Recorder.take_events`` from one look at the recorder process to the next.
 
 A look needs two system calls. Events of the recorder may be some milliseconds late, because no
@@ -94,7 +94,9 @@ class Recorder:
         self._poll.register(self._notes, select.POLLIN)
 
     @classmethod
-    def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
+    def start(
+        cls, path: Path, header: RunHeader, min_free_bytes: int = MIN_FREE_DISK_BYTES
+    ) -> Self:
         """Start recording, and wait until the log file contains the header.
 
         If a recorder process has already been started in advance, this process is used.
@@ -102,14 +104,14 @@ class Recorder:
         Args:
             path: path of the new log file.
             header: header of the run.
-            floor_bytes: smallest amount of free disk space for the recording [bytes]. If less space
+            min_free_bytes: smallest amount of free disk space for the recording [bytes]. If less space
                 is free, the recorder finishes the log early.
 
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
         """
-        recorder = cls(path, take_recorder_process(), header.deterministic)
-        file = json.dumps({"path": str(path), "floor_bytes": floor_bytes}).encode()
+        recorder = cls(path, prestarted_or_new_recorder_process(), header.deterministic)
+        file = json.dumps({"path": str(path), "floor_bytes": min_free_bytes}).encode()
         recorder._send_header(
             record_bytes(FILE_RECORD_KIND, file) + record_bytes(HEADER_RECORD_KIND, header.dump())
         )
@@ -208,7 +210,7 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        The recorder process is asked for events in the first of `CALLS_PER_CHECK` calls only.
+        The recorder process is asked for events in the first of `CALLS_PER_PROCESS_CHECK` calls only.
 
         All these events have the kind "recorder".
 
@@ -223,10 +225,10 @@ class Recorder:
             misshapen: the telemetry of a tick does not have the shape that the header describes.
         """
         events = []
-        if not self._ended and self._calls % CALLS_PER_CHECK == 0:
+        if not self._ended and self._calls % CALLS_PER_PROCESS_CHECK == 0:
             if self._poll.poll(0):
                 self._read_notes(0.0)
-            events += self._filling_event()
+            events += self._pipe_filling_events()
         self._calls += 1
         if not self._messages and self.dropped == self._announced and not self._ended:
             return tuple(events)
@@ -244,7 +246,7 @@ class Recorder:
             events.append(IoEvent("recorder", "gone"))
         return tuple(events)
 
-    def _filling_event(self) -> list[IoEvent]:
+    def _pipe_filling_events(self) -> list[IoEvent]:
         """Return an event if the pipe has become more than half full since the last call.
 
         A deterministic run never gets this event, because the level in the pipe depends on the
@@ -254,9 +256,11 @@ class Recorder:
             return []
         # FIONREAD returns the number of bytes in the pipe that the recorder has not read yet.
         waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
-        was = self._filling
+        was_filling = self._filling
         self._filling = waiting > self._size // 2
-        return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
+        return (
+            [IoEvent("recorder", "filling", waiting)] if self._filling and not was_filling else []
+        )
 
     def _read_notes(self, timeout_s: float) -> None:
         """Read all notes that the recorder process has sent to the controller.
@@ -278,13 +282,13 @@ class Recorder:
             self._messages += [json.loads(line) for line in lines]
 
     def close(
-        self, end_reason: str, run_facts: Mapping[str, str] | None = None
+        self, end_reason: str, facts_at_end: Mapping[str, str] | None = None
     ) -> dict[str, object]:
         """End the recording of the run, and wait until the log file is complete.
 
         Args:
             end_reason: reason why the run ended. The log contains it.
-            run_facts: facts for the log that are known only at the end of the run, by the name of the
+            facts_at_end: facts for the log that are known only at the end of the run, by the name of the
                 fact.
 
         Returns:
@@ -292,7 +296,7 @@ class Recorder:
             the log, the summary also contains ticks, messages, lost and reason.
         """
         body = json.dumps(
-            {"reason": end_reason, "dropped": self.dropped, "facts": dict(run_facts or {})}
+            {"reason": end_reason, "dropped": self.dropped, "facts": dict(facts_at_end or {})}
         ).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
             self._send(record_bytes(END_RECORD_KIND, body), CLOSE_TIMEOUT_S)

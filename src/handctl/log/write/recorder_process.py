@@ -38,7 +38,7 @@ WRITE_PAUSE_S = 0.01
 After the pause, one read returns the records of several ticks. During the pause, the pipe never
 comes close to full.
 """
-PAUSE_BELOW_BYTES = 64 << 10
+MIN_BYTES_WITHOUT_PAUSE = 64 << 10
 """Number of bytes below which a pause follows a read."""
 MAX_UNWRITTEN_S = 0.15
 """Longest time for which a tick waits to be written to the file, in real time [s].
@@ -83,7 +83,7 @@ class RecordSplitter:
         """
         self._rest = b""
 
-    def split(self, pipe_bytes: bytes) -> Iterator[tuple[int, bytes]]:
+    def complete_records(self, pipe_bytes: bytes) -> Iterator[tuple[int, bytes]]:
         """Add bytes to the stream.
 
         For each record that is now complete, yield the kind and the body.
@@ -120,25 +120,25 @@ class RecorderSession:
 
     def run(self) -> None:
         """Process records until stdin ends, and then close the log file."""
-        clean = next_sync = time.monotonic()
+        last_flushed = next_sync_time = time.monotonic()
         while True:
             if select.select([0], [], [], MAX_UNWRITTEN_S)[0]:
                 data = os.read(0, READ_BYTES)
                 if not data:
                     break
-                for kind, body in self._splitter.split(data):
+                for kind, body in self._splitter.complete_records(data):
                     self._take_record(kind, body)
-                if len(data) < PAUSE_BELOW_BYTES:
+                if len(data) < MIN_BYTES_WITHOUT_PAUSE:
                     time.sleep(WRITE_PAUSE_S)
             now = time.monotonic()
-            if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
+            if self._writer and self._wall_flush and now >= last_flushed + MAX_UNWRITTEN_S:
                 self._writer.flush()
-            # `clean` is the last time at which no tick was waiting to be written to the file. So
+            # `last_flushed` is the last time at which no tick was waiting to be written to the file. So
             # MAX_UNWRITTEN_S counts from the arrival of the oldest tick that waits.
             if not (self._writer and self._writer.has_pending_ticks):
-                clean = now
-            if self._writer and now >= next_sync:
-                next_sync = now + SYNC_PERIOD_S
+                last_flushed = now
+            if self._writer and now >= next_sync_time:
+                next_sync_time = now + SYNC_PERIOD_S
                 self._writer.sync()
         if self._writer:
             send_note({"summary": self._writer.finish(self._reason, self._dropped, self._facts)})
@@ -157,7 +157,7 @@ class RecorderSession:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
             self._writer = LogWriter(
-                self.path, header, report_event, self._floor, to_disk=DiskSyncer()
+                self.path, header, report_event, self._floor, sync_file=DiskSyncer()
             )
             send_note({"ready": True})
         elif record_kind == END_RECORD_KIND:

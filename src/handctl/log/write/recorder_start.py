@@ -1,7 +1,7 @@
 """Start of the recorder process, possibly before it is known which run will be recorded.
 
 The recorder process needs half a second for its imports. A command that records a run starts the
-recorder process before it imports other modules (`recorder_process_ahead`). Both processes then
+recorder process before it imports other modules (`recorder_process_started_in_advance`). Both processes then
 import modules at the same time, on two cores. Therefore this module itself imports only a few
 modules.
 """
@@ -35,7 +35,7 @@ class RecorderProcess(NamedTuple):
 
 
 _started_ahead: list[RecorderProcess] = []
-"""Recorder process that `recorder_process_ahead` has started, until a recorder takes it.
+"""Recorder process that `recorder_process_started_in_advance` has started, until a recorder takes it.
 
 The list has at most this one element.
 """
@@ -59,7 +59,7 @@ def start_recorder_process() -> RecorderProcess:
 
 
 @contextmanager
-def recorder_process_ahead() -> Iterator[None]:
+def recorder_process_started_in_advance() -> Iterator[None]:
     """Start a recorder process in advance.
 
     The first recorder that is created in this block uses this process.
@@ -74,8 +74,8 @@ def recorder_process_ahead() -> Iterator[None]:
             _started_ahead.pop().end_process()
 
 
-def take_recorder_process() -> RecorderProcess:
-    """Return the recorder process that `recorder_process_ahead` has started.
+def prestarted_or_new_recorder_process() -> RecorderProcess:
+    """Return the recorder process that `recorder_process_started_in_advance` has started.
 
     If there is none, start a recorder process.
     """

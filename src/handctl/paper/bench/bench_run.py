@@ -45,7 +45,7 @@ class BenchRecording:
         self.tension.append(out.telemetry.tension_raw)
         self.travel.append(out.telemetry.motor_position)
 
-    def in_phase(self, name: str) -> Vector:
+    def mask_of_phase(self, name: str) -> Vector:
         """Return a mask (ticks,) that is True in the ticks of the given phase."""
         return np.array([phase == name for phase in self.phase])
 

@@ -58,16 +58,16 @@ def run_experiments(workers: JobRunner) -> dict[str, Any]:
         A table with the results of `force_displacement.measure_tendons` under `force_displacement`,
         and a list under `payload` with one result for each diameter and axis.
     """
-    searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
+    search_jobs = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
     # The jobs that load the hand need the tensions that the search jobs find. Therefore the search
     # jobs run first.
-    pulled, *grips = workers([{"do": "pull"}, *searches])
+    pull_result, *grip_results = workers([{"do": "pull"}, *search_jobs])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
-        for diameter, grip in zip(payload.DIAMETERS_MM, grips, strict=True)
+        for diameter, grip in zip(payload.DIAMETERS_MM, grip_results, strict=True)
         for axis in payload.LOAD_DIRECTIONS
     ]
-    return {"force_displacement": pulled, "payload": workers(loads)}
+    return {"force_displacement": pull_result, "payload": workers(loads)}
 
 
 SIGNIFICANT_DIGITS = 6
@@ -98,8 +98,8 @@ def load_results(path: Path) -> dict[str, Any]:
     }
     try:
         results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        measured_cases = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}
-        if measured_cases != cases or not results["force_displacement"]["ropes"]:
+        cases_in_file = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}
+        if cases_in_file != cases or not results["force_displacement"]["ropes"]:
             raise ValueError("results are missing")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not all experiments are in it"

@@ -36,7 +36,7 @@ With its overshoot, the tension stays below 244 N, at which the load cells count
 """
 PULL_RATE_N_PER_S = 60.0
 """Rate at which the tension of the pulled tendons increases [N/s]."""
-LINEAR_RANGE_N = (30.0, 150.0)
+LINEAR_TENSION_RANGE_N = (30.0, 150.0)
 """Range of tension in which the curves of all tendons are linear [N].
 
 A line through this range gives the origin of a curve.
@@ -50,7 +50,7 @@ class TendonCurve:
     """Measured force-displacement curve of a tendon.
 
     Attributes:
-        knee_nominal: tension at which the simulated tendon becomes softer (the knee of its curve)
+        nominal_knee_N: tension at which the simulated tendon becomes softer (the knee of its curve)
             [N].
         displacement: (samples,) displacement of the tendon at the spool [mm]. The displacement is
             zero where the extension of the linear part reaches the force 0.
@@ -60,7 +60,7 @@ class TendonCurve:
         knee_sigma: standard deviation of the measured knee [N].
     """
 
-    knee_nominal: float
+    nominal_knee_N: float
     displacement: Array
     force: Array
     stiffness: float
@@ -91,17 +91,17 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
     hand = blocked_hand(knees)
     path = folder / "blocked.toml"
     path.write_text(hand.to_toml(), encoding="utf-8")
-    pulled = dict.fromkeys(hand.digit_names[: len(knees)], MAX_PULL_N)
-    recording = run_bench_task(str(path), None, _pull_task(pulled))
-    rows = recording.in_phase("pull")
+    tension_by_digit = dict.fromkeys(hand.digit_names[: len(knees)], MAX_PULL_N)
+    recording = run_bench_task(str(path), None, _pull_task(tension_by_digit))
+    rows = recording.mask_of_phase("pull")
     force = np.array(recording.tension)[rows]
     travel = np.array(recording.travel)[rows]
-    spools = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
+    spool_radii = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
     return {
         "ropes": [
             {
                 "knee_N": knee,
-                "travel_m": (travel[:, i] * spools[i]).tolist(),
+                "travel_m": (travel[:, i] * spool_radii[i]).tolist(),
                 "force_N": force[:, i].tolist(),
             }
             for i, knee in enumerate(knees)
@@ -142,7 +142,7 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
     finite = np.isfinite(travel) & np.isfinite(force)
     travel = travel[finite]
     force = force[finite]
-    straight = (force > LINEAR_RANGE_N[0]) & (force < LINEAR_RANGE_N[1])
+    straight = (force > LINEAR_TENSION_RANGE_N[0]) & (force < LINEAR_TENSION_RANGE_N[1])
     slope, offset = np.polyfit(travel[straight], force[straight], 1)
     # The extrapolated linear part reaches the force 0 at the displacement -offset / slope.
     displacement = travel + offset / slope
@@ -186,7 +186,7 @@ def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
     for place, tendon in zip(
         ("Sec. 5", "Abstract"), curves_of_tendons(measured_results), strict=True
     ):
-        knee_nominal = tendon.knee_nominal
+        nominal_knee_N = tendon.nominal_knee_N
         top = float(tendon.force.max())
         measured_text = (
             f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N"
@@ -195,9 +195,9 @@ def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
         )
         rows.append(
             ErrataItem(
-                f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",
+                f"fig5.measured{nominal_knee_N:g}", f"Fig. 5, {place}", f"linear up to {nominal_knee_N:g} N",
                 tendon.knee, "N", verdict,
-                f"Measured on the simulator's bench with a tendon whose knee is at {knee_nominal:g} N: "
+                f"Measured on the simulator's bench with a tendon whose knee is at {nominal_knee_N:g} N: "
                 f"{measured_text}, with {tendon.stiffness / 1000:.1f} N/mm below the knee. Each claim has its own "
                 "curve. Only data of the paper could decide between the claims, and "
                 "the paper prints none.", ("simulator",),

@@ -51,7 +51,7 @@ SLIP_DISTANCE_M = 2e-3
 """Largest distance by which the object may move without counting as slipping [m]."""
 SPEED_WINDOW_S = 0.1
 """Length of the window over which the speed of the object is measured [s]."""
-AVERAGE_ROWS = 100
+AVERAGED_ROW_COUNT = 100
 """Number of rows of the ground truth over which normal forces are averaged.
 
 There is a row for each millisecond.
@@ -89,33 +89,37 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
         for tension in TENSION_STEPS_N
     ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
-    normals = np.array(
+    normal_forces = np.array(
         [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
     )
     # The interpolation needs forces that strictly increase. From phase to phase, 1e-6 N more is
     # added to each force, so that equal forces become different.
-    normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
+    normal_forces = np.maximum.accumulate(normal_forces + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
-    target_normals = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
-    tension = _tension_for_normals(normals, target_normals)
+    target_normal_forces = np.full(len(names), float(src.FINGER_GRIP_FORCE_N))
+    tension = _tension_for_normals(normal_forces, target_normal_forces)
     recording, truth = _grip_cylinder(
         folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)]
     )
-    shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
+    missing_force = target_normal_forces - _mean_normals(truth, _phase_end_ns(recording, "try"))
     return {
-        "tension_N": _tension_for_normals(normals, target_normals + shortfall),
+        "tension_N": _tension_for_normals(normal_forces, target_normal_forces + missing_force),
         "began_s": start_s,
     }
 
 
-def _tension_for_normals(normals_per_step: Array, target_normals: Array) -> dict[str, float]:
+def _tension_for_normals(
+    normal_forces_by_step: Array, target_normal_forces: Array
+) -> dict[str, float]:
     """Return the tension of each digit at which the fingers press with the given normal forces [N].
 
     The tensions are interpolated between the steps of the search (steps, digits).
     """
     names = src.paper_hand().digit_names
     tension = {
-        name: float(np.interp(target_normals[i], normals_per_step[:, i], TENSION_STEPS_N))
+        name: float(
+            np.interp(target_normal_forces[i], normal_forces_by_step[:, i], TENSION_STEPS_N)
+        )
         for i, name in enumerate(names)
     }
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
@@ -132,15 +136,17 @@ def load_until_slip(
     recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold])
     first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
-    normals = _mean_normals(truth, int(truth.t_ns[first]))
+    normal_forces = _mean_normals(truth, int(truth.t_ns[first]))
     slip, ended = _find_slip(truth, first, end)
     # Along the axis z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
-    load = float(truth.column_at("load", truth.t_ns[slip : slip + 1])[0]) + weight
+    load = float(truth.interpolated_column("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The axis x points out of the palm. So the palm carries the sum of the digits' contact forces
     # along x.
     palm = sum(
-        float(truth.column_at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
+        float(
+            truth.interpolated_column(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]
+        )
         for name in tension
     )
     times = truth.t_ns[first:end:10]
@@ -149,9 +155,10 @@ def load_until_slip(
     )
     return {
         "diameter_mm": diameter_mm, "axis": load_axis, "tension_N": dict(tension),
-        "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
+        "normal_N": dict(zip(tension, normal_forces, strict=True)), "palm_N": max(0.0, palm), "load_N": load,
+        "ended": ended,
         "payload_kg": load / float(src.GRAVITY_M_PER_S2),
-        "trace_N": (truth.column_at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
+        "trace_N": (truth.interpolated_column("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
     }  # fmt: skip
 
 
@@ -199,22 +206,22 @@ def _grip_cylinder(
 
 def _phase_end_ns(recording: BenchRecording, phase_name: str) -> int:
     """Return the time of the last tick of a phase [ns]."""
-    return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase_name))[-1])]
+    return recording.t_ns[int(np.flatnonzero(recording.mask_of_phase(phase_name))[-1])]
 
 
 def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the normal force of each digit, averaged over the rows before a given time [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
-    times = truth.t_ns[end - AVERAGE_ROWS : end]
+    times = truth.t_ns[end - AVERAGED_ROW_COUNT : end]
     return [
-        float(truth.column_at(f"normal/{name}", times).mean())
+        float(truth.interpolated_column(f"normal/{name}", times).mean())
         for name in src.paper_hand().digit_names
     ]
 
 
 def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
     """Return the positions of the object at given times (times, 3) [m]."""
-    return truth.columns_at([f"object/{axis}" for axis in "xyz"], t_ns)
+    return truth.interpolated_columns([f"object/{axis}" for axis in "xyz"], t_ns)
 
 
 def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, str]:
@@ -291,10 +298,10 @@ def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[s
     for result in payload_results:
         normal = result["normal_N"]
         fingers = sum(force for name, force in normal.items() if name != "thumb")
-        bound_mark = "≥ " if result["ended"] == "held" else ""
+        lower_bound_sign = "≥ " if result["ended"] == "held" else ""
         rows.append((
             f"⌀ {result['diameter_mm']:g} mm", f"{result['axis']}: {AXIS_NAMES[result['axis']]}", f"{fingers:.1f} N",
-            f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{bound_mark}{result['payload_kg']:.2f} kg",
+            f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{lower_bound_sign}{result['payload_kg']:.2f} kg",
             f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{friction_bound_kg(result):.2f} kg",
         ))  # fmt: skip
     return (titles, *rows)

@@ -53,9 +53,9 @@ def draw_hand_figure(figure: Any) -> None:
             model, np.radians(np.full(model.joint_count, POSE_ANGLES_DEG[name]))
         )
         for start, end in pairwise(nodes):
-            capsule = _capsule_faces(start, end, 1000.0 * model.radius)
-            faces += capsule
-            colours += [_shaded_colour(face, colour) for face in capsule]
+            link_faces = _capsule_faces(start, end, 1000.0 * model.radius)
+            faces += link_faces
+            colours += [_shaded_colour(face, colour) for face in link_faces]
         label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_OFFSETS_MM[name])
         outline = [withStroke(linewidth=2.5, foreground="white")]
         axes.text(
@@ -127,20 +127,22 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
     side = np.cross(along, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
-    quarter = np.linspace(0.0, np.pi / 2, FACES_ALONG)
+    quarter_turn_angles = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # The first rings of corners are along the straight part of the bar. The other rings are around
     # the round end.
-    rings = [
+    ring_centres_and_radii = [
         (start_point + (end_point - start_point) * fraction, radius)
         for fraction in np.linspace(0.0, 0.9, 5)
     ]
-    rings += [(end_point + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
+    ring_centres_and_radii += [
+        (end_point + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter_turn_angles
+    ]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
-    shells = [centre + size * circle for centre, size in rings]
+    ring_points = [centre + size * circle for centre, size in ring_centres_and_radii]
     return [
         np.array([a[i], a[i + 1], b[i + 1], b[i]])
-        for a, b in pairwise(shells)
+        for a, b in pairwise(ring_points)
         for i in range(FACES_AROUND)
     ]
 
@@ -156,12 +158,12 @@ def _shaded_colour(face_corners: Array, colour: str) -> tuple[float, float, floa
     length = float(np.linalg.norm(normal))
     # The brightness of a face is at least 0.55, which is the ambient light. The rest of the
     # brightness depends on the angle between the face and the light.
-    bright = (
+    brightness = (
         0.55
         + 0.45
         * abs(float(normal @ LIGHT_DIRECTION) / (length * float(np.linalg.norm(LIGHT_DIRECTION))))
         if length
         else 1.0
     )
-    red, green, blue = (min(1.0, bright * part + 0.06) for part in to_rgb(colour))
+    red, green, blue = (min(1.0, brightness * part + 0.06) for part in to_rgb(colour))
     return red, green, blue

@@ -32,10 +32,10 @@ def draw_model_figure(figure: Any) -> None:
         _draw_ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)
         _draw_arc(axes, nodes[i], (before, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
         _draw_arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
-        middle = (nodes[i] + nodes[i + 1]) / 2.0
-        across = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])
+        link_middle = (nodes[i] + nodes[i + 1]) / 2.0
+        label_offset = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])
         axes.text(
-            *(middle + across),
+            *(link_middle + label_offset),
             f"L{'₁₂₃'[i]} = {lengths[i]} mm",
             ha="right",
             va="bottom",

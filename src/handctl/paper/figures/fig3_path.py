@@ -83,13 +83,13 @@ def _draw_reachable_area(
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
     # Otherwise, empty cells between two samples would look like positions that the tip cannot
     # reach.
-    hit = binary_closing(
+    reached_cells = binary_closing(
         np.histogram2d(tip_positions[:, 0], tip_positions[:, 1], bins=bins)[0] > 0, iterations=3
     )
-    smooth = gaussian_filter(hit.astype(float), 1.5).T
-    middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
-    axes.contourf(*middles, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
-    axes.contour(*middles, smooth, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2)
+    smooth = gaussian_filter(reached_cells.astype(float), 1.5).T
+    cell_centres = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
+    axes.contourf(*cell_centres, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
+    axes.contour(*cell_centres, smooth, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2)
     axes.plot(
         [],
         [],

@@ -20,21 +20,25 @@ def draw_statics_figure(figure: Any) -> None:
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     """Draw the moments that balance the tip force at a digit's joints, and the moments of the tendon."""
-    levers = [float(lever) for lever in src.levers_mm(digit)]
-    positions = [levers[0] - lever for lever in levers]
-    constant = levers[0]
+    tip_levers = [float(lever) for lever in src.levers_mm(digit)]
+    positions = [tip_levers[0] - lever for lever in tip_levers]
+    tendon_moment = tip_levers[0]
     axes.plot(
-        [0, levers[0]], [levers[0], 0], color=BLUE, label="required by F at the tip", zorder=3
+        [0, tip_levers[0]],
+        [tip_levers[0], 0],
+        color=BLUE,
+        label="required by F at the tip",
+        zorder=3,
     )
-    axes.plot(positions, levers, "o", color=BLUE, zorder=4)
+    axes.plot(positions, tip_levers, "o", color=BLUE, zorder=4)
     axes.plot(
         [0, positions[-1] + 2.0],
-        [constant, constant],
+        [tendon_moment, tendon_moment],
         color=ORANGE,
         label="available from one tendon on 3 mm pulleys",
         zorder=3,
     )
-    for i, (position, lever) in enumerate(zip(positions, levers, strict=True)):
+    for i, (position, lever) in enumerate(zip(positions, tip_levers, strict=True)):
         axes.annotate(
             f"{lever:g}F",
             (position, lever),
@@ -43,24 +47,26 @@ def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
             color=BLUE,
             weight="bold",
         )
-        if constant > lever:
+        if tendon_moment > lever:
             axes.annotate(
                 "",
-                (position, constant),
+                (position, tendon_moment),
                 (position, lever),
                 arrowprops={"arrowstyle": "<->", "color": RED, "shrinkA": 4},
             )
             axes.text(
                 position + 0.8,
-                (constant + lever) / 2,
-                f"{constant - lever:g}F\ntoo much",
+                (tendon_moment + lever) / 2,
+                f"{tendon_moment - lever:g}F\ntoo much",
                 color=RED,
                 fontsize=8.5,
             )
         axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
-    axes.text(0.3 * constant, constant + 1.2, tension, color="#a87400", fontsize=9)
-    _draw_digit_outline(axes, [*positions, levers[0]])
-    axes.set(xlabel="along the digit [mm]", title=title, xlim=(-4, levers[0] + 6), ylim=(-17, 64))
+    axes.text(0.3 * tendon_moment, tendon_moment + 1.2, tension, color="#a87400", fontsize=9)
+    _draw_digit_outline(axes, [*positions, tip_levers[0]])
+    axes.set(
+        xlabel="along the digit [mm]", title=title, xlim=(-4, tip_levers[0] + 6), ylim=(-17, 64)
+    )
 
 
 def _draw_digit_outline(axes: Any, joint_xs: list[float]) -> None:

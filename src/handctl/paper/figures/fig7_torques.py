@@ -9,8 +9,8 @@ from handctl.paper.model.motion import (
     CLOSED_JOINT_ANGLE_DEG,
     CLOSING_DURATIONS_S,
     TORQUE_PARTS,
+    closing_torque_t1,
     closing_torques,
-    first_torque,
 )
 
 TORQUES_FIGURE_SIZE_IN = (9.6, 9.0)
@@ -89,7 +89,7 @@ def draw_eq10_figure(figure: Any) -> None:
     The scale of one plot suits the printed equation. The scale of the other plot suits the
     corrected equation.
     """
-    times, printed, right = first_torque(CLOSING_DURATIONS_S[1])
+    times, printed, right = closing_torque_t1(CLOSING_DURATIONS_S[1])
     printed_axes, close = figure.subplots(1, 2)
     for axes in (printed_axes, close):
         axes.plot(1e3 * times, 1e3 * printed, color=RED, label="Eq. 10 as printed")

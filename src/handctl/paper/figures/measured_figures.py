@@ -43,7 +43,7 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
         [0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3
     )
     for curve, colour in zip(curves, (BLUE, ORANGE), strict=True):
-        label = f"measured, tendon with its knee at {curve.knee_nominal:g} N"
+        label = f"measured, tendon with its knee at {curve.nominal_knee_N:g} N"
         axes.plot(
             curve.displacement[::4],
             curve.force[::4],
@@ -83,10 +83,10 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     # Stress is proportional to tension. Therefore the second axis differs from the first one only
     # by a factor.
     factor = src.wire_stress_mpa(1.0, wire)
-    stress = axes.secondary_yaxis(
+    stress_axis = axes.secondary_yaxis(
         "right", functions=(lambda force: force * factor, lambda mpa: mpa / factor)
     )
-    stress.set_ylabel(f"stress in the {wire:.4f} mm wire [MPa]")
+    stress_axis.set_ylabel(f"stress in the {wire:.4f} mm wire [MPa]")
 
 
 def draw_payloads(figure: Any, payload_results: Sequence[Mapping[str, Any]]) -> None:
@@ -150,11 +150,11 @@ def _draw_payload_bars(axes: Any, payload_results: Sequence[Mapping[str, Any]]) 
 
 def _draw_lines(axes: Any) -> None:
     """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
-    both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
+    two_sided_payload_kg = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
         (float(src.PAYLOAD_KG), RED, f"paper:\n{src.PAYLOAD_KG} kg"),
-        (both, PURPLE, f"friction on\nboth sides:\n{both:.3f} kg"),
+        (two_sided_payload_kg, PURPLE, f"friction on\nboth sides:\n{two_sided_payload_kg:.3f} kg"),
     ):
         axes.hlines(value, -0.55, edge, color=colour, linewidth=1.3, linestyle="--", zorder=2)
         axes.text(edge + 0.03, value, text, color=colour, fontsize=8.5, va="center")

@@ -40,10 +40,10 @@ def assumption_items() -> list[ErrataItem]:
 
 def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
-    levers = src.levers_mm(src.paper_finger())
+    tip_levers = src.levers_mm(src.paper_finger())
     given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
-    for i, required in enumerate(levers):
+    for i, required in enumerate(tip_levers):
         radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
             ErrataItem(
@@ -64,17 +64,17 @@ def _check_coupling() -> list[ErrataItem]:
 
     With equal angles, the work of the tendon must equal the work of the tip force.
     """
-    levers = src.levers_mm(src.paper_finger())
+    tip_levers = src.levers_mm(src.paper_finger())
     # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
     # sum of the levers. Here T is the tension, and F is the force at the tip.
-    tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_RADIUS_MM)
+    tension = sum(tip_levers, Fraction(0)) / (len(tip_levers) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
     # `free` is the number of joint motions that no tendon controls.
-    free = len(levers) - int(np.linalg.matrix_rank(arms))
+    free = len(tip_levers) - int(np.linalg.matrix_rank(arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
@@ -108,12 +108,12 @@ def _check_balance() -> list[ErrataItem]:
 def _payload_of_both_sides() -> list[ErrataItem]:
     """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
-    both = 2 * src.payload_kg(fingers)
+    two_sided_payload_kg = 2 * src.payload_kg(fingers)
     limited = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)
     return [
         ErrataItem(
-            "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
-            verdict_of_number(src.PAYLOAD_KG, both),
+            "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(two_sided_payload_kg), "kg",
+            verdict_of_number(src.PAYLOAD_KG, two_sided_payload_kg),
             "The paper counts friction on the finger side only. A thumb that balances 18 N carries "
             "the same load again.",
             STATICS_TAG),
@@ -142,14 +142,16 @@ def _check_bending() -> ErrataItem:
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
     """Return the normal forces (3,) at the middles of the three links that balance a tendon on equal pulleys [N]."""
     lengths = np.array(paper_digit("index").lengths)
-    absolute = np.cumsum(np.radians(angles_deg))
-    levers = np.zeros((3, 3))
+    link_angles = np.cumsum(np.radians(angles_deg))
+    lever_matrix = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
             # This is the lever with which a normal force at the middle of `link` acts on `joint`.
-            inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
-            levers[joint, link] = inner + lengths[link] / 2.0
-    return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0))
+            distance_to_link = lengths[joint:link] @ np.cos(
+                link_angles[link] - link_angles[joint:link]
+            )
+            lever_matrix[joint, link] = distance_to_link + lengths[link] / 2.0
+    return np.linalg.solve(lever_matrix, np.full(3, tension * float(src.PULLEY_RADIUS_MM) / 1000.0))
 
 
 def _check_lift_off() -> ErrataItem:

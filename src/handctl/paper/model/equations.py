@@ -1,6 +1,6 @@
 """Equations 1 to 12 of the paper, term by term: the printed term, its readings, and the correct term.
 
-The correct terms (`correct`) follow from Lagrange's equations. The tests derive them with sympy. If
+The correct terms (`correct_form`) follow from Lagrange's equations. The tests derive them with sympy. If
 the printed form of a term is ambiguous, because an operator is missing or a bracket is never
 closed, the term has several `readings`.
 """
@@ -20,8 +20,8 @@ class EquationTerm:
         printed: the term, as it is printed in the paper.
         readings: possible meanings of the printed term. If only one meaning of an undefined symbol
             is possible, the symbol is read in this way.
-        correct: correct form of the term.
-        why: explanation of the error in the printed term.
+        correct_form: correct form of the term.
+        explanation: explanation of the error in the printed term.
         mirror_id: identifier of another term with the same coefficient. Both coefficients must be
             equal, because the mass matrix is symmetric.
     """
@@ -30,8 +30,8 @@ class EquationTerm:
     where: str
     printed: str
     readings: tuple[Expression, ...]
-    correct: Expression
-    why: str
+    correct_form: Expression
+    explanation: str
     mirror_id: str = ""
 
 
@@ -40,8 +40,8 @@ def _equation_term(
     printed: str,
     readings: str | tuple[str, ...],
     right: str,
-    why: str = "",
-    mirror: str = "",
+    explanation: str = "",
+    mirror_id: str = "",
 ) -> EquationTerm:
     """Return the data of one term of an equation.
 
@@ -49,7 +49,7 @@ def _equation_term(
     """
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
-    reason = why or "As derived."
+    reason = explanation or "As derived."
     return EquationTerm(
         id,
         f"Eq. {number}",
@@ -57,7 +57,7 @@ def _equation_term(
         tuple(map(Expression, texts)),
         Expression(right),
         reason,
-        mirror,
+        mirror_id,
     )
 
 
@@ -154,7 +154,7 @@ TORQUE_TERMS_1 = (
         "(L1*d2 + L1*L2)*cos(th1 - th2)*ddth2",
         "(m2*d2 + m3*L2)*L1*cos(th1 - th2)*ddth2",
         "Both masses are missing. L_L, which is never defined, is read as L₁.",
-        mirror="eq11.coupling12",
+        mirror_id="eq11.coupling12",
     ),
     _equation_term(
         "eq10.coupling13",
@@ -162,7 +162,7 @@ TORQUE_TERMS_1 = (
         "L1*d3*cos(th1 - th3)*ddth3",
         "m3*L1*d3*cos(th1 - th3)*ddth3",
         "The mass m₃ is missing.",
-        mirror="eq12.coupling13",
+        mirror_id="eq12.coupling13",
     ),
     _equation_term(
         "eq10.velocity12",
@@ -201,7 +201,7 @@ TORQUE_TERMS_2 = (
         "[m₂ d₂ + m₃ L₂] L₁ cos(θ₁ − θ₂) θ̈₁",
         "(m2*d2 + m3*L2)*L1*cos(th1 - th2)*ddth1",
         "(m2*d2 + m3*L2)*L1*cos(th1 - th2)*ddth1",
-        mirror="eq10.coupling12",
+        mirror_id="eq10.coupling12",
     ),
     _equation_term(
         "eq11.coupling23",
@@ -209,7 +209,7 @@ TORQUE_TERMS_2 = (
         "m3*L2*d2*cos(th2 - th3)*ddth3",
         "m3*L2*d3*cos(th2 - th3)*ddth3",
         "d₂ replaces d₃, as in Eq. 5. Eq. 12 is correct here.",
-        mirror="eq12.coupling23",
+        mirror_id="eq12.coupling23",
     ),
     _equation_term(
         "eq11.velocity12",
@@ -246,14 +246,14 @@ TORQUE_TERMS_3 = (
         "[m₃ L₂ d₃ cos(θ₂ − θ₃)] θ̈₂",
         "m3*L2*d3*cos(th2 - th3)*ddth2",
         "m3*L2*d3*cos(th2 - th3)*ddth2",
-        mirror="eq11.coupling23",
+        mirror_id="eq11.coupling23",
     ),
     _equation_term(
         "eq12.coupling13",
         "m₃ L₁ d₃ cos(θ₁ − θ₃)] θ̈₁",
         "m3*L1*d3*cos(th1 - th3)*ddth1",
         "m3*L1*d3*cos(th1 - th3)*ddth1",
-        mirror="eq10.coupling13",
+        mirror_id="eq10.coupling13",
     ),
     _equation_term(
         "eq12.velocity23",

@@ -177,9 +177,11 @@ def _pretty_text(formula_node: ast.expr) -> tuple[str, int]:
         case ast.UnaryOp(operand=inner):
             return "−" + _text_in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            text, strength = _pretty_text(inner)
+            text, precedence_of_argument = _pretty_text(inner)
             return (
-                f"{name} {text}" if strength == _POWER_PRECEDENCE else f"{name}({text})"
+                f"{name} {text}"
+                if precedence_of_argument == _POWER_PRECEDENCE
+                else f"{name}({text})"
             ), _PRODUCT_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
             return _text_in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(
@@ -225,13 +227,13 @@ def _node_without_minus(formula_node: ast.expr) -> ast.expr:
     return formula_node
 
 
-def _text_in_brackets(formula_node: ast.expr, min_strength: int) -> str:
+def _text_in_brackets(formula_node: ast.expr, min_precedence: int) -> str:
     """Return a node of the syntax tree as text.
 
     If its precedence is lower than required, add brackets.
     """
-    text, strength = _pretty_text(formula_node)
-    return text if strength >= min_strength else f"({text})"
+    text, precedence = _pretty_text(formula_node)
+    return text if precedence >= min_precedence else f"({text})"
 
 
 def pretty_name(name: str) -> str:
@@ -241,9 +243,9 @@ def pretty_name(name: str) -> str:
     """
     match = re.fullmatch(r"(d{0,2})th(\d)", name)
     if match:
-        dots = ("θ", "θ̇", "θ̈")[len(match[1])]
-        return dots + match[2].translate(_SUBSCRIPT_TABLE)
-    greek = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
-    return greek.get(name) or re.sub(
+        dotted_theta = ("θ", "θ̇", "θ̈")[len(match[1])]
+        return dotted_theta + match[2].translate(_SUBSCRIPT_TABLE)
+    greek_letters = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
+    return greek_letters.get(name) or re.sub(
         r"\d+$", lambda number: number[0].translate(_SUBSCRIPT_TABLE), name
     )

@@ -49,19 +49,19 @@ def fingertip_path(name: str, angles: Array) -> Array:
     )
 
 
-def reachable_tips(name: str, per_joint: int) -> Array:
+def reachable_tips(name: str, samples_per_joint: int) -> Array:
     """Return the tip positions (points, 2) that a digit could reach if its joints moved independently [mm]."""
     model = paper_digit(name)
     axes = [
-        np.linspace(low, high, per_joint)
+        np.linspace(low, high, samples_per_joint)
         for low, high in zip(model.joint_min, model.joint_max, strict=True)
     ]
     # The absolute angle of a link is the sum of the joint angles up to this link.
-    absolute = np.cumsum(
+    link_angles = np.cumsum(
         np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1
     )
     lengths = 1000.0 * np.array(model.lengths)
-    return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
+    return np.column_stack((np.cos(link_angles) @ lengths, np.sin(link_angles) @ lengths))
 
 
 def _check_paths() -> list[ErrataItem]:
@@ -157,18 +157,18 @@ def _check_kind_of_angle() -> ErrataItem:
     """
     model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
-    absolute = np.cumsum(q)
+    link_angles = np.cumsum(q)
     height: Callable[[Array], float] = lambda theta: float(np.array(model.lengths) @ np.sin(theta))  # noqa: E731
     tip = float(points_in_plane(model, q)[-1][1])
-    same = abs(height(q) - tip) < RELATIVE_TOLERANCE
+    is_equal = abs(height(q) - tip) < RELATIVE_TOLERANCE
     return ErrataItem(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
-        verdict_of_statement(same),
+        verdict_of_statement(is_equal),
         "One letter stands for two kinds of angle. In section 4 it is the angle between neighbouring links (q here), "
         "as the sums of angles show. Section 7 states that its angles are absolute. The paper never converts the "
         f"angles. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 give a tip height of {1000 * height(q):.2f} mm with the "
-        f"angles of section 4, and {1000 * height(absolute):.2f} mm with absolute angles. The equations of section 4 "
-        f"give {1000 * tip:.2f} mm.",
+        f"angles of section 4, and {1000 * height(link_angles):.2f} mm with absolute angles. The equations of "
+        f"section 4 give {1000 * tip:.2f} mm.",
         ("forward kinematics",))  # fmt: skip
 
 

@@ -58,10 +58,10 @@ def random_states() -> StateSamples:
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
     for name in sorted(SYMBOL_DIMENSIONS):
-        moves = "th" in name
+        is_motion_symbol = "th" in name
         values[name] = (
             random.normal(scale=1.5, size=STATE_COUNT)
-            if moves
+            if is_motion_symbol
             else random.uniform(0.5, 2.0, STATE_COUNT)
         )
     return values
@@ -72,7 +72,7 @@ def finger_states(digit: DigitModel) -> StateSamples:
     states = dict(random_states())
     for i in range(3):
         states |= {f"I{i + 1}": digit.inertias[i, 2, 2], f"m{i + 1}": digit.masses[i]}
-        states |= {f"L{i + 1}": digit.lengths[i], f"d{i + 1}": digit.coms[i, 0]}
+        states |= {f"L{i + 1}": digit.lengths[i], f"d{i + 1}": digit.centres_of_mass[i, 0]}
     return {**states, "g": 9.81}
 
 
@@ -91,7 +91,7 @@ def lagrange_torques(states: StateSamples) -> list[Array]:
 
 def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the energy that is the sum of the correct forms of some terms."""
-    return sum(term.correct.evaluate(states) for term in terms)
+    return sum(term.correct_form.evaluate(states) for term in terms)
 
 
 def _momentum_rate(states: StateSamples, i: int) -> Array:
@@ -140,9 +140,9 @@ def term_items() -> list[ErrataItem]:
 def _term_item(term: EquationTerm) -> ErrataItem:
     """Return the errata item that compares a printed term with the correct term."""
     states = random_states()
-    correct = term.correct.evaluate(random_states())
+    correct_values = term.correct_form.evaluate(random_states())
     deviations = [
-        relative_deviation(reading.evaluate(states), correct) for reading in term.readings
+        relative_deviation(reading.evaluate(states), correct_values) for reading in term.readings
     ]
     verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
     # A reader can see wrong dimensions and a missing symmetry without a computer.
@@ -152,7 +152,7 @@ def _term_item(term: EquationTerm) -> ErrataItem:
         else [_dimension_evidence(term), _symmetry_evidence(term)]
     )
     return ErrataItem(
-        term.id, term.where, term.printed, term.correct.as_typeset_text(), "", verdict, term.why,
+        term.id, term.where, term.printed, term.correct_form.as_typeset_text(), "", verdict, term.explanation,
         (*filter(None, faults), "Lagrange"), min(deviations),
     )  # fmt: skip
 
@@ -172,17 +172,17 @@ def _symmetry_evidence(term: EquationTerm) -> str:
     """Return a text if the printed coefficients of a term and its mirror term differ, or an empty text."""
     if not term.mirror_id:
         return ""
-    mirror = next(
+    mirror_term = next(
         other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror_id
     )
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
-    differs = (
+    is_asymmetric = (
         relative_deviation(
-            term.readings[0].evaluate(unit_states), mirror.readings[0].evaluate(unit_states)
+            term.readings[0].evaluate(unit_states), mirror_term.readings[0].evaluate(unit_states)
         )
         > RELATIVE_TOLERANCE
     )
-    return f"symmetry with {mirror.where}" if differs else ""
+    return f"symmetry with {mirror_term.where}" if is_asymmetric else ""
 
 
 def equation_items() -> list[ErrataItem]:
@@ -193,27 +193,29 @@ def equation_items() -> list[ErrataItem]:
     digit = paper_finger()
     states = finger_states(digit)
     model = model_torques(digit, states)
-    by_lagrange = max(
-        relative_deviation(mine, theirs)
-        for mine, theirs in zip(model, lagrange_torques(states), strict=True)
+    max_deviation = max(
+        relative_deviation(model_torque, lagrange_torque)
+        for model_torque, lagrange_torque in zip(model, lagrange_torques(states), strict=True)
     )
     items = [
         ErrataItem(
             "eq7-9.lagrange", "Eq. 7-9", "d/dt(∂L/∂θ̇ᵢ) − ∂L/∂θᵢ = Tᵢ", "the same", "",
-            verdict_of_statement(by_lagrange < RELATIVE_TOLERANCE),
+            verdict_of_statement(max_deviation < RELATIVE_TOLERANCE),
             "Lagrange's equations in absolute angles. The corrected energies, derived numerically, give the torques "
-            "that the control loop of this project computes.", ("Lagrange", "this project's dynamics"), by_lagrange,
+            "that the control loop of this project computes.", ("Lagrange", "this project's dynamics"), max_deviation,
         ),
         _check_joint_torque(digit, states, model),
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUE_TERMS):
         off = relative_deviation(printed_sum(terms, states), model[i])
-        rest = relative_deviation(sum(term.correct.evaluate(states) for term in terms), model[i])
+        rest = relative_deviation(
+            sum(term.correct_form.evaluate(states) for term in terms), model[i]
+        )
         wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
             ErrataItem(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
-                " + ".join(term.correct.as_typeset_text() for term in terms).replace("+ −", "− "), "",
+                " + ".join(term.correct_form.as_typeset_text() for term in terms).replace("+ −", "− "), "",
                 verdict_of_statement(off < RELATIVE_TOLERANCE),
                 f"These terms are wrong as printed: {', '.join(wrong)}. The corrected equation gives the torque that "
                 f"the control loop of this project computes, {_agreement_text(rest)} at {STATE_COUNT} random states.",
@@ -232,12 +234,12 @@ def _check_joint_torque(
     """
     joints = joint_torques(digit, states)
     is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
-    summed = relative_deviation(model[0] + model[1] + model[2], joints[:, 0])
+    deviation_of_sum = relative_deviation(model[0] + model[1] + model[2], joints[:, 0])
     return ErrataItem(
         "eq7-9.joint_torque", "Sec. 7", "T₁, T₂ and T₃ at each joint E₁, E₂ and E₃",
         "τ₁ = T₁ + T₂ + T₃, τ₂ = T₂ + T₃, τ₃ = T₃", "", verdict_of_statement(is_equal),
         "Tᵢ belongs to an absolute link angle. The torque at a joint follows by virtual work from θ = S q with S lower "
-        f"triangular of ones: τ = Sᵀ T (at random states {_agreement_text(summed)}).", ("virtual work",),
+        f"triangular of ones: τ = Sᵀ T (at random states {_agreement_text(deviation_of_sum)}).", ("virtual work",),
         relative_deviation(model[0], joints[:, 0]),
     )  # fmt: skip
 

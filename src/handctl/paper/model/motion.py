@@ -88,17 +88,17 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
     )
 
 
-def first_torque(duration_s: float) -> tuple[Array, Array, Array]:
+def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
     """Return the times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
     digit = upright_digit("index")
     times = np.linspace(0.0, duration_s, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration_s)
-    moves = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
+    motion_samples = np.array([[value[0] for value in path.motion_at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
         # If all joint angles are equal, the absolute angles are multiples of the first angle.
-        states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
-    right = sum(term.correct.evaluate(states) for term in equations.TORQUE_TERMS_1)
+        states |= {"d" * order + f"th{i}": i * motion_samples[:, order] for i in (1, 2, 3)}
+    right = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
     return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
 
 
@@ -116,7 +116,7 @@ def _check_static_torque() -> ErrataItem:
 
     In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
     """
-    _, printed, right = first_torque(CLOSING_DURATIONS_S[1])
+    _, printed, right = closing_torque_t1(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
     return ErrataItem(
@@ -134,9 +134,9 @@ def _check_completeness() -> ErrataItem:
     """
     fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
     links = sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])
-    driven = links + fast.torque_by_cause["motor inertia"]
+    links_and_motor = links + fast.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
-        float(np.abs(torque).max()) / fast.lever_m for torque in (links, driven)
+        float(np.abs(torque).max()) / fast.lever_m for torque in (links, links_and_motor)
     )
     return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",

@@ -36,7 +36,7 @@ def number_item(
     id: str,
     where: str,
     printed: str,
-    exact: Fraction | float,
+    exact_value: Fraction | float,
     unit: str,
     reason: str,
     symbol: str = "",
@@ -47,9 +47,9 @@ def number_item(
 
     In the paper, `symbol` is printed after the number.
     """
-    verdict = verdict_of_number(printed, exact)
+    verdict = verdict_of_number(printed, exact_value)
     return ErrataItem(
-        id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC_TAG
+        id, where, printed + symbol, float(exact_value), unit, verdict, reason, ARITHMETIC_TAG
     )
 
 
@@ -108,13 +108,13 @@ def _check_labels() -> list[ErrataItem]:
     """
     rows = []
     for id, where, printed, digit, joint, named in FIGURE_LABELS:
-        levers = src.levers_mm(digit())
-        there = ", ".join(f"{levers[i]}F" for i in named)
+        tip_levers = src.levers_mm(digit())
+        there = ", ".join(f"{tip_levers[i]}F" for i in named)
         rows.append(
             ErrataItem(
                 id, where, printed, f"moment at joint {joint + 1}", "",
-                verdict_of_statement(all(levers[i] == levers[joint] for i in named)),
-                f"{levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
+                verdict_of_statement(all(tip_levers[i] == tip_levers[joint] for i in named)),
+                f"{tip_levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
                 f"At the joints that the label names it is {there}.", STATICS_TAG,
             )
         )  # fmt: skip
@@ -193,8 +193,10 @@ def _check_finger() -> list[ErrataItem]:
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
     # The paper calculates the torque from the tension after rounding it. Therefore the torque in
     # the paper contains a rounding error.
-    carried = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
-    verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
+    torque_from_rounded_tension = Fraction("18.33") * src.SPOOL_RADIUS_MM / 1000
+    verdict = verdict_of_derived_number(
+        "0.09165", torque, torque_from_rounded_tension, tension_item.verdict
+    )
     torque_item = ErrataItem(
         "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
         f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC_TAG)  # fmt: skip
@@ -203,25 +205,27 @@ def _check_finger() -> list[ErrataItem]:
 
 def _check_payload() -> list[ErrataItem]:
     """Check the printed payloads."""
-    one = src.payload_kg(src.FINGER_GRIP_FORCE_N)
-    three = src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N)
+    single_payload = src.payload_kg(src.FINGER_GRIP_FORCE_N)
+    triple_payload = src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N)
     first = number_item(
         "sec5.payload",
         "Sec. 5",
         "0.305",
-        one,
+        single_payload,
         "kg",
         "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
     )
-    verdict = verdict_of_derived_number("0.915", three, 3 * Fraction("0.305"), first.verdict)
+    verdict = verdict_of_derived_number(
+        "0.915", triple_payload, 3 * Fraction("0.305"), first.verdict
+    )
     force = src.GRAVITY_M_PER_S2 / (src.FINGER_COUNT * src.FRICTION_COEFFICIENT)
     tension = src.tension_of_payload_kg(1)
     return [
         first,
-        ErrataItem("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.",
+        ErrataItem("sec5.payload3", "Sec. 5", "0.915", float(triple_payload), "kg", verdict, "3 × the truncated 0.305.",
             ARITHMETIC_TAG),
         number_item(
-            "abstract.payload", "Abstract", "1", three, "kg",
+            "abstract.payload", "Abstract", "1", triple_payload, "kg",
             "The maximum load of the abstract is the load of section 5 to one digit, 0.917 kg at 6 N per finger. A "
             f"whole kilogram needs {float(force):.4g} N per finger and {float(tension):.4g} N in the tendon."),
     ]  # fmt: skip
@@ -270,7 +274,7 @@ def _check_knee() -> list[ErrataItem]:
         src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     )
     knee, knee_abstract = src.KNEE_TENSIONS_N
-    stress = src.wire_stress_mpa(knee, diameter)
+    stress_mpa = src.wire_stress_mpa(knee, diameter)
     claims = [str(value) for value in src.KNEE_TENSIONS_N]
     verdict = verdict_of_contradiction(claims, None)
     reason = "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
@@ -279,9 +283,9 @@ def _check_knee() -> list[ErrataItem]:
             "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, reason,
             ("contradiction",)),
         ErrataItem(
-            "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
-            verdict_of_statement(stress <= src.ALLOWABLE_STRESS_MPA),
-            f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress:.0f} MPa and 250 N "
+            "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress_mpa, "MPa",
+            verdict_of_statement(stress_mpa <= src.ALLOWABLE_STRESS_MPA),
+            f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress_mpa:.0f} MPa and 250 N "
             f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
             ARITHMETIC_TAG),
     ]  # fmt: skip
@@ -300,8 +304,10 @@ def _check_thumb() -> list[ErrataItem]:
         f"25/3. At 10 N: {float(10 * tension):.6g} N.",
         " Fₜ",
     )
-    carried = Fraction("8.33") * src.SPOOL_RADIUS_MM / 1000
-    verdict = verdict_of_derived_number("0.04165", torque, carried, first.verdict)
+    torque_from_rounded_tension = Fraction("8.33") * src.SPOOL_RADIUS_MM / 1000
+    verdict = verdict_of_derived_number(
+        "0.04165", torque, torque_from_rounded_tension, first.verdict
+    )
     wire = src.wire_diameter_mm(src.THUMB_GRIP_FORCE_N * tension)
     return [
         _missing_radius(),

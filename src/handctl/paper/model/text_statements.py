@@ -41,7 +41,7 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
     """Check the numbers of degrees of freedom that the paper states."""
     hand = src.paper_hand()
     joints = [len(digit.joints) for digit in hand.digit]
-    each = max(joints)
+    joints_per_digit = max(joints)
     total = sum(joints)
     # The rank of the moment arms is the number of motions that the tendons of a digit control
     # independently.
@@ -56,8 +56,8 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
              f"{spread} joints.", COUNT_TAG),
         ErrataItem("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
              verdict_of_readings([verdict_of_number("3", count) == verdict_of_number("3", 3) for count in joints]),
-             f"This is true for the fingers, and not for the thumb: with {each} each the sum would be "
-             f"{each * len(joints)}, not {total}. The paper does not state whether the thumb "
+             f"This is true for the fingers, and not for the thumb: with {joints_per_digit} each the sum would be "
+             f"{joints_per_digit * len(joints)}, not {total}. The paper does not state whether the thumb "
              "counts as a finger.", COUNT_TAG),
         ErrataItem("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom",
             max(ranks), "",
@@ -78,7 +78,7 @@ def _check_palm_joint() -> ErrataItem:
     angles = {
         name
         for term in equations.KINETIC_TERMS
-        for name in term.correct.names
+        for name in term.correct_form.names
         if name.startswith("dth")
     }
     readings = [joints - 1 == len(angles), joints == len(angles)]
@@ -104,8 +104,8 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(
-        np.abs(each.correct.evaluate(moved) - each.correct.evaluate(states))
-        for each in energy_terms
+        np.abs(term.correct_form.evaluate(moved) - term.correct_form.evaluate(states))
+        for term in energy_terms
     )
     return bool(np.max(change) > RELATIVE_TOLERANCE)
 

@@ -50,12 +50,12 @@ def read_adapter(name: str, network_folder: Path = NETWORK_FOLDER) -> UsbAdapter
     driver = device / "driver"
     # For a USB adapter, this path leads to the USB interface, and the parent folder is the USB
     # device.
-    usb = device.resolve().parent
-    speed = _read_text(usb / "speed")
+    usb_device = device.resolve().parent
+    speed = _read_text(usb_device / "speed")
     return UsbAdapter(
         driver=driver.resolve().name if driver.exists() else "",
         usb_speed_mbit_s=float(speed) if speed.replace(".", "", 1).isdigit() else 0.0,
-        serial=_read_text(usb / "serial") if speed else "",
+        serial=_read_text(usb_device / "serial") if speed else "",
     )
 
 

@@ -84,16 +84,16 @@ class BusEvents:
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
-    def add_event(self, event_kind: str, occurrences: int = 1, detail: str = "") -> None:
+    def add_event(self, event_kind: str, occurrences: int = 1, detail_text: str = "") -> None:
         """Add a number of occurrences to the count of an event.
 
         Args:
             event_kind: kind of the event, as listed in the docstring of the module.
             occurrences: number of occurrences.
-            detail: text to append to ``where`` of the event. Events with different details are
+            detail_text: text to append to ``where`` of the event. Events with different details are
                 counted separately.
         """
-        key = event_kind, f"{self.where} {detail}" if detail else self.where
+        key = event_kind, f"{self.where} {detail_text}" if detail_text else self.where
         self._counts[key] = self._counts.get(key, 0) + occurrences
 
     def count_failure(

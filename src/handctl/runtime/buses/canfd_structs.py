@@ -17,7 +17,7 @@ from handctl.drives.frame_records import (
     BUS_BIT,
     BYTE_MASK,
     FLAGS_BIT,
-    HEAD_WORD,
+    ID_AND_FLAGS_WORD,
     ID_MASK,
     LENGTH_BIT,
     PAYLOAD_WORD,
@@ -91,25 +91,25 @@ def read_structs(
         flag_mask: mask of the flags to copy from the structs.
         added_flags: flags to set in every record.
     """
-    every_id = np.uint64(0)
+    bits_of_all_ids = np.uint64(0)
     place = np.uint64(bus) << np.uint64(BUS_BIT)
     for i in range(records.shape[0]):
         head = structs[i, 0]
         can_id = head & np.uint64(ID_MASK)
-        every_id |= can_id
+        bits_of_all_ids |= can_id
         length = int(np.int64((head >> np.uint64(STRUCT_LENGTH_BIT)) & np.uint64(BYTE_MASK)))
         length = min(length, MAX_PAYLOAD_BYTES)
         flags = (head >> np.uint64(STRUCT_FLAGS_BIT)) & np.uint64(flag_mask)
         flags |= np.uint64(added_flags)
         records[i, TIME_WORD] = np.int64(t_ns)
-        records[i, HEAD_WORD] = (
+        records[i, ID_AND_FLAGS_WORD] = (
             can_id
             | flags << np.uint64(FLAGS_BIT)
             | place
             | np.uint64(length) << np.uint64(LENGTH_BIT)
         )
         _copy_payload(structs, 1, records, PAYLOAD_WORD, i, length)
-    return bool(every_id & np.uint64(ERROR_FLAG))
+    return bool(bits_of_all_ids & np.uint64(ERROR_FLAG))
 
 
 @kernel("table_words", "words", "words")
@@ -127,7 +127,7 @@ def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) 
     """
     count = len(records)
     for i in range(count):
-        head = records[i, HEAD_WORD]
+        head = records[i, ID_AND_FLAGS_WORD]
         flags = (head >> np.uint64(FLAGS_BIT)) & np.uint64(FLAGS_MASK)
         length = int(np.int64(head >> np.uint64(LENGTH_BIT)))
         if not flags & np.uint64(FDF):
@@ -175,7 +175,7 @@ class FrameStructs:
         """
         rows = np.empty((count, WORDS_PER_RECORD), np.uint64)
         has_errors = read_structs(self._rows, rows, t_ns, bus, flag_mask, added_flags)
-        return Frames.of_rows(rows), has_errors
+        return Frames.from_rows(rows), has_errors
 
     def write(self, frames: Frames) -> NDArray[np.uint64]:
         """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
@@ -197,7 +197,7 @@ class FrameStructs:
         return self._sizes[:written, 0]
 
 
-def without_errors(records: RecordArray) -> tuple[Frames, list[Frame]]:
+def data_and_error_frames(records: RecordArray) -> tuple[Frames, list[Frame]]:
     """Split records into data frames and error frames."""
     errors = (records["can_id"] & ERROR_FLAG) != 0
     return Frames(records[~errors]), list(Frames(records[errors]))

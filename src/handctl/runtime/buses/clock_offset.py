@@ -12,7 +12,7 @@ Therefore each measurement is used many times. Source: man 2 clock_gettime, man 
 
 import time
 
-USES_PER_MEASUREMENT = 256
+USES_PER_OFFSET_MEASUREMENT = 256
 """Number of times that each measured offset is used before the next measurement.
 
 After a small step of the wall clock, at most this number of uses has the wrong offset.
@@ -22,7 +22,7 @@ READINGS_PER_MEASUREMENT = 3
 
 
 class ClockOffset:
-    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``USES_PER_MEASUREMENT`` uses."""
+    """Offset between wall clock and CLOCK_MONOTONIC, measured again after ``USES_PER_OFFSET_MEASUREMENT`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
@@ -32,7 +32,7 @@ class ClockOffset:
     def offset_ns(self) -> int:
         """Return CLOCK_MONOTONIC minus CLOCK_REALTIME [ns]."""
         if not self._uses_left:
-            self._measure()
+            self._measure_offset()
         self._uses_left -= 1
         return self._offset_ns
 
@@ -40,7 +40,7 @@ class ClockOffset:
         """Request a new measurement before the next use."""
         self._uses_left = 0
 
-    def _measure(self) -> None:
+    def _measure_offset(self) -> None:
         """Measure the offset between the clocks.
 
         The fastest of several readings is used, because the operating system may interrupt the
@@ -52,7 +52,7 @@ class ClockOffset:
         ]
         before, wall, after = min(readings, key=_reading_duration)
         self._offset_ns = (before + after) // 2 - wall
-        self._uses_left = USES_PER_MEASUREMENT
+        self._uses_left = USES_PER_OFFSET_MEASUREMENT
 
 
 def _reading_duration(reading: tuple[int, int, int]) -> int:

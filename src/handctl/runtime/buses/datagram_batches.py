@@ -144,10 +144,10 @@ class DatagramSlots:
         self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[
             :, 1
         ]
-        longs = np.frombuffer(self.control, "l").reshape(count, -1)
-        at = STAMP_OFFSET // longs.itemsize
-        self._seconds = longs[:, at]
-        self._nanoseconds = longs[:, at + 1]
+        control_words = np.frombuffer(self.control, "l").reshape(count, -1)
+        at = STAMP_OFFSET // control_words.itemsize
+        self._seconds = control_words[:, at]
+        self._nanoseconds = control_words[:, at + 1]
         counters = np.frombuffer(self.control, np.uint32).reshape(count, -1)
         self._loss_counters = counters[:, COUNTER_OFFSET // counters.itemsize]
         self._initial_headers = bytes(self._view)
@@ -155,7 +155,7 @@ class DatagramSlots:
         self._last_size = 0
         self._last_has_counters = False
 
-    def common_size(self, count: int, known_losses: int) -> int:
+    def common_datagram_size(self, count: int, known_loss_count: int) -> int:
         """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
 
         The result is not 0 if all these datagrams have the same length and a time stamp, and none
@@ -165,7 +165,7 @@ class DatagramSlots:
 
         Args:
             count: number of received datagrams.
-            known_losses: latest value of the loss counter that the caller knows.
+            known_loss_count: latest value of the loss counter that the caller knows.
         """
         raw = bytes(self._view[: count * _HEADER_STRUCT.size])
         if raw != self._last_headers:
@@ -175,7 +175,7 @@ class DatagramSlots:
             is_stamped = self._last_has_counters or length == STAMP_CONTROL_BYTES
             self._last_size = size if is_stamped and not kinds else 0
             self._last_headers = raw
-        if self._last_has_counters and (self._loss_counters[:count] != known_losses).any():
+        if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
             return 0
         return self._last_size
 
@@ -242,20 +242,20 @@ def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
 
 
 def send_datagrams(
-    fd: int, slots: DatagramSlots, first_slot: int, end_slot: int
+    fd: int, slots: DatagramSlots, first_slot: int, slot_end: int
 ) -> tuple[int, int]:
-    """Send the slots from ``first_slot`` up to but not including ``end_slot``, without blocking.
+    """Send the slots from ``first_slot`` up to but not including ``slot_end``, without blocking.
 
     Returns:
         the number of accepted datagrams, and the errno of the first refused datagram (0 if all were
         accepted).
     """
     at = first_slot
-    while at < end_slot:
+    while at < slot_end:
         count = _libc.sendmmsg(
-            fd, slots.headers + at * _HEADER_STRUCT.size, end_slot - at, socket.MSG_DONTWAIT
+            fd, slots.headers + at * _HEADER_STRUCT.size, slot_end - at, socket.MSG_DONTWAIT
         )
         if count <= 0:
             return at - first_slot, ctypes.get_errno()
         at += count
-    return end_slot - first_slot, 0
+    return slot_end - first_slot, 0

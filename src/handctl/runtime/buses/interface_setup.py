@@ -25,7 +25,7 @@ def interface_names() -> tuple[str, ...]:
     return tuple(name for _, name in socket.if_nameindex())
 
 
-def set_up_commands(
+def interface_setup_commands(
     channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
 ) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand.
@@ -46,23 +46,23 @@ def set_up_commands(
     if channel.startswith("vcan"):
         add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
         begin = (*link, "down") if interface_exists else add
-        mtu = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
-        return (begin, *mtu, queue, up)
-    timing: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
+        mtu_commands = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
+        return (begin, *mtu_commands, queue, up)
+    timing_command: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
-        timing = (*timing, "dbitrate", str(data_bitrate), "fd", "on")
-    return ((*link, "down"), (*timing, "restart-ms", str(RESTART_MS)), queue, up)
+        timing_command = (*timing_command, "dbitrate", str(data_bitrate), "fd", "on")
+    return ((*link, "down"), (*timing_command, "restart-ms", str(RESTART_MS)), queue, up)
 
 
-def set_up_text(
+def interface_setup_text(
     channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
 ) -> str:
-    """Return the commands of ``set_up_commands`` in one line, for a user who is not root."""
-    commands = set_up_commands(channel, bitrate, data_bitrate, interface_exists)
+    """Return the commands of ``interface_setup_commands`` in one line, for a user who is not root."""
+    commands = interface_setup_commands(channel, bitrate, data_bitrate, interface_exists)
     return " && ".join(f"sudo {shlex.join(command)}" for command in commands)
 
 
-def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
+def wrong_bit_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     """Return a message if an interface has a wrong bit rate.
 
     If all bit rates are right or unknown, the message is empty.
@@ -77,10 +77,10 @@ def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str
         link = read_link(channel)
     except MissingTool:
         return ""
-    return rate_difference(channel, link, bitrate, data_bitrate) if link else ""
+    return bit_rate_mismatch_text(channel, link, bitrate, data_bitrate) if link else ""
 
 
-def rate_difference(
+def bit_rate_mismatch_text(
     channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None
 ) -> str:
     """Return a message if a bit rate in ``link`` is wrong.

@@ -19,7 +19,11 @@ from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError, NoSimulatorError
 from handctl.runtime.buses.bus_events import BusEvent, BusEvents
-from handctl.runtime.buses.canfd_structs import CANFD_FRAME_BYTES, FrameStructs, without_errors
+from handctl.runtime.buses.canfd_structs import (
+    CANFD_FRAME_BYTES,
+    FrameStructs,
+    data_and_error_frames,
+)
 from handctl.runtime.buses.contract import TimeConversion, check_payload_size
 from handctl.runtime.socket_paths import local_bus_path
 from handctl.runtime.socket_peers import is_served_by_same_user
@@ -171,7 +175,7 @@ class LocalBus:
             count, self._convert_time(time.monotonic_ns()), self._index
         )
         if has_error_frames:
-            frames, errors = without_errors(frames.records)
+            frames, errors = data_and_error_frames(frames.records)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)
         self._count_dropped_frames(structs.reserved_bits(count - 1))

@@ -21,7 +21,11 @@ from handctl.runtime.buses.bus_events import BusEvent, BusEvents
 from handctl.runtime.buses.canfd_structs import ALL_FLAGS, CANFD_FRAME_BYTES, FrameStructs
 from handctl.runtime.buses.clock_offset import ClockOffset
 from handctl.runtime.buses.contract import TimeConversion
-from handctl.runtime.buses.interface_setup import interface_names, set_up_text, wrong_rate_text
+from handctl.runtime.buses.interface_setup import (
+    interface_names,
+    interface_setup_text,
+    wrong_bit_rate_text,
+)
 
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames in one system call."""
@@ -121,7 +125,7 @@ class SocketCanBus:
         close to each other, and no frame was lost before them. Such datagrams are converted as one
         batch. Otherwise each datagram is converted separately.
         """
-        size = self._in.common_size(count, self._dropped)
+        size = self._in.common_datagram_size(count, self._dropped)
         frames = (
             self._convert_uniform_batch(count, FDF if size == CANFD_FRAME_BYTES else 0)
             if size
@@ -145,10 +149,10 @@ class SocketCanBus:
             return None
         times = self._in.reception_stamps(count)
         times += self._offset.offset_ns()
-        each = times.tolist()
+        receive_times = times.tolist()
         min_stamp_ns = self._latest
-        first = min(each)
-        last = max(each)
+        first = min(receive_times)
+        last = max(receive_times)
         if not min_stamp_ns <= first <= last <= min_stamp_ns + MAX_STAMP_STEP_NS:
             return None
         convert_time = self._convert_time
@@ -158,8 +162,8 @@ class SocketCanBus:
         ):  # between these time stamps, the time of the run is neither scaled nor paused
             times += start - first
         else:
-            times = np.array([convert_time(t_ns) for t_ns in each])
-        self._latest = each[-1]
+            times = np.array([convert_time(t_ns) for t_ns in receive_times])
+        self._latest = receive_times[-1]
         frames.records["t_ns"] = times
         return frames
 
@@ -267,7 +271,7 @@ def open_socketcan(
     name = f"socketcan:{channel}"
     fd_mode = data_bitrate is not None
     exists = channel in interface_names()
-    hint = "type: " + set_up_text(channel, bitrate, data_bitrate, exists)
+    hint = "type: " + interface_setup_text(channel, bitrate, data_bitrate, exists)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -279,7 +283,7 @@ def open_socketcan(
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
         link.bind((channel,))
-        problem = _interface_problem(link, channel, fd_mode) or wrong_rate_text(
+        problem = _interface_problem(link, channel, fd_mode) or wrong_bit_rate_text(
             channel, bitrate, data_bitrate
         )
     except OSError as error:

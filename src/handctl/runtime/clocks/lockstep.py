@@ -18,7 +18,7 @@ from handctl.drives.frame_records import Frames, RecordArray, frames_as_records,
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.bus_events import BusEvents
-from handctl.runtime.buses.canfd_structs import without_errors
+from handctl.runtime.buses.canfd_structs import data_and_error_frames
 
 SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Name ``module:Class`` of the simulator in the handctl repository."""
@@ -174,7 +174,7 @@ class LockstepBus:
         # is no error frame. In this case, the frames need not be examined one by one.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR_FLAG:
             return frames
-        frames, errors = without_errors(frames.records)
+        frames, errors = data_and_error_frames(frames.records)
         for frame in errors:
             events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
             events.add_error_frame(frame.can_id, frame.data)

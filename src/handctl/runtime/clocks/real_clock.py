@@ -98,9 +98,9 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        early = deadline_ns - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
-        if early > 0:
-            time.sleep(early / 1e9)
+        waiting_ns = deadline_ns - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
+        if waiting_ns > 0:
+            time.sleep(waiting_ns / 1e9)
         while (
             now := self._read_ns()
         ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again

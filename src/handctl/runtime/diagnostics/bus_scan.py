@@ -13,7 +13,7 @@ from handctl.drives.discovery import (
     PROBE_ROUNDS,
     SCAN_LISTEN_S,
     DiscoveredNode,
-    split_probes,
+    split_safe_requests,
 )
 from handctl.drives.frame import Frame
 from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
@@ -99,7 +99,7 @@ def scan_bus(
         if turn == 0 and not force and (foreign := _foreign_frames(seen)):
             break
     drives = tuple(
-        discovery.unasked(node) if foreign else node
+        discovery.correct_without_requests(node) if foreign else node
         for discovery in DISCOVERY_BY_PROTOCOL.values()
         for node in discovery.nodes(seen)
     )
@@ -121,7 +121,7 @@ def _requests_of_round(
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        allowed_frames, dropped = split_probes(
+        allowed_frames, dropped = split_safe_requests(
             discovery.probe_frames(round_index, seen_frames),
             _commands_of_other_hosts(name, seen_frames),
         )

@@ -101,10 +101,10 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
             continue
         check = _run_check(device, name, requirement)
         yield check
-        failed = check.verdict is CheckVerdict.FAILED
-        reversed_direction_failed |= turns and failed
+        has_failed = check.verdict is CheckVerdict.FAILED
+        reversed_direction_failed |= turns and has_failed
         usable = device.rig.set_up_drive() and not (
-            failed and requirement is _check_one_answer_per_request
+            has_failed and requirement is _check_one_answer_per_request
         )
 
 
@@ -173,15 +173,15 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
     """
     rig = device.rig
     drive = rig.drive
-    unasked, listened_s = (
-        (0, 1.0) if drive.one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
+    unsolicited_frames, listened_s = (
+        (0, 1.0) if drive.sends_one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
     )
     answers, polled_s = _feedback_frames(rig, DriveTarget.POLL)
     if drive.feedback_period_s:
         requests = polled_s / drive.feedback_period_s
         text = f"{answers} messages in the time of {requests:.0f}"
     else:
-        answers -= round(unasked * polled_s / listened_s)
+        answers -= round(unsolicited_frames * polled_s / listened_s)
         requests = CHECK_DURATION_TICKS
         text = f"{answers} answers to {requests} requests"
     if answers > MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES * requests:
@@ -230,7 +230,7 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
         return "without torque commands, because each of them enables"
     start = rig.state.position
     initial_reported_torque = rig.state.torque
-    coasting = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
+    initial_speed = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
     reported: list[float] = []
     start_ns = rig.t_ns
     for i in range(CHECK_DURATION_TICKS):
@@ -238,7 +238,7 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
         rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(torque))
         reported.append(rig.state.torque - initial_reported_torque)
         moved = rig.state.position - start
-        if abs(moved) > MIN_MOTION_RAD + coasting * (rig.t_ns - start_ns) * 1e-9:
+        if abs(moved) > MIN_MOTION_RAD + initial_speed * (rig.t_ns - start_ns) * 1e-9:
             rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
             raise CheckFailed(
                 f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
@@ -390,8 +390,10 @@ def _check_fault_clearing(device: DeviceUnderTest) -> str:
 def _check_frames_decodable(device: DeviceUnderTest) -> str:
     """Check that every frame received from the drive could be decoded."""
     state = device.rig.state
-    if state.misread:
-        raise CheckFailed(f"{state.misread} frames on its identifiers could not be decoded")
+    if state.misread_frame_count:
+        raise CheckFailed(
+            f"{state.misread_frame_count} frames on its identifiers could not be decoded"
+        )
     return (
         f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
     )

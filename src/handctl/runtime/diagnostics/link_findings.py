@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.runtime.buses.adapter import UsbAdapter
-from handctl.runtime.buses.interface_setup import RESTART_MS, TX_QUEUE_FRAMES, set_up_text
+from handctl.runtime.buses.interface_setup import RESTART_MS, TX_QUEUE_FRAMES, interface_setup_text
 from handctl.runtime.buses.link_state import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES
 
@@ -54,7 +54,7 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
         return LinkFinding(
             f"{name} does not exist",
             False,
-            set_up_text(name, bitrate, data_bitrate, interface_exists=False),
+            interface_setup_text(name, bitrate, data_bitrate, interface_exists=False),
             is_bus_unusable=True,
         )
     fix = (
@@ -77,7 +77,7 @@ def interface_findings(
         data_bitrate: bit rate of the data phase in the hand file [bit/s], or None for a classical
             bus.
     """
-    set_up_command = set_up_text(name, bitrate, data_bitrate, interface_exists=True)
+    set_up_command = interface_setup_text(name, bitrate, data_bitrate, interface_exists=True)
     result = [
         LinkFinding(
             f"{name} is {'up' if link.is_up else 'down'}",
@@ -130,8 +130,8 @@ def adapter_findings(
         return [LinkFinding(what, False, "flash candleLight firmware for the driver gs_usb")]
     if adapter is None:
         return []
-    usb = f", USB {adapter.usb_speed_mbit_s:g} Mbit/s" if adapter.usb_speed_mbit_s else ""
-    what = f"adapter of driver {adapter.driver or 'unknown'}{usb}"
+    usb_text = f", USB {adapter.usb_speed_mbit_s:g} Mbit/s" if adapter.usb_speed_mbit_s else ""
+    what = f"adapter of driver {adapter.driver or 'unknown'}{usb_text}"
     if adapter.is_full_speed:
         what += (
             f": one exchange each millisecond, at most {MAX_RATE_AT_FULL_SPEED_HZ} Hz for a hand"

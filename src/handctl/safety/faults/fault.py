@@ -94,7 +94,7 @@ class CatalogueRow(NamedTuple):
     def visibility(self, protocol: str) -> str:
         """Return how a drive protocol shows the failure.
 
-        The protocol is one of ``GUARDED_PROTOCOLS``.
+        The protocol is one of ``VERIFIABLE_PROTOCOLS``.
         """
         visibility: str = getattr(self, protocol)
         return visibility or self.mit

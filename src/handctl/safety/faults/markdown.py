@@ -1,6 +1,6 @@
 """Generation of Markdown tables and sections for the documents, from the fault declarations."""
 
-from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, CatalogueRow, Fault
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
@@ -40,7 +40,7 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 
     For each drive protocol, the table says how each failure shows.
     """
-    names = [PROTOCOL_TRAITS[protocol].title for protocol in GUARDED_PROTOCOLS]
+    names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
     return "\n".join(
         [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, rows)]
@@ -64,7 +64,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
         else "1 tick"
     )
     return (
-        f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, GUARDED_PROTOCOLS))} | {latest} "
+        f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, VERIFIABLE_PROTOCOLS))} | {latest} "
         f"| {row.tested_by} |"
     )
 

@@ -159,5 +159,8 @@ def are_joints_moving(
     """
     # The ratio of the preloads is 1 if all n joints move, and (n - 1) / n if one joint is blocked.
     # The limit lies halfway between these two values.
-    stiff = 1.0 - 0.5 / joint_count
-    return preload + half_width >= stiff or travel > full_travel * (joint_count - 1) / joint_count
+    min_fraction = 1.0 - 0.5 / joint_count
+    return (
+        preload + half_width >= min_fraction
+        or travel > full_travel * (joint_count - 1) / joint_count
+    )

@@ -118,10 +118,12 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
     low, high = (math.radians(angle) for angle in _sweep_range(hand, digit))
-    middle = 0.5 * (low + high)
-    swing = math.radians(SWING_AMPLITUDE_DEG)
+    middle_angle = 0.5 * (low + high)
+    swing_amplitude = math.radians(SWING_AMPLITUDE_DEG)
     upper_stretch_tension = STRETCH_UPPER_FRACTION * lift_off_tension(hand, digit)
-    released, soft, hard = (fraction * max_tension for fraction in PRESS_TENSION_FRACTIONS)
+    released, medium_tension, high_tension = (
+        fraction * max_tension for fraction in PRESS_TENSION_FRACTIONS
+    )
 
     def excite_step(
         name: str,
@@ -136,10 +138,10 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
             | {"target": target, "rate": rate, "held": held}
         )
 
-    swing_step = excite_step("swing", "chirp", 2.4, middle)
+    swing_step = excite_step("swing", "chirp", 2.4, middle_angle)
     swing_step = swing_step.model_copy(
         update={
-            "amplitude": swing,
+            "amplitude": swing_amplitude,
             "low_Hz": SWING_MIN_FREQUENCY_HZ,
             "high_Hz": SWING_MAX_FREQUENCY_HZ,
         }
@@ -152,7 +154,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     press_steps = [
         excite_step("press", "tension", 0.22, goal, 250.0, held=True)
         for _ in range(3)
-        for goal in (hard, soft)
+        for goal in (high_tension, medium_tension)
     ]
     stretch = [
         excite_step(
@@ -171,10 +173,10 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         *stretch,
         excite_step("approach", "move", 0.4, low),
         *sweep_steps,
-        excite_step("approach", "move", 0.3, middle),
+        excite_step("approach", "move", 0.3, middle_angle),
         swing_step,
         excite_step("approach", "move", 0.3, high),
-        excite_step("close", "tension", 0.5, soft, 80.0, held=True),
+        excite_step("close", "tension", 0.5, medium_tension, 80.0, held=True),
         *press_steps,
         excite_step("open", "tension", 0.7, released, 60.0, held=True),
         excite_step("open", "move", 0.5, low),

@@ -76,7 +76,7 @@ TENSION_RATE_N_PER_S = 250.0
 
 At this rate, the spool turns fast enough that the direction of its friction is known.
 """
-SETTLE_S = 0.06
+STRETCH_WAIT_S = 0.06
 """Waiting time after a stretch [s]."""
 STRETCH_COUNT = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
@@ -102,7 +102,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     """
     digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
-    middle = 0.5 * (low + high)
+    middle_angles = 0.5 * (low + high)
     half = 0.5 * (high - low)
 
     def excite_step(
@@ -113,19 +113,19 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         return ExciteStep.model_validate(given | {"targets": target_values})
 
     sweep_steps = []
-    for signs in _sign_patterns(len(middle)):
-        sweep_steps.append(excite_step("approach", "move", 0.4, middle - signs * half))
+    for signs in _sign_patterns(len(middle_angles)):
+        sweep_steps.append(excite_step("approach", "move", 0.4, middle_angles - signs * half))
         for duration in SWEEP_DURATIONS_S:
             sweep_steps += [
-                excite_step("sweep", "move", duration, middle + side * signs * half)
+                excite_step("sweep", "move", duration, middle_angles + side * signs * half)
                 for side in (1.0, -1.0)
             ]
-    amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
-    swing = excite_step(
+    amplitudes = tuple(_swing_amplitudes(hand, digit, middle_angles, half).tolist())
+    swing_step = excite_step(
         "swing",
         "chirp",
         SWING_DURATION_S,
-        middle,
+        middle_angles,
         amplitudes=amplitudes,
         low_Hz=SWING_MIN_FREQUENCY_HZ,
         high_Hz=SWING_MAX_FREQUENCY_HZ,
@@ -140,7 +140,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     )
     stretch_steps = []
     for lower, upper in stretch_ranges:
-        duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
+        duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + STRETCH_WAIT_S
         stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
@@ -158,8 +158,8 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             rate=40.0,
         ),
         *sweep_steps,
-        excite_step("approach", "move", 0.4, middle),
-        swing,
+        excite_step("approach", "move", 0.4, middle_angles),
+        swing_step,
         excite_step("approach", "move", 0.6, low),
         excite_step(
             "close",

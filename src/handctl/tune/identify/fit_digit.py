@@ -143,8 +143,8 @@ class TorqueBalance:
             for i, mean_arm in enumerate(arms.tolist()):
                 arm = present[..., j, i]
                 # A prismatic joint, and a joint that the tendon does not cross, add no wrap angle.
-                wraps = mean_arm != 0.0 and not self.digit.is_prismatic[i]
-                angle = angle + self.q[:, i] * wraps
+                has_pulley = mean_arm != 0.0 and not self.digit.is_prismatic[i]
+                angle = angle + self.q[:, i] * has_pulley
                 # The direction of the friction depends on the direction in which the tendon moves.
                 lost = np.clip(
                     -friction[j] * self.speed_sign[:, j] * angle,
@@ -194,7 +194,9 @@ def _joint_rates(
     if not digit.has_varying_arm:
         excursion_to_joints = digit.excursion_to_joints.T
         return speed @ excursion_to_joints, acceleration @ excursion_to_joints
-    excursions_to_joints_by_row = np.array([digit.at_angles(row).excursion_to_joints for row in q])
+    excursions_to_joints_by_row = np.array(
+        [digit.with_moment_arms_at(row).excursion_to_joints for row in q]
+    )
     dq = np.einsum("mjn,mn->mj", excursions_to_joints_by_row, speed)
     bend = np.einsum(
         "mnj,mj->mn",

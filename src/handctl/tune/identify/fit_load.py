@@ -218,19 +218,19 @@ class DigitLoad:
         limits = self.varying.joint_limits[:, i : i + 1]
         angle = q[:, None]
         here = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
-        ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
+        arm_ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
         return (
             here,
-            (ahead - here) / DIFFERENCE_STEP_RAD,
+            (arm_ahead - here) / DIFFERENCE_STEP_RAD,
             excursions_at(polynomial, limits, angle)[:, 0, 0],
         )
 
-    def expected_tension(self, p: LoadParameters, means: SignalBins) -> Array:
+    def expected_tension(self, p: LoadParameters, mean_samples: SignalBins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
-        mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])
-        rate = means.speed / total
-        acceleration = means.acceleration / total
+        mean = np.clip(self.mean_angle(mean_samples.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])
+        rate = mean_samples.speed / total
+        acceleration = mean_samples.acceleration / total
         load_torques = [
             p.damping * self.damping[i] * rate
             + p.mass
@@ -240,7 +240,7 @@ class DigitLoad:
             )
             for i in range(len(self.arms))
         ]
-        friction_exponent = -p.friction * np.sign(means.speed)
+        friction_exponent = -p.friction * np.sign(mean_samples.speed)
         stiffness = p.spring * self.spring
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
@@ -274,5 +274,5 @@ class DigitLoad:
                 excursion = excursion + taken_up
                 # `slope` is the derivative of the excursion with respect to the tension.
                 slope = slope + arm * arm * friction_factor / held
-            f = np.maximum(f + (means.travel - p.offset - excursion) / slope, 0.1)
+            f = np.maximum(f + (mean_samples.travel - p.offset - excursion) / slope, 0.1)
         return np.asarray(f)

@@ -153,32 +153,34 @@ class PairWindows:
         windows = motor_windows(replace(own, tension=np.zeros_like(own.travel)), spool)
         weights = WindowWeights.from_period(own.period)
         rows = np.rint((windows.t - own.t[0]) / own.period).astype(int)[:, None] + weights.samples
-        stretched = own.stop[rows]
-        clear = np.asarray(stretched.all(axis=1) | ~stretched.any(axis=1))
-        means = np.array([weights.derivatives(pair.travel[rows]) for pair in tendons_data])
-        clear &= np.isfinite(means).all(axis=(0, 1))
+        is_on_stop = own.stop[rows]
+        clear = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
+        mean_derivatives = np.array(
+            [weights.derivatives(pair.travel[rows]) for pair in tendons_data]
+        )
+        clear &= np.isfinite(mean_derivatives).all(axis=(0, 1))
         windows, rows = select_windows(windows, clear), rows[clear]
         if len(windows.t) < 20:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(
-            digit, means[:, :, clear], tendons_data, rest_angles[digit.joints]
+            digit, mean_derivatives[:, :, clear], tendons_data, rest_angles[digit.joints]
         )
         tree = HandLinkTree.from_hand(hand)
-        rigid = np.array(
+        rigid_body_torque = np.array(
             [
                 _torque_of_digit(tree, digit, rest_angles, *row)
                 for row in zip(q, dq, ddq, strict=True)
             ]
         )
-        to_tension = digit.torque_to_tension[tendon]
+        torque_to_tension = digit.torque_to_tension[tendon]
         passed = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
         quick = speed_from_difference(own.travel, own.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own, rows, weights)
         return PairWindows(
             motor=windows,
             free=~own.stop[rows].any(axis=1),
-            inertial=rigid @ to_tension,
-            damping=(dq * np.array(digit.joint_damping)) @ to_tension,
+            inertial=rigid_body_torque @ torque_to_tension,
+            damping=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
             wrap_angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
             friction_fraction=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
@@ -189,19 +191,24 @@ class PairWindows:
 
 def select_windows(windows: MotorWindows, selection_mask: NDArray[np.bool_]) -> MotorWindows:
     """Return the selected windows of a motor."""
-    each = ("t", "tension", "acceleration", "speed", "sign", "commands")
-    return replace(windows, **{name: getattr(windows, name)[selection_mask] for name in each})
+    field_names = ("t", "tension", "acceleration", "speed", "sign", "commands")
+    return replace(
+        windows, **{name: getattr(windows, name)[selection_mask] for name in field_names}
+    )
 
 
 def _joint_motion(
-    digit: DigitModel, means: Array, tendons_data: Sequence[TendonData], rest_angles: Array
+    digit: DigitModel,
+    mean_derivatives: Array,
+    tendons_data: Sequence[TendonData],
+    rest_angles: Array,
 ) -> tuple[Array, Array, Array]:
     """Return angles, rates and accelerations (m, joints) of a digit, computed from the motion of its pairs (n_t, 3, m).
 
     The stretch of the tendons is neglected here. The angles are shifted so that their mean equals
     the mean of the joint readings.
     """
-    travel, speed, acceleration = (means[:, i].T for i in range(3))
+    travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
     angles = np.column_stack([pair.travel for pair in tendons_data]) @ back
     offset = (
@@ -246,8 +253,8 @@ def _stretch_readings(
     total = np.maximum(weight.sum(axis=1), 1e-12)
     travel = (data.travel[window_rows] * weight).sum(axis=1) / total
     count = read[window_rows].sum(axis=1)
-    stretched = data.stop[window_rows].all(axis=1)
-    travel = np.where(stretched, data.travel[window_rows] @ weights.mean, travel)
+    is_on_stop = data.stop[window_rows].all(axis=1)
+    travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
     known = np.where(
         count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
     )
@@ -266,13 +273,15 @@ def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array)
 
     The formula is the same as in `core.estimation.spool_pair`, but for arrays.
     """
-    both_taut = (
+    tension_if_both_taut = (
         2.0
         * (net_tension + pretension * (1.0 / pulley_ratios - pulley_ratios))
         / (pulley_ratios + 1.0 / pulley_ratios)
     )
-    single = np.where(both_taut > 0.0, net_tension / pulley_ratios, net_tension * pulley_ratios)
-    return np.where(np.abs(both_taut) < 2.0 * pretension, both_taut, single)
+    single = np.where(
+        tension_if_both_taut > 0.0, net_tension / pulley_ratios, net_tension * pulley_ratios
+    )
+    return np.where(np.abs(tension_if_both_taut) < 2.0 * pretension, tension_if_both_taut, single)
 
 
 def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> Array:
@@ -369,11 +378,11 @@ class PairProblem:
             np.where(w.free, needed, measured), stiffness, pretension
         )
         motor_residuals = np.where(w.free, measured - needed, 0.0) / self.motor_noise
-        softest = (
+        min_stiffness = (
             self.motor_noise / self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         )
         noise = np.hypot(
-            self.reading_noise / np.sqrt(w.reading_count), np.where(w.free, 0.0, softest)
+            self.reading_noise / np.sqrt(w.reading_count), np.where(w.free, 0.0, min_stiffness)
         )
         known = np.isfinite(w.excursion)
         stretch_residuals = np.where(known, self.stretch(z) - stretch_from_tension, 0.0) / noise
@@ -430,9 +439,14 @@ def fit_pair(
     windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
-    scales = parameter_scales(hand, own.tendon)
+    value_scales = parameter_scales(hand, own.tendon)
     problem = PairProblem(
-        windows, motor.spool_radius_m, scales, INITIAL_NOISE_N, reading, _start_parameters(windows)
+        windows,
+        motor.spool_radius_m,
+        value_scales,
+        INITIAL_NOISE_N,
+        reading,
+        _start_parameters(windows),
     )
     times = np.tile(windows.motor.t, 2)
     tried = [
@@ -498,8 +512,8 @@ def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> T
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
     sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
     measured = problem.measured_tension(solution.z)
-    none = np.zeros(0)
-    empty_bins = SignalBins(none, none, none, none, none, 1)
+    empty_array = np.zeros(0)
+    empty_bins = SignalBins(empty_array, empty_array, empty_array, empty_array, empty_array, 1)
     seen = np.isfinite(windows.excursion) & ~windows.free
     t = windows.motor.t[seen]
     rest = np.zeros(len(t))

@@ -194,12 +194,12 @@ class TendonFitProblem:
         r = self.spool_radius_m
         # In the motor equation, the tension is the driving force minus the forces of inertia and
         # friction.
-        driven = gain * m.delayed_command(delay)
+        motor_torque = gain * m.delayed_command(delay)
         motor_losses = (
             inertia / r * m.acceleration + viscous / r * m.speed
         ) / r + coulomb / r * m.sign
         rows = [
-            (driven - motor_losses - (m.tension - self._cell_offset(m.t, drift)))
+            (motor_torque - motor_losses - (m.tension - self._cell_offset(m.t, drift)))
             / (self.cell_noise_N * m.noise_ratio)
         ]
         for bin_means, model in self._expected_tensions(p, stiffness):
@@ -254,21 +254,23 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     """Return the scale (15,) of each parameter of a tendon, which is usually the value in the hand file."""
     known = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
-    scales = np.array([
+    value_scales = np.array([
         1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, DELAY_SCALE_S,
         known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
         STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
     ])  # fmt: skip
     # Even a parameter that is zero in the hand file needs a scale.
-    return np.where(scales > 0.0, scales, 1e-3)
+    return np.where(value_scales > 0.0, value_scales, 1e-3)
 
 
-def stop_stiffness(stiffness: float, softness: float, nominal_stiffness: Array) -> float:
+def stop_stiffness(stiffness: float, relative_compliance: float, nominal_stiffness: Array) -> float:
     """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
     # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
         1.0
-        + softness * stiffness / float(nominal_stiffness[PARAMETER_NAMES.index("tendon_stiffness")])
+        + relative_compliance
+        * stiffness
+        / float(nominal_stiffness[PARAMETER_NAMES.index("tendon_stiffness")])
     )
 
 

@@ -13,7 +13,7 @@ from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import phase_of_each
+from handctl.log.read.timeline import phase_of_each_tick
 from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit_solution
 from handctl.tune.identify.fit_pair import fit_pair
@@ -257,8 +257,8 @@ def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> Tendo
     """
     contact = contact_text(hand, result)
     ramp = result.fit.ramp
-    cleared = not contact and ramp is not None and ramp.excludes_contact
-    return replace(result, contact_text=contact, blocked_event="" if cleared else event)
+    has_no_contact = not contact and ramp is not None and ramp.excludes_contact
+    return replace(result, contact_text=contact, blocked_event="" if has_no_contact else event)
 
 
 def contact_text(hand: Hand, result: TendonResult) -> str:
@@ -295,17 +295,17 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
         return ""
     stretch = data.tension / values["tendon_stiffness"] + values["stretch_offset"]
     travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
-    closed = np.radians(hand.digit_named(data.digit).joint_max_deg)
-    full = float(abs(load.arms) @ closed)
+    closed_angles = np.radians(hand.digit_named(data.digit).joint_max_deg)
+    full_excursion = float(abs(load.arms) @ closed_angles)
     if load.varying is not None:
-        full = float(abs(load.varying.excursion_at(closed)[0]))
+        full_excursion = float(abs(load.varying.excursion_at(closed_angles)[0]))
     preload = values["spring_preload"]
     width = result.fit.half_widths["spring_preload"]
-    if are_joints_moving(len(load.arms), preload, width, travel, full):
+    if are_joints_moving(len(load.arms), preload, width, travel, full_excursion):
         return ""
     return (
         f"a joint does not seem to move: the springs of the digit have {preload:.2f} of the hand file's preload, "
-        f"and the digit closes by {1e3 * travel:.1f} mm of {1e3 * full:.1f} mm"
+        f"and the digit closes by {1e3 * travel:.1f} mm of {1e3 * full_excursion:.1f} mm"
     )
 
 
@@ -324,7 +324,7 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     ]
     if not events:
         return {}
-    phases = phase_of_each(log.phases, np.array([event_entry.k for event_entry in events]))
+    phases = phase_of_each_tick(log.phases, np.array([event_entry.k for event_entry in events]))
     texts: dict[str, str] = {}
     for event_entry, phase in zip(events, phases, strict=True):
         digit, _, step = str(phase).partition(" ")

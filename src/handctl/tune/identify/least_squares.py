@@ -120,20 +120,24 @@ def _parameter_covariance(
     plain_covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
     # of the sandwich estimator without correction.
-    middle = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
-    expected = [np.diag(plain_covariance @ middle @ plain_covariance)]
+    score_covariance = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
+    expected = [np.diag(plain_covariance @ score_covariance @ plain_covariance)]
     for rows in _block_rows(sample_times):
         part = jacobian[rows]
         left = np.eye(len(rows)) - part @ plain_covariance @ part.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
         # a least-squares solution takes the place of the inverse of (I - H).
-        alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
-        score = part.T @ alone[:, 0]
-        middle += np.outer(score, score)
+        parameter_alone = np.linalg.lstsq(
+            left, np.column_stack([residual[rows], part]), rcond=1e-9
+        )[0]
+        score = part.T @ parameter_alone[:, 0]
+        score_covariance += np.outer(score, score)
         expected.append(
-            np.maximum(np.diag(plain_covariance @ part.T @ alone[:, 1:] @ plain_covariance), 0.0)
+            np.maximum(
+                np.diag(plain_covariance @ part.T @ parameter_alone[:, 1:] @ plain_covariance), 0.0
+            )
         )
-    robust_covariance = plain_covariance @ middle @ plain_covariance
+    robust_covariance = plain_covariance @ score_covariance @ plain_covariance
     # The robust covariance may be larger than that of independent noise, but never smaller.
     robust_width_factor = np.sqrt(
         np.maximum(np.diag(robust_covariance) / np.diag(plain_covariance), 1.0)

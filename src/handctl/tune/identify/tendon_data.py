@@ -11,7 +11,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import phase_of_each
+from handctl.log.read.timeline import phase_of_each_tick
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -27,7 +27,7 @@ CONTACT_PHASES = ("close", "open")
 
 The motor force may jump within one sample.
 """
-SETTLE_S = 0.02
+IGNORED_STEP_START_S = 0.02
 """Duration of the beginning of each step, from which no data are used [s]."""
 TRANSIENT_S = 0.35
 """Time after which the springs have opened the digit and a relaxed tendon is slack [s]."""
@@ -86,13 +86,13 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
         hand: description of the hand of the run.
     """
     period = log.header.period_ns * 1e-9
-    phases = phase_of_each(log.phases, log.k)
+    phases = phase_of_each_tick(log.phases, log.k)
     excited_digits = {
         name.partition(" ")[0]
         for name in phases
         if name.partition(" ")[2] in (*STOP_STEP_NAMES, *FREE_STEP_NAMES)
     }
-    settling_ticks = round(SETTLE_S / period)
+    settling_ticks = round(IGNORED_STEP_START_S / period)
     transient_ticks = round(TRANSIENT_S / period)
     # After the last tick, there is no further measurement. Therefore every array ends one tick
     # earlier than the log.
@@ -219,8 +219,10 @@ def average_samples(values: Array, half_window: int) -> Array:
 
     At both ends of the data, the result is NaN.
     """
-    means = np.full(len(values), np.nan)
+    mean_values = np.full(len(values), np.nan)
     width = 2 * half_window + 1
     if len(values) >= width:
-        means[half_window:-half_window] = np.convolve(values, np.full(width, 1.0 / width), "valid")
-    return means
+        mean_values[half_window:-half_window] = np.convolve(
+            values, np.full(width, 1.0 / width), "valid"
+        )
+    return mean_values

@@ -27,7 +27,7 @@ from typing import Any
 
 from handctl.core.gains.gain_bounds import TENDON_SECTION, gains_with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.gains.motion_design import design_motion, largest_force_weight
+from handctl.core.gains.motion_design import design_motion, force_weight_at_period
 from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.errors import ConfigError
@@ -186,11 +186,11 @@ def gains_with_poles(
     shared = _without_tendon_forces(model.gains, kind)
     if kind == LoopKind.MOTION:
         motion = shared.motion
-        force = largest_force_weight(motion.force_N, model.period)
+        force = force_weight_at_period(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
         return _gains_with_sections(shared, motion={**motion.model_dump(), **table})
     tension = shared.tension
-    force = largest_force_weight(tension.force_N, model.period)
+    force = force_weight_at_period(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
     return _gains_with_sections(shared, tension={**tension.model_dump(), **table})
 
@@ -349,7 +349,7 @@ def _groups_of_equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
     space = model.space
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
     for i, name in enumerate(space.names):
-        numbers = (*space.numbers_of(i), *model.gains.forces_of(name))
+        numbers = (*space.constants_of_tendon(i), *model.gains.force_weights_of_tendon(name))
         key = tuple(f"{number:.6g}" for number in numbers)
         groups[key] = (*groups.get(key, ()), i)
     return tuple(groups.values())
@@ -505,11 +505,11 @@ def _largest_force(
         return None
     high = min(at, math.log(MAX_FORCE_N))
     for _ in range(BISECTION_STEPS):
-        middle = (best + high) / 2.0
-        if keeps_margins(middle):
-            best = middle
+        tried_force = (best + high) / 2.0
+        if keeps_margins(tried_force):
+            best = tried_force
         else:
-            high = middle
+            high = tried_force
     # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
     # the margins may be smaller.
     for _ in range(MAX_REDUCTIONS):
@@ -535,8 +535,10 @@ def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     """Return gains in which no single tendon has a separate force in a loop."""
     removed_key = f"{kind}_force_N"
     entries = [one.model_copy(update={removed_key: None}) for one in gains.tendon]
-    kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
-    return _gains_with_sections(gains, tendon=kept)
+    kept_entries = [
+        one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N
+    ]
+    return _gains_with_sections(gains, tendon=kept_entries)
 
 
 def _gains_with_tendon_forces(

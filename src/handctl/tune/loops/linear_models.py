@@ -102,10 +102,10 @@ class LinearSystem:
         """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
         # In the z-plane, the frequencies lie on the unit circle.
         z = np.exp(1j * omega * self.period)
-        inverse = np.linalg.solve(
+        state_response = np.linalg.solve(
             z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex)
         )
-        return np.asarray(self.C @ inverse + self.D)
+        return np.asarray(self.C @ state_response + self.D)
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,11 +255,17 @@ def _without_constants(K: LinearSystem) -> LinearSystem:
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
-    varying = np.flatnonzero(
+    changing = np.flatnonzero(
         (np.abs(A).max(axis=1) > CONSTANT_STATE_TOLERANCE)
         | (np.abs(B).max(axis=1) > CONSTANT_STATE_TOLERANCE)
     )
-    return LinearSystem(K.A[np.ix_(varying, varying)], K.B[varying], K.C[:, varying], K.D, K.period)
+    return LinearSystem(
+        K.A[np.ix_(changing, changing)],
+        K.B[changing],
+        K.C[:, changing],
+        K.D,
+        K.period,
+    )
 
 
 _TickFunction = Callable[[Matrix, Matrix], Matrix]
@@ -331,7 +337,7 @@ class _LinearizationBench:
         No contact is detected, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
-        tick_stages.correct_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.correct_tension_estimate(block, self.layout.places, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
         tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
@@ -349,10 +355,10 @@ def _operating_point(
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
     """Return the tick function of a tendon, its state and readings at the operating point, and small steps of both."""
     bench = _LinearizationBench(model)
-    point = _operating_block(bench, tendon, kind)
+    operating_point = _operating_block(bench, tendon, kind)
 
     def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
-        block = point.copy()
+        block = operating_point.copy()
         table = bench.layout.table(block, "tendon")
         table[STATE_ROWS, tendon] = values
         table[MEASUREMENT_ROWS, tendon] = reading
@@ -362,7 +368,7 @@ def _operating_point(
             table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon]
         )
 
-    table = bench.layout.table(point, "tendon")
+    table = bench.layout.table(operating_point, "tendon")
     return (
         run_linear_tick,
         table[STATE_ROWS, tendon].copy(),
@@ -396,7 +402,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     )
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
-    digits = [digit.at_angles(q[digit.joints]) for digit in model.digits]
+    digits = [digit.with_moment_arms_at(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = (
@@ -464,7 +470,9 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
     speed.
     """
     digit = model.digits[d]
-    arms = digit.at_angles(digit.coupling @ _half_closed_coordinates(digit)).reduced_moment_arms
+    arms = digit.with_moment_arms_at(
+        digit.coupling @ _half_closed_coordinates(digit)
+    ).reduced_moment_arms
     i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
@@ -493,7 +501,7 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a motion goal equal to the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
-    arms = digit.at_angles(q).reduced_moment_arms
+    arms = digit.with_moment_arms_at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
         position = position + direction * (reached[i] - digit.excursion_at(q)[i])

@@ -304,7 +304,7 @@ def step_response(
     """
     L = open_loop(model, tendon, kind)
     P = plant_system(model, tendon, kind)
-    closed = L.A - L.B @ L.C
+    closed_loop_matrix = L.A - L.B @ L.C
     row = np.zeros(len(L.A))
     row[: len(P.A)] = P.C[0 if kind == LoopKind.MOTION else 1]
     state = np.zeros(len(L.A))
@@ -312,5 +312,5 @@ def step_response(
     times = np.arange(round(duration / L.period)) * L.period
     for _ in times:
         values.append(float(row @ state))
-        state = closed @ state + L.B[:, 0]
+        state = closed_loop_matrix @ state + L.B[:, 0]
     return np.asarray(times, dtype=np.float64), np.array(values)

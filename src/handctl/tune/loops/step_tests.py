@@ -114,12 +114,12 @@ class StepOscillation:
 
     def is_within_limits(self, allowed_fraction: float) -> bool:
         """Return True if the run did not fail and no oscillation is larger than a fraction of its limit."""
-        small = (
+        is_small = (
             self.angle_rad <= allowed_fraction * MAX_ANGLE_SWING_RAD
             and self.free_tension_N <= allowed_fraction * MAX_FREE_SWING_N
             and self.largest_hold_swing <= allowed_fraction * MAX_HOLD_SWING_N
         )
-        return small and not self.failure
+        return is_small and not self.failure
 
     def without_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions minus the part that the plant causes [N].
@@ -128,8 +128,8 @@ class StepOscillation:
         `MAX_LOOP_AMPLIFICATION`.
         """
         remaining = (
-            max(0.0, swing - MAX_LOOP_AMPLIFICATION * plant_swing)
-            for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
+            max(0.0, hold_swing - MAX_LOOP_AMPLIFICATION * plant_swing)
+            for hold_swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
         return replace(self, hold_swings_N=tuple(remaining))
 
@@ -369,9 +369,9 @@ class RestTest:
                 model.hand, Gains.model_validate(GAINS_WITHOUT_FEEDBACK), 1.0 / model.period
             )
             zero_swings = (0.0,) * model.tendon_count
-            each = [
+            swings = [
                 zero_swings if run.failure else run.hold_swings_N
                 for run in swings_with_other_noise(self.hand, model_without_feedback, factors, seed)
             ]
-            self._plant_swings_by_name[name] = tuple(np.median(each, axis=0).tolist())
+            self._plant_swings_by_name[name] = tuple(np.median(swings, axis=0).tolist())
         return self._plant_swings_by_name[name]

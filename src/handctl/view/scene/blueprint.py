@@ -66,7 +66,9 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
 def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     """Return the three-dimensional view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
-    middle = mounts.mean(axis=0) * (1, 0, 1) + run.longest_digit_m * np.array([0.4, -0.05, -0.06])
+    view_centre = mounts.mean(axis=0) * (1, 0, 1) + run.longest_digit_m * np.array(
+        [0.4, -0.05, -0.06]
+    )
     shown = (
         "object and table as in the simulator"
         if run.truth
@@ -79,8 +81,8 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND_RGB),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + run.longest_digit_m * np.array(CAMERA_POSITION),
-            look_target=middle,
+            position=view_centre + run.longest_digit_m * np.array(CAMERA_POSITION),
+            look_target=view_centre,
             eye_up=(0, 0, 1),
         ),
     )

@@ -82,12 +82,12 @@ class BusLoadCalculator:
         flat = frames.flatten()
         names = ("bus", "flags", "length", "can_id")
         bus, flags, size, can_id = (np.asarray(flat.field(name)).astype(np.intp) for name in names)
-        valid = (bus < len(self._times)) & (size <= MAX_PAYLOAD_BYTES)
-        tick = tick[valid]
-        bus = bus[valid]
-        flags = flags[valid]
-        size = size[valid]
-        extended = (can_id[valid] & EXTENDED_FLAG) // EXTENDED_FLAG
+        is_valid_frame = (bus < len(self._times)) & (size <= MAX_PAYLOAD_BYTES)
+        tick = tick[is_valid_frame]
+        bus = bus[is_valid_frame]
+        flags = flags[is_valid_frame]
+        size = size[is_valid_frame]
+        extended = (can_id[is_valid_frame] & EXTENDED_FLAG) // EXTENDED_FLAG
         spent = np.zeros((len(frames), len(self._times)), np.int64)
         np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size])
         return spent

@@ -78,9 +78,9 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     # and each tendon of the digit has a shade of that colour.
     tendon_slices = run.hand.digit_tendons.values()
     colours = [
-        shade
+        joint_colour
         for i, tendons in zip(colour_numbers(run.hand.digit_names), tendon_slices, strict=True)
-        for shade in palette.joint_colours(i, tendons.stop - tendons.start)
+        for joint_colour in palette.joint_colours(i, tendons.stop - tendons.start)
     ]
     yield _band_style("/tension/estimate", names, colours, "N")
     yield _line_style(

@@ -72,8 +72,8 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 def link_colour(link_name: str, run: RunInfo) -> palette.Colour:
     """Return the colour of a link: the colour of the digit, lighter towards the tip."""
     colours = {
-        f"{digit.name}_link{i + 1}": shade
+        f"{digit.name}_link{i + 1}": joint_colour
         for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)
-        for i, shade in enumerate(palette.joint_colours(index, len(digit.joints)))
+        for i, joint_colour in enumerate(palette.joint_colours(index, len(digit.joints)))
     }
     return colours.get(link_name, palette.PALM_COLOUR)

@@ -70,8 +70,8 @@ class TopicConverters:
     @property
     def topics(self) -> list[str]:
         """Return regular expressions for the topics to convert."""
-        exact = [*self._converters, "/tf", "/tf_static", "/rosout", "/robot_description"]
-        return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
+        exact_topics = [*self._converters, "/tf", "/tf_static", "/rosout", "/robot_description"]
+        return [f"^{topic}$" for topic in exact_topics] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert a chunk of the log, and yield the resulting chunks for the dashboard."""
@@ -176,9 +176,9 @@ def plot_lines(line_values: FloatArray) -> rr.ComponentColumnList:
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
     """Return the forces of the object on a fingertip (n,) [N] as arrows in the coordinate frame of the tip."""
     shown = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
-    vectors = np.zeros((len(force), 3))
+    force_vectors = np.zeros((len(force), 3))
     # A closing tip moves along +y of its own frame, so the object pushes the tip along -y.
-    vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
+    force_vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
     radii = np.where(shown > 0, ARROW_RADIUS_M, 0.0)
-    return rr.Arrows3D.columns(vectors=vectors, labels=labels, radii=radii)
+    return rr.Arrows3D.columns(vectors=force_vectors, labels=labels, radii=radii)

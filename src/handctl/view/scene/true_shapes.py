@@ -82,7 +82,7 @@ def _object_pose(
     truth: TruthRecord, object_shape: Mapping[str, Any], times: Any
 ) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion (x, y, z, w) of the object, with one row for each time."""
-    pose = truth.columns_at([f"object/{part}" for part in POSE_COLUMNS], times)
+    pose = truth.interpolated_columns([f"object/{part}" for part in POSE_COLUMNS], times)
     return pose[:, :3], pose[:, 3:]
 
 
@@ -93,5 +93,5 @@ def _table_pose(truth: TruthRecord, table_shape: Mapping[str, Any], times: Any) 
     """
     position = np.tile(np.array(table_shape["position_m"], np.float64), (len(times), 1))
     if truth.has_column("support"):
-        position[:, 2] -= truth.column_at("support", times)
+        position[:, 2] -= truth.interpolated_column("support", times)
     return position, np.tile((0.0, 0.0, 0.0, 1.0), (len(times), 1))
