@@ -115,63 +115,76 @@ def compare_searches(
     calibration_file: Path | None,
 ) -> dict[str, Any]:
     """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
-    hand, twin, spread = load_tuned_hand(hand_name, calibration_file)
+    hand, identified_hand, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
-    detuned = detuned_gains()
+    gains_to_improve = detuned_gains()
     rate = default_rate(hand)
-    crew = make_workers(worker_count, None)
+    worker_pool = make_workers(worker_count, None)
     try:
         with tempfile.TemporaryDirectory() as passing:
             folder = study_folder or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = SearchPlan(
+            plan_from_file = SearchPlan(
                 hand.to_toml(),
                 rate,
-                detuned,
+                gains_to_improve,
                 draw_ensemble(plant_count, 0),
                 1,
                 trial_count,
                 (packaged,),
             )
-            knowing = SearchPlan(
-                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
-            )
-            searches, spent = _run_timed_search(blind, folder / "blind", crew)
-            informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
-            around = SearchPlan(
-                twin.to_toml(),
+            plan_with_true_hand = SearchPlan(
+                plan_from_file.hand,
                 rate,
-                detuned,
+                gains_to_improve,
+                (TRUE_PLANT_FACTORS,),
+                1,
+                trial_count,
+                (packaged,),
+            )
+            searches, search_time_s = _run_timed_search(
+                plan_from_file, folder / "blind", worker_pool
+            )
+            informed, _ = _run_timed_search(plan_with_true_hand, folder / "knowing", worker_pool)
+            plan_around_design = SearchPlan(
+                identified_hand.to_toml(),
+                rate,
+                gains_to_improve,
                 draw_ensemble(plant_count, 0, spread),
                 1,
                 trial_count,
                 (packaged,),
             )
-            fitted = (
-                _run_timed_search(around, folder / "identified", crew)[0]
+            fitted_gains = (
+                _run_timed_search(plan_around_design, folder / "identified", worker_pool)[0]
                 if calibration_file
                 else None
             )
         jobs = [
-            _judge_job(knowing, gains)
+            _judge_job(plan_with_true_hand, gains)
             for gains in (
-                detuned,
+                gains_to_improve,
                 packaged,
-                _best_gains(detuned, searches),
-                _best_gains(detuned, informed),
+                _best_gains(gains_to_improve, searches),
+                _best_gains(gains_to_improve, informed),
             )
         ]
         scores = [
             GainScore(**score)
-            for _, score in sorted(crew.compute_scores(jobs), key=lambda pair: pair[0])
+            for _, score in sorted(worker_pool.compute_scores(jobs), key=lambda pair: pair[0])
         ]
     finally:
-        crew.close()
+        worker_pool.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
-    if fitted:
+    if fitted_gains:
         names.append("tuned_as_identified")
         scores.append(
-            _with_model(hand, HandModel.from_hand(twin, _best_gains(detuned, fitted), rate))
+            _with_model(
+                hand,
+                HandModel.from_hand(
+                    identified_hand, _best_gains(gains_to_improve, fitted_gains), rate
+                ),
+            )
         )
     costs = [score.relative_cost(scores[0]) for score in scores]
     return {
@@ -179,7 +192,7 @@ def compare_searches(
         "rate_hz": rate,
         "trials": trial_count,
         "plants": plant_count,
-        "search_s": spent,
+        "search_s": search_time_s,
         "on_the_real_plant": {
             name: {
                 "cost": cost,
@@ -188,14 +201,14 @@ def compare_searches(
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
-        "cost_with_identification": costs[4] / costs[3] if fitted else None,
+        "cost_with_identification": costs[4] / costs[3] if fitted_gains else None,
     }
 
 
 def _run_timed_search(
     plan: SearchPlan, study_file: Path, workers: SearchWorkers
 ) -> tuple[SearchResult, float]:
-    began = time.monotonic()
+    start_time_s = time.monotonic()
 
     def print_progress(result: SearchResult) -> None:
         best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
@@ -207,7 +220,7 @@ def _run_timed_search(
 
     result = run_search(plan, study_file, workers, print_progress)
     print(file=sys.stderr)
-    return result, time.monotonic() - began
+    return result, time.monotonic() - start_time_s
 
 
 def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:

@@ -106,9 +106,9 @@ class WheelEnvironment:
 
 @pytest.fixture(scope="module")
 def controller_environment(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
-    fresh = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
-    fresh.install()
-    return fresh
+    fresh_wheel_environment = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
+    fresh_wheel_environment.install()
+    return fresh_wheel_environment
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +130,8 @@ def test_a_controller_needs_no_extra(controller_environment: WheelEnvironment) -
     assert "0 differ" in controller_environment.run("handctl", "replay", "execute", str(log)).stdout
     controller_environment.run("handctl", "report", str(log), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
-    wanted = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
-    assert wanted == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
+    wanted_stderr = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr
+    assert wanted_stderr == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
     assert controller_environment.installed_megabytes() <= CONTROLLER_SIZE_MB
 
 

@@ -46,8 +46,8 @@ def test_feasible_torques_are_made_exactly(digit_case: str) -> None:
     arms, rng = moment_arms_of_case(digit_case), np.random.default_rng(1)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
     for _ in range(200):
-        wanted = rng.uniform(3.5, 105.0, len(arms))
-        torque = arms.T @ wanted
+        wanted_tensions = rng.uniform(3.5, 105.0, len(arms))
+        torque = arms.T @ wanted_tensions
         tension, missing = tensions_for_torque(arms, torque, floor, ceiling)
         np.testing.assert_allclose(arms.T @ tension, torque, rtol=1e-4, atol=2e-5)
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
@@ -55,10 +55,12 @@ def test_feasible_torques_are_made_exactly(digit_case: str) -> None:
         assert (tension <= ceiling).all()
         if len(arms) == arms.shape[1]:
             np.testing.assert_allclose(
-                tension, wanted, rtol=1e-9, err_msg="one tendon a coordinate: no choice"
+                tension, wanted_tensions, rtol=1e-9, err_msg="one tendon a coordinate: no choice"
             )
         else:
-            assert tension.sum() <= wanted.sum() * 1.001, "no more co-contraction than needed"
+            assert tension.sum() <= wanted_tensions.sum() * 1.001, (
+                "no more co-contraction than needed"
+            )
 
 
 def allocation_cost(
@@ -138,10 +140,13 @@ def test_where_the_solver_starts_changes_nothing(digit_case: str) -> None:
     floor, ceiling = np.full(n, 3.0), np.full(n, 110.0)
     for _ in range(100):
         torque = arms.T @ rng.uniform(-100.0, 200.0, n)
-        first = solve_bounded(arms, torque, floor, ceiling, floor)
+        first_solution = solve_bounded(arms, torque, floor, ceiling, floor)
         for near in (ceiling, rng.uniform(-1e3, 1e3, n), np.where(rng.random(n) < 0.5, -1e9, 1e9)):
             np.testing.assert_allclose(
-                solve_bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7
+                solve_bounded(arms, torque, floor, ceiling, near),
+                first_solution,
+                rtol=1e-7,
+                atol=1e-7,
             )
 
 

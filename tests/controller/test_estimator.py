@@ -51,14 +51,14 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
 
 def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    whole = noiseless_readings(model, x, np.full(len(x), 26.0))
-    holed = whole._replace(tension=whole.tension.copy())
+    whole_readings = noiseless_readings(model, x, np.full(len(x), 26.0))
+    holed = whole_readings._replace(tension=whole_readings.tension.copy())
     holed.tension[1] = np.nan
     results = [
         run_unplanned_filter_tick(
             model, all_in_regime(model, TendonRegime.FREE, x), m, force, no_contact(model)
         )[0].filter_states
-        for m in (whole, holed)
+        for m in (whole_readings, holed)
     ]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATE_COUNT).max(axis=1) > 1e-12
     tendons = next(s for s in model.digit_tendons if s.start <= 1 < s.stop)
@@ -114,10 +114,12 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
             np.zeros(n),
             no_contact(model),
         )
-    whole = readings_of(model, np.full(n, 2e-3), cell)
-    state = state_after_first_readings(model, state, whole.travel)
+    whole_readings = readings_of(model, np.full(n, 2e-3), cell)
+    state = state_after_first_readings(model, state, whole_readings.travel)
     for k in range(20):
-        state, estimate = run_unplanned_filter_tick(model, state, whole, cell, no_contact(model))
+        state, estimate = run_unplanned_filter_tick(
+            model, state, whole_readings, cell, no_contact(model)
+        )
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 
 
@@ -244,8 +246,8 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     """External tension is the part of a tendon's tension that the springs of the digit do not explain."""
     x, _ = state_at_rest(model, 20.0, 0.7)
     n = model.tendon_count
-    asked = load_statics(model, x, np.zeros(n)).resistance
-    tension = asked + 10.0
+    resistance = load_statics(model, x, np.zeros(n)).resistance
+    tension = resistance + 10.0
     x[:, X] = x[:, S] + tension / model.space.stiffness
     state = all_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):

@@ -72,8 +72,8 @@ def frictionless_jamia11() -> HandModel:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def frictionless_model(request: pytest.FixtureRequest) -> HandModel:
-    found: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
-    return found
+    parametrised_model: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
+    return parametrised_model
 
 
 MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
@@ -157,18 +157,25 @@ def run_monte_carlo(
 def test_estimator_is_consistent_with_its_own_model(
     frictionless_model: HandModel, regime: TendonRegime
 ) -> None:
-    course = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
-    assert course.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
+    monte_carlo_run = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
+    assert monte_carlo_run.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
         "the run stayed in its regime"
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
+    ratio = np.sqrt(
+        (monte_carlo_run.estimate_error**2).mean()
+        / (monte_carlo_run.estimate_sigma**2 - drift).mean()
+    )
     assert 0.9 < ratio < 1.1
-    assert abs(course.nis.mean() - 2.0) < 0.1, "encoder and load cell: two degrees of freedom"
-    scaled = course.innovation / course.innovation.std(axis=0)
+    assert abs(monte_carlo_run.nis.mean() - 2.0) < 0.1, (
+        "encoder and load cell: two degrees of freedom"
+    )
+    scaled = monte_carlo_run.innovation / monte_carlo_run.innovation.std(axis=0)
     assert abs((scaled[1:] * scaled[:-1]).mean()) < 0.1, "innovations are white"
-    assert (course.estimate_sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
+    assert (monte_carlo_run.estimate_sigma**2 - drift).mean() < 0.5**2, (
+        "better than the load cell alone"
+    )
 
 
 SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
@@ -189,7 +196,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     The tolerance is the statistical uncertainty of the run.
     """
     missing = SPARSE_MEASUREMENTS[missing_pattern]
-    course = run_monte_carlo(
+    monte_carlo_run = run_monte_carlo(
         frictionless_model,
         regime,
         2500,
@@ -198,9 +205,12 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     )
     gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.estimate_error**2).mean() / (course.estimate_sigma**2 - drift).mean())
+    ratio = np.sqrt(
+        (monte_carlo_run.estimate_error**2).mean()
+        / (monte_carlo_run.estimate_sigma**2 - drift).mean()
+    )
     assert 0.85 < ratio < 1.15
-    assert abs(np.nanmean(course.nis) - 2.0) < 0.15
+    assert abs(np.nanmean(monte_carlo_run.nis) - 2.0) < 0.15
 
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
@@ -313,12 +323,12 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
-        before = state
+        state_before = state
         state, _ = run_unplanned_filter_tick(
             model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
         )
         assert set(state.regimes) == {regime}
-        if before.covariance is None and state.covariance is None:
+        if state_before.covariance is None and state.covariance is None:
             continue
         for i, block in enumerate(blocks):
             after = joseph_update(block, P[i], missing[:, i])[1]

@@ -174,10 +174,12 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
         length_known=(length_is_known,) * n
     )
-    after = regimes_after_sample(model, state, above + 1e-6)
-    assert after.regimes == ((TendonRegime.FREE if becomes_taut else TendonRegime.SLACK),) * n
-    assert (after.turning_evidence == (0,) * n) == becomes_taut
-    assert after.length_known == (length_is_known,) * n
+    regimes_after = regimes_after_sample(model, state, above + 1e-6)
+    assert (
+        regimes_after.regimes == ((TendonRegime.FREE if becomes_taut else TendonRegime.SLACK),) * n
+    )
+    assert (regimes_after.turning_evidence == (0,) * n) == becomes_taut
+    assert regimes_after.length_known == (length_is_known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
@@ -192,9 +194,9 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
     state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(
         stopped=(True,) * model.tendon_count
     )
-    after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
-    assert after.stopped == state.stopped
-    assert (after.filter_states[S::STATE_COUNT] == 0.0).all()
+    regimes_after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
+    assert regimes_after.stopped == state.stopped
+    assert (regimes_after.filter_states[S::STATE_COUNT] == 0.0).all()
     assert (state.filter_states[S::STATE_COUNT] == 1e-4).all(), (
         "of the state before nothing is changed"
     )

@@ -22,9 +22,12 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
     records: list[StageRecord] = []
     while not progress.finished:
         t += model.period
-        before = progress
+        progress_before = progress
         progress, _ = program.advance(model, progress, taut, readings, t)
-        if progress.phase not in ("start", "tighten", "end") and progress.since != before.since:
+        if (
+            progress.phase not in ("start", "tighten", "end")
+            and progress.since != progress_before.since
+        ):
             records.append((progress.phase, progress.goals, progress.contact))
     return records
 
@@ -62,7 +65,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     ended the run. The step of a hold is as fast as before.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
-    usual = model.gains.tension.rate_N_per_s
+    usual_rate = model.gains.tension.rate_N_per_s
     moving = [d for d, digit in enumerate(model.hand.digit_names) if digit != "wrist"]
     rates = [
         (stage, {goals[d].rate for d in moving})
@@ -70,5 +73,5 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
         if stage in ("close", "hold")
     ]
     before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
-    assert before_hold == ("close", {usual if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
-    assert all(found == {usual} for stage, found in rates if stage == "hold")
+    assert before_hold == ("close", {usual_rate if hand_name == "jamia" else GENTLE_RISE_N_PER_S})
+    assert all(found == {usual_rate} for stage, found in rates if stage == "hold")

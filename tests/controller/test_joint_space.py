@@ -111,9 +111,11 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     ones = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
         assert both.motion_at(t) == pytest.approx(
-            np.hstack([one.motion_at(t) for one in ones]), abs=1e-12
+            np.hstack([diagonal_element.motion_at(t) for diagonal_element in ones]), abs=1e-12
         )
-    assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in ones))
+    assert both.peak_speed() == pytest.approx(
+        max(diagonal_element.peak_speed() for diagonal_element in ones)
+    )
     assert both.duration == 1.7
 
 

@@ -98,22 +98,25 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
 
 @pytest.mark.parametrize("held_limit", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
-    asked = (
+    asked_goals = (
         holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)
         if held_limit
         else moving_goals(jamia, 0.0, 1.2, 0.2)
     )
     plain = run_law_tick(
-        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
+        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked_goals, 0.0
     )[1]
     trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    law, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
+    law, command = run_law_tick(
+        jamia, trimmed, estimate_under_tension(jamia, 20.0), asked_goals, 0.0
+    )
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
     nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
     assert (
-        run_law_tick(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
+        run_law_tick(jamia, nearly, estimate_under_tension(jamia, 20.0), asked_goals, 0.0)[0].trim
+        is None
     )
 
 

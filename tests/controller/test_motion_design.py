@@ -131,12 +131,12 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
-    usual = design_motion(jamia.space, Gains(), period)
+    usual_design = design_motion(jamia.space, Gains(), period)
     precise = design_motion(jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period)
     gentle = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
-    assert (precise.stiffness > usual.stiffness).all()
-    assert (gentle.stiffness < usual.stiffness).all()
+    assert (precise.stiffness > usual_design.stiffness).all()
+    assert (gentle.stiffness < usual_design.stiffness).all()
     firm = design_motion(jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period)
-    assert (firm.tension > usual.tension).all()
-    assert (usual.damping > 0).all()
-    assert (usual.tension_speed > 0).all()
+    assert (firm.tension > usual_design.tension).all()
+    assert (usual_design.damping > 0).all()
+    assert (usual_design.tension_speed > 0).all()

@@ -21,26 +21,31 @@ def test_shutdown_waits_until_each_motor_reports_off(
     protocol: str, with_broken_drive: bool, tmp_path: Path
 ) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
-    with homed_run(hand, 500.0, 1) as course:
-        assert course.run_until(lambda out: out.mode == HandMode.ACTIVE, 3.0), course.state.failure
-        course.simulated_hand.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
+    with homed_run(hand, 500.0, 1) as simulated_run:
+        assert simulated_run.run_until(lambda out: out.mode == HandMode.ACTIVE, 3.0), (
+            simulated_run.state.failure
+        )
+        simulated_run.simulated_hand.step(
+            simulated_run.k * PERIOD_NS, list(simulated_run.controller.torque_cut_frames())
+        )
         state, frames, enabled = shutdown_step(
-            course.controller, course.state, course.k * PERIOD_NS, []
+            simulated_run.controller, simulated_run.state, simulated_run.k * PERIOD_NS, []
         )
         assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
         if with_broken_drive:
-            course.simulated_hand.inject("off node=index_motor")
-        for k in range(course.k + 1, course.k + 251):
-            heard = [
-                Frame(*answer) for answer in course.simulated_hand.step(k * PERIOD_NS, list(frames))
+            simulated_run.simulated_hand.inject("off node=index_motor")
+        for k in range(simulated_run.k + 1, simulated_run.k + 251):
+            heard_frames = [
+                Frame(*answer)
+                for answer in simulated_run.simulated_hand.step(k * PERIOD_NS, list(frames))
             ]
             state, frames, enabled = shutdown_step(
-                course.controller, state, (k + 1) * PERIOD_NS, heard
+                simulated_run.controller, state, (k + 1) * PERIOD_NS, heard_frames
             )
             if not enabled:
                 break
         assert enabled == (("index_motor",) if with_broken_drive else ())
-        torques = course.simulated_hand.truth()["torque"]
+        torques = simulated_run.simulated_hand.truth()["torque"]
         assert torques[1:] == [0.0] * 3
 
 
@@ -51,13 +56,17 @@ def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
 ) -> None:
     """The shutdown waits for a report of the drive that it is disabled, as the mode DISARM does."""
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
-    with homed_run(hand, 500.0, 1) as course:
-        assert course.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), course.state.failure
-        state = course.state.copy()
-        drive = course.controller.drives[0]
+    with homed_run(hand, 500.0, 1) as simulated_run:
+        assert simulated_run.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), (
+            simulated_run.state.failure
+        )
+        state = simulated_run.state.copy()
+        drive = simulated_run.controller.drives[0]
         restarted = drive.initial_state()._replace(phase=drive_phase)
-        course.controller.store_drive_state(state, 0, restarted)
-        _, _, enabled = shutdown_step(course.controller, state, course.k * PERIOD_NS, [])
+        simulated_run.controller.store_drive_state(state, 0, restarted)
+        _, _, enabled = shutdown_step(
+            simulated_run.controller, state, simulated_run.k * PERIOD_NS, []
+        )
         assert drive.name in enabled
 
 
@@ -67,10 +76,10 @@ def test_shutdown_does_not_wait_for_drives_that_were_never_set_up(
     protocol: str, mode: HandMode, tmp_path: Path
 ) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
-    with homed_run(hand, 500.0, 1) as course:
-        state = course.controller.initial_state()
+    with homed_run(hand, 500.0, 1) as simulated_run:
+        state = simulated_run.controller.initial_state()
         state.mode = mode
-        state, _, enabled = shutdown_step(course.controller, state, PERIOD_NS, [])
+        state, _, enabled = shutdown_step(simulated_run.controller, state, PERIOD_NS, [])
         assert enabled == ()
-        _, _, enabled = shutdown_step(course.controller, state, 2 * PERIOD_NS, [])
+        _, _, enabled = shutdown_step(simulated_run.controller, state, 2 * PERIOD_NS, [])
         assert enabled == ()

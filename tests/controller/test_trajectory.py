@@ -51,13 +51,17 @@ def test_trajectory_derivatives_match_differences(
         1e-5 * duration_s,
         time_fraction * duration_s,
     )
-    before, now, after = move.motion_at(t - h), move.motion_at(t), move.motion_at(t + h)
+    motion_before, now, motion_after = (
+        move.motion_at(t - h),
+        move.motion_at(t),
+        move.motion_at(t + h),
+    )
     way = np.abs(end_angles - start_angles).max() + 1e-9
     np.testing.assert_allclose(
-        now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration_s
+        now[1], (motion_after[0] - motion_before[0]) / (2 * h), atol=1e-6 * way / duration_s
     )
     np.testing.assert_allclose(
-        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration_s**2
+        now[2], (motion_after[1] - motion_before[1]) / (2 * h), atol=1e-5 * way / duration_s**2
     )
 
 
@@ -66,15 +70,15 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
     start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float
 ) -> None:
     move = MinimumJerk(start_angles, end_angles, duration_s)
-    course = [move.motion_at(t) for t in np.linspace(0.0, duration_s, 101)]
+    motions = [move.motion_at(t) for t in np.linspace(0.0, duration_s, 101)]
     low, high = (
         np.minimum(start_angles, end_angles) - 1e-12,
         np.maximum(start_angles, end_angles) + 1e-12,
     )
-    assert all(((low <= p) & (p <= high)).all() for p, _, _ in course)
-    steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end_angles - start_angles)
+    assert all(((low <= p) & (p <= high)).all() for p, _, _ in motions)
+    steps = np.diff([p for p, _, _ in motions], axis=0) * np.sign(end_angles - start_angles)
     assert (steps >= -1e-12).all(), "straight there"
-    speed = np.abs([v for _, v, _ in course]).max(axis=0)
+    speed = np.abs([v for _, v, _ in motions]).max(axis=0)
     np.testing.assert_allclose(
         speed,
         PEAK_SPEED_RATIO * np.abs(end_angles - start_angles) / duration_s,
@@ -148,9 +152,17 @@ def test_curve_derivatives_match_differences(
     t = time_fraction * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
-    before, now, after = curve.motion_at(t - h), curve.motion_at(t), curve.motion_at(t + h)
-    np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), rtol=1e-4, atol=1e-3)
+    motion_before, now, motion_after = (
+        curve.motion_at(t - h),
+        curve.motion_at(t),
+        curve.motion_at(t + h),
+    )
+    np.testing.assert_allclose(
+        now[1], (motion_after[0] - motion_before[0]) / (2 * h), rtol=1e-5, atol=1e-5
+    )
+    np.testing.assert_allclose(
+        now[2], (motion_after[1] - motion_before[1]) / (2 * h), rtol=1e-4, atol=1e-3
+    )
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:

@@ -121,13 +121,13 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 @pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
-    with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to_stage(course, FREE_STAGE)
-        course.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
-        end_s = course.k * course.period_ns * 1e-9 + 1.01
-        assert course.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
-        assert course.k * course.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.instance) for mark in course.state.latched}
+    with homed_run(hand, default_rate(hand), seed) as simulated_run:
+        advance_to_stage(simulated_run, FREE_STAGE)
+        simulated_run.simulated_hand.inject(f"forget node={hand.motor[seed % 4].name}")
+        end_s = simulated_run.k * simulated_run.period_ns * 1e-9 + 1.01
+        assert simulated_run.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
+        assert simulated_run.k * simulated_run.period_ns * 1e-9 <= end_s
+        latched = {(mark.id, mark.instance) for mark in simulated_run.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}
 
 
@@ -139,11 +139,11 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     before it reads the settings again.
     """
     hand = hand_with_protocol("jamia", "moteus")
-    with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to_stage(course, FREE_STAGE)
+    with homed_run(hand, default_rate(hand), seed) as simulated_run:
+        advance_to_stage(simulated_run, FREE_STAGE)
         motor = hand.motor[seed % 4].name
-        course.simulated_hand.inject(f"forget node={motor}")
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
-        found = {(mark.id, mark.instance) for mark in course.state.latched}
+        simulated_run.simulated_hand.inject(f"forget node={motor}")
+        assert simulated_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
+        found = {(mark.id, mark.instance) for mark in simulated_run.state.latched}
         assert found <= {("N12", motor), ("N14", motor)}
         assert found

@@ -34,11 +34,11 @@ class TimedBus:
 
     def __init__(self, wire_words: list[str], with_hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
-        made = timed_port_maker(
+        make_port = timed_port_maker(
             wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=with_hand
         )
-        assert made
-        self.port = made("lab", 0)
+        assert make_port
+        self.port = make_port("lab", 0)
         self.world = SimulatedWorld(
             load_hand("jamia"), load_scene(None), homed=True, origin_ns=START_NS
         )
@@ -66,10 +66,10 @@ def _run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def timed_bus() -> Iterator[TimedBus]:
-    made = TimedBus(["queue=8"])
-    yield made
-    made.host.close()
-    made.port.close()
+    new_bus = TimedBus(["queue=8"])
+    yield new_bus
+    new_bus.host.close()
+    new_bus.port.close()
 
 
 def frame_time_us(payload_size: int) -> float:
@@ -181,19 +181,19 @@ def test_a_client_alone_gets_no_acknowledge() -> None:
     lab.port.receive([])
     kinds = {kind for kind, _, _ in lab.host.take_events()} if lab.host.drain() == [] else set()
     assert "error_passive" in kinds
-    second = open_bus("local:lab", 0, 1_000_000)
+    second_bus = open_bus("local:lab", 0, 1_000_000)
     lab.serve_clients()
     lab.clock.t_ns += 10 * NS_PER_MS
     lab.port.receive([])
-    assert [frame.can_id for frame in second.drain()] == [1]
+    assert [frame.can_id for frame in second_bus.drain()] == [1]
     lab.host.close()
-    second.close()
+    second_bus.close()
     lab.port.close()
 
 
 def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
     assert isinstance(timed_bus.port, TimedPort)
-    other = open_bus("local:lab", 0, 1_000_000)
+    other_bus = open_bus("local:lab", 0, 1_000_000)
     timed_bus.serve_clients()
     timed_bus.host.send([Frame(0x700, b"")] * 5)
     timed_bus.frames_at(0.0)
@@ -201,9 +201,9 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
     timed_bus.serve_clients()
     timed_bus.clock.t_ns += 10 * NS_PER_MS
     timed_bus.port.receive([])
-    assert len(other.drain()) <= 1
+    assert len(other_bus.drain()) <= 1
     assert timed_bus.port.wire.next_ns() > timed_bus.clock.t_ns
-    other.close()
+    other_bus.close()
 
 
 @pytest.mark.parametrize(

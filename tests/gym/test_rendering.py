@@ -41,9 +41,9 @@ def test_a_picture_shows_the_moving_hand(environment_id: str, hand_name: str) ->
         # The hand and the object fill at least a tenth of the picture.
         assert (first != first[0, 0]).any(axis=2).mean() > 0.1
         assert (env.render() == first).all()
-        later = closed_picture(env, seed)
-        assert (later != first).any(axis=2).mean() > 0.01
-        assert (closed_picture(env, seed) == later).all(), "equal seeds give equal pictures"
+        later_picture = closed_picture(env, seed)
+        assert (later_picture != first).any(axis=2).mean() > 0.01
+        assert (closed_picture(env, seed) == later_picture).all(), "equal seeds give equal pictures"
     env.close()
 
 

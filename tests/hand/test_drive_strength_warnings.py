@@ -78,10 +78,12 @@ def test_the_bound_is_exact(hand_name):
         most = largest_safe_force(strength)
         assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
-            other = hand_with_ratings(
+            other_hand = hand_with_ratings(
                 hand, peak_torque=factor * most * spool, breaking_strength=strength
             )
-            assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
+            assert (
+                any("torque_peak_N_m" in line for line in strength_warnings(other_hand)) == warned
+            )
 
 
 def test_a_drive_limit_too_high_is_reported_with_the_right_one():
@@ -116,11 +118,11 @@ def test_a_hand_without_a_rating_keeps_its_identity():
     rated = [
         digit | {"joint_rated_torque_N_m": (1.0,) * len(digit["link_length_m"])} for digit in digits
     ]
-    other = hand_from_content(hand.content | {"digit": rated}, "rated")
-    assert other.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
+    other_hand = hand_from_content(hand.content | {"digit": rated}, "rated")
+    assert other_hand.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
     assert (
-        hand_from_content(tomllib.loads(other.to_toml()), "again").identity
-        == other.identity
+        hand_from_content(tomllib.loads(other_hand.to_toml()), "again").identity
+        == other_hand.identity
         != hand.identity
     )
     with pytest.raises(

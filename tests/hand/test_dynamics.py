@@ -40,10 +40,10 @@ def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
-        turned = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
+        turned_pose = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
         kinds = (pinocchio.JointModelRevoluteUnaligned, pinocchio.JointModelPrismaticUnaligned)
         joint = kinds[int(digit.is_prismatic[i])](np.array(digit.axes[i]))
-        parent = model.addJoint(parent, joint, place * turned, digit.joint_names[i])
+        parent = model.addJoint(parent, joint, place * turned_pose, digit.joint_names[i])
         body = pinocchio.Inertia(
             digit.masses[i], np.array(digit.coms[i]), np.array(digit.inertias[i])
         )
@@ -254,10 +254,10 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
         coupling = digit.coupling
         for theta, dtheta, ddtheta in random_motions(rng, coupling.shape[1], 100):
             mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
-            full = dynamics.required_torque(
+            full_torque = dynamics.required_torque(
                 digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta
             )
-            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
+            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(full_torque))
 
 
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):

@@ -116,23 +116,23 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         CatalogueRow("A", "t", "fault table", ticks=2, required=3),
         CatalogueRow("B", "t", "fault table", ticks=3, required=3),
     )
-    longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
-    free = CatalogueRow(
+    longer_row = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
+    free_row = CatalogueRow(
         "D", "t", "fault table", ticks=9
     )  # the reaction to a fault without a required reaction time is never late
     at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
-    assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [
+    assert [is_late(one) for one in (soon, just, longer_row, free_row, at_once)] == [
         False,
         False,
         True,
         False,
         True,
     ]
-    assert late_rows((soon, just, longer, free)).splitlines() == [
+    assert late_rows((soon, just, longer_row, free_row)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
-    assert longer.latest_ms(200.0) == 35.0
+    assert longer_row.latest_ms(200.0) == 35.0
 
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:

@@ -104,7 +104,7 @@ def stuck_names(
     readings.
     """
     zero = [0.0, 0.0]
-    found = monitor.tick(
+    findings = monitor.tick(
         resting_tick(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings, cell_stuck=equal_readings,
         joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
         followed=changed_state.get("goal", zero),
@@ -112,10 +112,10 @@ def stuck_names(
         cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
-    stands = found.get("N04", {})
+    stands = findings.get("N04", {})
     return {
         "motor": [name for name in stands if name[0] == "m"], "joint": [name for name in stands if name[0] == "j"],
-        "cell": list(found.get("T05", {})),
+        "cell": list(findings.get("T05", {})),
     }  # fmt: skip
 
 
@@ -148,8 +148,8 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(CELL_TICKS + 2):
-        found = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
-        assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= CELL_TICKS), k
+        findings = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert ("T05" in findings) == (monitor.field_values("cell_stuck")[0] >= CELL_TICKS), k
     assert monitor.field_values("cell_stuck")[0] > CELL_TICKS
 
 
@@ -164,10 +164,10 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     reported = []
     for force in (20.0, 24.0, 16.0, 20.0):
         for _ in range(CELL_TICKS):
-            found = monitor.tick(resting_tick(force=force, tension=20.0))
-        reported.append("T05" in found)
+            findings = monitor.tick(resting_tick(force=force, tension=20.0))
+        reported.append("T05" in findings)
     assert reported == [False, False, True, True]
-    assert found["T05"]["a"] == pytest.approx(8.0, rel=0.05)
+    assert findings["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -52,9 +52,9 @@ def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[in
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_age: int) -> None:
     rows = noisy_readings(seed, 300, 0.5)
-    late = rows.copy()
-    late[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
-    k, found = first_repetition_tick(late)
+    late_rows = rows.copy()
+    late_rows[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
+    k, found = first_repetition_tick(late_rows)
     assert 207 <= k < 200 + min(repetition_age, 24)
     assert found == [(2, repetition_age)]
 
@@ -147,12 +147,14 @@ def test_a_grasping_hand_relaxes(
     fault_command: str, expected_faults: set[str], duration_s: float, seed: int
 ) -> None:
     hand = hand_with_protocol("jamia", "mit")
-    with homed_run(hand, default_rate(hand), seed) as course:
-        advance_to_stage(course, GRASP_STAGE)
+    with homed_run(hand, default_rate(hand), seed) as simulated_run:
+        advance_to_stage(simulated_run, GRASP_STAGE)
         which = seed % 4
-        course.simulated_hand.inject(
+        simulated_run.simulated_hand.inject(
             fault_command.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s)
-        assert {mark.id for mark in course.state.latched} <= expected_faults
-        assert course.simulated_hand.fault_states()[0]["felt"]
+        assert simulated_run.run_until(
+            lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s
+        )
+        assert {mark.id for mark in simulated_run.state.latched} <= expected_faults
+        assert simulated_run.simulated_hand.fault_states()[0]["felt"]

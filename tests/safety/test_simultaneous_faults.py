@@ -140,15 +140,17 @@ def test_additional_faults_never_weaken_the_action(
     The second run has additional faults in some ticks. The action in the second run is never weaker
     than in the first run.
     """
-    less, more = rested_monitor(), rested_monitor()
+    less, other_monitor = rested_monitor(), rested_monitor()
     for tick_input, extra, cleared in ticks:
         if cleared:
             less.clear_latched()
-            more.clear_latched()
+            other_monitor.clear_latched()
         mild = judge_input(less, tick_input)
-        wild = judge_input(more, merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in extra)))
+        wild = judge_input(
+            other_monitor, merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in extra))
+        )
         assert wild.action >= mild.action
-        assert set(less.latched) <= set(more.latched)
+        assert set(less.latched) <= set(other_monitor.latched)
 
 
 @given(course_of_faults)
@@ -157,11 +159,13 @@ def test_latches_only_grow_between_clearings(
 ) -> None:
     monitor, reported = rested_monitor(), list[tuple[str, str]]()
     for tick_input, _, cleared in ticks:
-        before = () if cleared else monitor.latched
+        latched_before = () if cleared else monitor.latched
         if cleared:
             monitor.clear_latched()
         verdict = judge_input(monitor, tick_input)
-        assert monitor.latched[: len(before)] == before, "in the order in which they came"
+        assert monitor.latched[: len(latched_before)] == latched_before, (
+            "in the order in which they came"
+        )
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}
         assert verdict.action >= max(

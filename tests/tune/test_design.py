@@ -46,8 +46,10 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
         hand, packaged_gains(hand_name), control_rate(None, hand, bus_loads(hand))
     )
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
-    worst = worst_margins(model, tuple(linear_factors(one) for one in draw_ensemble(count, 0)))
-    assert worst.are_sufficient, worst
+    margins = worst_margins(
+        model, tuple(linear_factors(plant_factors) for plant_factors in draw_ensemble(count, 0))
+    )
+    assert margins.are_sufficient, margins
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
@@ -66,21 +68,23 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     plants = (PlantFactors(),)
     both = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
     assert both.gains.tendon == ()
-    found = design_gains(model, plants)
-    assert found.worst_after.are_sufficient
-    (light,) = found.gains.tendon
+    gain_design = design_gains(model, plants)
+    assert gain_design.worst_after.are_sufficient
+    (light,) = gain_design.gains.tendon
     assert light.name == "right_flexor"
     assert light.motion_force_N == pytest.approx(both.gains.motion.force_N, rel=0.1)
-    assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
+    assert gain_design.gains.motion.force_N < 0.5 * both.gains.motion.force_N
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
-    shared = found.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * stiffness_of_motion_loop(
-        model, found.gains
-    )
-    same = model_with_gains(model, found.as_weights())
+    shared_gains = gain_design.gains.model_copy(update={"tendon": ()})
+    assert model_with_gains(model, shared_gains).motion.stiffness[
+        1
+    ] < 0.6 * stiffness_of_motion_loop(model, gain_design.gains)
+    same_model = model_with_gains(model, gain_design.as_weights())
     assert np.allclose(
-        same.motion.stiffness, model_with_gains(model, found.gains).motion.stiffness, rtol=1e-6
+        same_model.motion.stiffness,
+        model_with_gains(model, gain_design.gains).motion.stiffness,
+        rtol=1e-6,
     )
 
 
@@ -90,25 +94,27 @@ def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in draw_ensemble(2, 0))
+    plants = tuple(linear_factors(plant_factors) for plant_factors in draw_ensemble(2, 0))
     bold = Gains.model_validate({"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}})
     jamia = model_with_gains(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
     assert not keeps_required_margins(jamia, plants)
-    found = design_gains(jamia, plants)
-    assert found.worst_after.are_sufficient
-    assert not found.worst_before.are_sufficient
-    assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
-    bolder = found.gains.model_copy(
+    gain_design = design_gains(jamia, plants)
+    assert gain_design.worst_after.are_sufficient
+    assert not gain_design.worst_before.are_sufficient
+    assert keeps_required_margins(model_with_gains(jamia, gain_design.gains), plants)
+    bolder = gain_design.gains.model_copy(
         update={
-            "tension": found.gains.tension.model_copy(
-                update={"force_N": 1.3 * found.gains.tension.force_N}
+            "tension": gain_design.gains.tension.model_copy(
+                update={"force_N": 1.3 * gain_design.gains.tension.force_N}
             )
         }
     )
     assert not keeps_required_margins(model_with_gains(jamia, bolder), plants)
-    same = model_with_gains(jamia, found.as_weights())
+    same_model = model_with_gains(jamia, gain_design.as_weights())
     assert np.allclose(
-        same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6
+        same_model.motion.stiffness,
+        model_with_gains(jamia, gain_design.gains).motion.stiffness,
+        rtol=1e-6,
     )
 
 
@@ -128,11 +134,11 @@ def test_the_closed_loop_has_the_requested_poles(
     The control rate is far above the poles.
     """
     gains = gains_with_poles(jamia, LoopKind.MOTION, pole_frequency_hz, 1.0)
-    fast = HandModel.from_hand(jamia.hand, gains, 4000.0)
+    fast_model = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
-    K = np.array([[fast.motion.stiffness[0], fast.motion.damping[0]]])
-    poles = np.log(np.linalg.eigvals(F - G @ K)) / fast.period
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast_model.period)
+    K = np.array([[fast_model.motion.stiffness[0], fast_model.motion.damping[0]]])
+    poles = np.log(np.linalg.eigvals(F - G @ K)) / fast_model.period
     assert np.abs(poles) / (2.0 * math.pi) == pytest.approx(
         [pole_frequency_hz, pole_frequency_hz], rel=0.03
     )
@@ -158,10 +164,16 @@ def test_placed_poles_that_no_weights_have_are_refused(
 
 
 def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
-    drawn = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
-    assert drawn[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
-    assert draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != draw_ensemble(65, 4)
-    stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
+    drawn_ensemble = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+    assert drawn_ensemble[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
+    assert (
+        draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+        == drawn_ensemble
+        != draw_ensemble(65, 4)
+    )
+    stiffness, mass = (
+        np.array([one[key] for one in drawn_ensemble]) for key in ("stiffness", "mass")
+    )
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2
     assert mass.min() < 0.65
@@ -188,11 +200,11 @@ def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> N
         }
     )
     assert spread == {"stiffness": pytest.approx(0.4)}
-    drawn = [one["stiffness"] for one in draw_ensemble(65, 0, spread)]
+    drawn = [plant_factors["stiffness"] for plant_factors in draw_ensemble(65, 0, spread)]
     assert min(drawn) < 0.62
     assert max(drawn) > 1.38
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in draw_ensemble(3, 1))
+    plants = tuple(linear_factors(plant_factors) for plant_factors in draw_ensemble(3, 1))
     assert worst_margins(jamia, plants).shortfall >= worst_margins(jamia, plants[:1]).shortfall

@@ -128,10 +128,12 @@ def test_the_load_model_balances_every_joint() -> None:
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.from_digit(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
-    seen = SignalBins(
+    signal_bins = SignalBins(
         np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5
     )
-    for tension, sign in zip(load.expected_tension(p, seen).tolist(), (1.0, -1.0), strict=True):
+    for tension, sign in zip(
+        load.expected_tension(p, signal_bins).tolist(), (1.0, -1.0), strict=True
+    ):
         angle, excursion = float(digit.wrap[0]), 0.0
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
             rate = sign * 0.01 / load.arms.sum()
@@ -191,9 +193,9 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
 
 
 def test_a_name_of_an_earlier_version_is_still_read() -> None:
-    found = identified_with(tendon_stiffness=8e4, delay=1e-4)
-    earlier = found.model_dump() | {"names": ("rope_stiffness", "delay")}
-    assert IdentifiedParameters.model_validate(earlier) == found
+    identified_parameters = identified_with(tendon_stiffness=8e4, delay=1e-4)
+    earlier = identified_parameters.model_dump() | {"names": ("rope_stiffness", "delay")}
+    assert IdentifiedParameters.model_validate(earlier) == identified_parameters
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
@@ -201,7 +203,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
     known = {"ring_tendon": identified_with(capstan=0.09, delay=1e-4)}
-    made = Calibration(
+    calibration = Calibration(
         hand="jamia",
         identity=hand.identity,
         made="2026-01-01T00:00:00+00:00",
@@ -209,8 +211,8 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
         identified=known,
     )
     path = tmp_path / "c.toml"
-    write_calibration(path, made)
-    assert load_calibration(path, hand) == made
+    write_calibration(path, calibration)
+    assert load_calibration(path, hand) == calibration
     path.write_text(path.read_text().replace("identified.ring_tendon", "identified.pinky_tendon"))
     with pytest.raises(ConfigError, match="no such tendon"):
         load_calibration(path, hand)
@@ -226,23 +228,28 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         hand.tendon_names,
         TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0),
     )
-    made = Calibration(
+    calibration = Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
     )
     write_calibration(
-        path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}})
+        path,
+        calibration.model_copy(
+            update={"identified": {"ring_tendon": identified_with(capstan=0.04)}}
+        ),
     )
-    known = load_tuned_hand("jamia", path)
-    assert known.hand.identity == hand.identity != known.identified_hand.identity
-    assert [rope.friction_coefficient for rope in known.identified_hand.tendon] == [
+    known_tuned_hand = load_tuned_hand("jamia", path)
+    assert (
+        known_tuned_hand.hand.identity == hand.identity != known_tuned_hand.identified_hand.identity
+    )
+    assert [rope.friction_coefficient for rope in known_tuned_hand.identified_hand.tendon] == [
         0.08,
         0.08,
         0.04,
         0.08,
     ]
-    assert known.factor_spread.keys() == {"friction"}
+    assert known_tuned_hand.factor_spread.keys() == {"friction"}
     assert load_tuned_hand("jamia", None).identified_hand.identity == hand.identity
-    write_calibration(path, made)
+    write_calibration(path, calibration)
     with pytest.raises(ConfigError, match="holds nothing identified"):
         load_tuned_hand("jamia", path)
 
@@ -321,7 +328,7 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
     new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(
         update={"log": ("b.mcap",)}
     )
-    both = IdentifiedParameters.model_validate(new.beside(old).model_dump())
+    both = IdentifiedParameters.model_validate(new.with_older(old).model_dump())
     assert dict(zip(both.names, both.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip
@@ -332,5 +339,5 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         (0, 0, 0.25, 9.0),
     )
     assert both.log == ("b.mcap", "a.mcap")
-    assert new.beside(None) is new
-    assert both.beside(old) is both
+    assert new.with_older(None) is new
+    assert both.with_older(old) is both

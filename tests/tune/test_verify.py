@@ -115,9 +115,11 @@ def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     assert all(score.tracking_deg < limit_deg / 4 for score in scores)
     # With the amplitude that the command proposes, the digits do not touch each other.
     assert 0.05 <= blocked.proposed_amplitude < 1.0
-    narrow = _verify_gains(CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude)
-    assert narrow.blocked is None
-    assert narrow.rollback is None
+    narrow_result = _verify_gains(
+        CALM_GAINS, tmp_path / "free.mcap", hand, blocked.proposed_amplitude
+    )
+    assert narrow_result.blocked is None
+    assert narrow_result.rollback is None
 
 
 GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"

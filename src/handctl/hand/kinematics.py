@@ -60,8 +60,8 @@ def point_jacobian(digit: DigitModel, q: JointValues, link: int, distance_along:
     poses = link_poses(digit, q)
     point = joint_positions(poses)[link] + distance_along * link_rotations(poses)[link, :, 0]
     axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
-    turning = np.cross(axes, point - joint_positions(poses))
-    jacobian = np.where(digit.is_prismatic[:, None], axes, turning).T
+    revolute_columns = np.cross(axes, point - joint_positions(poses))
+    jacobian = np.where(digit.is_prismatic[:, None], axes, revolute_columns).T
     # Joints beyond this link do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)

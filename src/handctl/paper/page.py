@@ -102,8 +102,8 @@ def _markdown_table(number_table: Sequence[Sequence[str]]) -> list[str]:
     """
     if not number_table:
         return []
-    titles, *rows = ("| " + " | ".join(row) + " |" for row in number_table)
-    return [titles, "|" + "---|" * len(number_table[0]), *rows, ""]
+    column_titles, *rows = ("| " + " | ".join(row) + " |" for row in number_table)
+    return [column_titles, "|" + "---|" * len(number_table[0]), *rows, ""]
 
 
 def _summary_text(errata_items: list[ErrataItem]) -> str:
@@ -120,7 +120,7 @@ def _summary_text(errata_items: list[ErrataItem]) -> str:
 
 def _item_cells(item: ErrataItem) -> tuple[str, ...]:
     """Return the cells of the table row that describes an errata item."""
-    off = (
+    deviation_text = (
         f" (deviation {item.deviation:.2g})"
         if item.deviation is not None and item.verdict != "equal"
         else ""
@@ -131,7 +131,7 @@ def _item_cells(item: ErrataItem) -> tuple[str, ...]:
         item.printed,
         value_text(item),
         f"**{item.verdict.value}**",
-        item.why + off,
+        item.why + deviation_text,
     )
 
 
@@ -183,9 +183,11 @@ def page_as_html(page_sections: Sequence[PageSection], figures: Mapping[str, Pat
         body += [_html_figure(name, figures[name]) for name in part.figures]
         body += [_html_numbers(part.table)] if part.table else []
         body.append(_html_items(part.items))
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{PAGE_TITLE}</title>'
-    head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{PAGE_STYLE}</style></head>'
-    return f"{head}<body>{''.join(body)}</body></html>\n"
+    html_head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{PAGE_TITLE}</title>'
+    html_head = (
+        f'<!doctype html>\n<html lang="en"><head>{html_head}<style>{PAGE_STYLE}</style></head>'
+    )
+    return f"{html_head}<body>{''.join(body)}</body></html>\n"
 
 
 def _html_badge(verdict: str) -> str:
@@ -215,22 +217,23 @@ def _html_numbers(number_table: Sequence[Sequence[str]]) -> str:
     """
     # The first row of the table contains the titles of the columns. The code below makes them
     # header cells.
-    titles, *rows = (
+    column_titles, *rows = (
         "".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in number_table
     )
-    head = titles.replace("td>", "th>")
+    title_row = column_titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<div class="wide"><table><thead><tr>{title_row}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _html_items(items: Sequence[ErrataItem]) -> str:
     """Return a table of errata items as HTML."""
-    titles = "".join(
+    column_titles = "".join(
         f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why")
     )
     rows = []
     for item in items:
-        id, where, printed, right, _, reason = map(html.escape, _item_cells(item))
-        cells = (id, where, printed, right, _html_badge(item.verdict.value), reason)
+        id, location, printed_text, correct_text, _, reason = map(html.escape, _item_cells(item))
+        cells = (id, location, printed_text, correct_text, _html_badge(item.verdict.value), reason)
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    table_head = f"<thead><tr>{column_titles}</tr></thead>"
+    return f'<div class="wide"><table>{table_head}<tbody>{"".join(rows)}</tbody></table></div>'

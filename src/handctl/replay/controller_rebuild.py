@@ -70,10 +70,11 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = "".join(f" {part}" for part in first["loc"])
+        first_error = error.errors(include_url=False)[0]
+        place = "".join(f" {part}" for part in first_error["loc"])
         raise LogError(
-            printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)
+            printable_text(f"{name} cannot be read:{place}: {first_error['msg']}"),
+            *_versions_text(log),
         ) from None
 
 
@@ -81,7 +82,7 @@ def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
-    here = f"handctl {version('handctl')}, code {code_identity()}"
+    present_version = f"handctl {version('handctl')}, code {code_identity()}"
     return printable_text(
         f"the log, written by {wrote}"
-    ), f"a log that this one can execute: {here}"
+    ), f"a log that this one can execute: {present_version}"

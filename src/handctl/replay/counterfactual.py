@@ -38,14 +38,14 @@ class CommandCollector:
         self._reactions: list[tuple[int, int]] = []
         self._faults: list[tuple[int, TickEvent]] = []
 
-    def add_tick(self, entry: TickIn, out: TickOut) -> None:
+    def add_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Add the commands of one tick."""
         self._faults += [
-            (len(self._torque), event) for event in out.events if event.name == "fault"
+            (len(self._torque), event) for event in tick_output.events if event.name == "fault"
         ]
-        self._reactions.append((int(out.mode), int(out.action)))
-        self._torque.append(out.telemetry.motor_torque_goal)
-        self._tension.append(out.telemetry.tension_goal)
+        self._reactions.append((int(tick_output.mode), int(tick_output.action)))
+        self._torque.append(tick_output.telemetry.motor_torque_goal)
+        self._tension.append(tick_output.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
         """Return the number of ticks before the mode or the reaction to faults first differs from the log."""
@@ -127,11 +127,15 @@ def draw_commands(
             commands.motor_torques,
         ),
     )
-    for column, (unit, names, was, now) in enumerate(pairs):
+    for column, (unit, names, old_values, new_values) in enumerate(pairs):
         for i, name in enumerate(names):
             axes = rows[i, column]
-            axes.plot(log.times, was[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged")
-            axes.plot(log.times, now[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains")
+            axes.plot(
+                log.times, old_values[:, i], color=LOGGED_COLOR, linewidth=0.9, label="as logged"
+            )
+            axes.plot(
+                log.times, new_values[:, i], color=OTHER_COLOR, linewidth=0.7, label="these gains"
+            )
             if tick_count < len(log.times):
                 axes.axvspan(
                     log.times[tick_count], log.times[-1], color="0.85", label="not comparable"

@@ -78,20 +78,20 @@ def find_episode(
             f"{_info_path(dataset_folder)}: fps",
             f"{FRAME_RATE_RANGE_HZ[0]:g} to {FRAME_RATE_RANGE_HZ[1]:g} Hz",
         )
-    where = f"{dataset_folder}: episode {episode_index}"
+    location = f"{dataset_folder}: episode {episode_index}"
     actions = _read_actions(dataset_folder, info, episode_index)
     if not 2 <= len(actions) <= MAX_EPISODE_S * rate:
-        raise ConfigError(f"{len(actions)} frames", where, f"2 to {MAX_EPISODE_S * rate:.0f}")
-    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset_folder), hand, where)
+        raise ConfigError(f"{len(actions)} frames", location, f"2 to {MAX_EPISODE_S * rate:.0f}")
+    angles = _clip_to_range(_joint_angles(actions, info, hand, dataset_folder), hand, location)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
             raise ConfigError(
                 f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}"
             )
         units = hand.display_units
-        slowest = np.where(units.is_prismatic, units.scale, 1.0)
-        angles = _limit_rate(angles, np.radians(speed_deg_s) * slowest / rate)
-    return _smooth_curve(angles, float(rate), hand, period, where)
+        unit_scale = np.where(units.is_prismatic, units.scale, 1.0)
+        angles = _limit_rate(angles, np.radians(speed_deg_s) * unit_scale / rate)
+    return _smooth_curve(angles, float(rate), hand, period, location)
 
 
 def _info_path(dataset_folder: Path) -> Path:
@@ -106,18 +106,18 @@ def _read_info(dataset_folder: Path) -> Mapping[str, Any]:
         ConfigError: the file does not describe a dataset of codebase version 3.
     """
     path = _info_path(dataset_folder)
-    right = "a LeRobot dataset (3.0)"
+    expected = "a LeRobot dataset (3.0)"
     try:
         if path.stat().st_size > MAX_INFO_BYTES:
-            raise ConfigError("too large", str(path), right)
+            raise ConfigError("too large", str(path), expected)
         info = json.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", str(path), right) from None
+        raise ConfigError(f"cannot be read: {error.strerror}", str(path), expected) from None
     except (ValueError, RecursionError):
-        raise ConfigError("is no JSON", str(path), right) from None
+        raise ConfigError("is no JSON", str(path), expected) from None
     version = info.get("codebase_version") if isinstance(info, dict) else None
     if not isinstance(version, str) or not version.startswith(VERSION_PREFIX):
-        raise ConfigError(f"version {_value_text(version)}", str(path), right)
+        raise ConfigError(f"version {_value_text(version)}", str(path), expected)
     return dict(info)
 
 
@@ -132,8 +132,8 @@ def _read_actions(
     rows = _read_episodes(dataset_folder)
     numbers = rows["episode_index"].to_pylist()
     if episode_index not in numbers:
-        present = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
-        raise ConfigError(f"no episode {episode_index}", str(dataset_folder), present)
+        present_text = f"{min(numbers)} to {max(numbers)}" if numbers else "a recorded episode"
+        raise ConfigError(f"no episode {episode_index}", str(dataset_folder), present_text)
     at = numbers.index(episode_index)
     numbers = {name: rows[f"data/{name}"][at].as_py() for name in ("chunk_index", "file_index")}
     try:
@@ -192,8 +192,10 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
         raise ConfigError(
             f"cannot be read: {reason}", str(path), "a table of a LeRobot dataset"
         ) from None
-    if missing := [name for name in columns if name not in table.column_names]:
-        raise ConfigError(f"no column {missing[0]}", str(path), "a table of a LeRobot dataset")
+    if missing_names := [name for name in columns if name not in table.column_names]:
+        raise ConfigError(
+            f"no column {missing_names[0]}", str(path), "a table of a LeRobot dataset"
+        )
     return table
 
 
@@ -205,19 +207,21 @@ def _joint_angles(
     Raises:
         ConfigError: the actions lack a joint of the hand.
     """
-    where = f"{_info_path(dataset_folder)}: features.action.names"
-    wanted = position_names(hand.joints, hand.prismatic_joints)
+    location = f"{_info_path(dataset_folder)}: features.action.names"
+    wanted_names = position_names(hand.joints, hand.prismatic_joints)
     try:
         names = list(dataset_info["features"]["action"]["names"])
     except (KeyError, TypeError):
-        raise ConfigError("no names", where, f"{wanted[0]} and so on") from None
+        raise ConfigError("no names", location, f"{wanted_names[0]} and so on") from None
     if len(names) != actions.shape[1]:
         raise ConfigError(
-            f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value"
+            f"{len(names)} names for {actions.shape[1]} values", location, "a name for each value"
         )
-    if missing := [name for name in wanted if name not in names]:
-        raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
-    return actions[:, [names.index(name) for name in wanted]]
+    if missing_names := [name for name in wanted_names if name not in names]:
+        raise ConfigError(
+            f"no {missing_names[0]}", location, f"an angle for each joint of {hand.name}"
+        )
+    return actions[:, [names.index(name) for name in wanted_names]]
 
 
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
@@ -230,14 +234,14 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     """
     low, high = hand.joint_limits
     units = hand.display_units
-    beyond = units.displayed(np.maximum(low - angles_of_frames, angles_of_frames - high))
-    wrong = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
-    if wrong.any():
-        frame, joint = (int(index) for index in np.argwhere(wrong)[0])
+    beyond = units.to_displayed(np.maximum(low - angles_of_frames, angles_of_frames - high))
+    is_outside = ~(beyond <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
+    if is_outside.any():
+        frame, joint = (int(index) for index in np.argwhere(is_outside)[0])
         unit = units.names[joint]
-        given = units.displayed(angles_of_frames[frame])[joint]
-        least, most = units.displayed(hand.joint_limits)[:, joint]
-        problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
+        given_angle = units.to_displayed(angles_of_frames[frame])[joint]
+        least, most = units.to_displayed(hand.joint_limits)[:, joint]
+        problem = f"{given_angle:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
         raise ConfigError(problem, episode_name, f"{least:g} to {most:g} {unit}")
     return np.clip(angles_of_frames, low, high)
 
@@ -262,12 +266,12 @@ def _smooth_curve(
     curve = CubicSpline(times, angles, bc_type="clamped")
     at = np.arange(round(times[-1] / period) + 1) * period
     units = hand.display_units
-    rates = units.displayed(np.abs(curve(at, 1))) / units.per_degree
+    rates = units.to_displayed(np.abs(curve(at, 1))) / units.per_degree
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
         unit, per_degree = units.names[joint], units.per_degree[joint]
-        fastest = per_degree * rates.max()
-        problem = f"{hand.joints[joint]} with {fastest:.0f} {unit}/s after {at[tick]:.2f} s"
+        max_speed = per_degree * rates.max()
+        problem = f"{hand.joints[joint]} with {max_speed:.0f} {unit}/s after {at[tick]:.2f} s"
         limit = f"{per_degree * FOLLOW_SPEED_DEG_S:.4g}"
         raise ConfigError(problem, episode_name, f"at most {limit} {unit}/s, or a limit by --speed")
     return RecordedGoals(

@@ -96,34 +96,36 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
-    new = load_document(path, NewLimits)
-    old = controller.derived.limits
+    new_limits = load_document(path, NewLimits)
+    old_limits = controller.derived.limits
     period = controller.model.period
-    trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
-    for name in trips.keys() - set(old.tendons):
-        raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
-    rows = zip(old.tendons, old.tension_trip, strict=True)
-    trip = tuple(trips.get(name, was) for name, was in rows)
-    if isinstance(new.tension_trip_N, float):
-        trip = (new.tension_trip_N,) * len(trip)
-    silent = new.silent_ms
-    stalled = new.stalled_ms
-    soft = new.temperature_soft_degC
-    hard = new.temperature_hard_degC
+    trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
+    for name in trip_limits.keys() - set(old_limits.tendons):
+        raise ConfigError(
+            repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old_limits.tendons)
+        )
+    rows = zip(old_limits.tendons, old_limits.tension_trip, strict=True)
+    trip = tuple(trip_limits.get(name, was) for name, was in rows)
+    if isinstance(new_limits.tension_trip_N, float):
+        trip = (new_limits.tension_trip_N,) * len(trip)
+    silent_ms = new_limits.silent_ms
+    stalled = new_limits.stalled_ms
+    soft_temperature = new_limits.temperature_soft_degC
+    hard = new_limits.temperature_hard_degC
     return replace(
-        old,
+        old_limits,
         tension_trip=trip,
-        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
-        if silent
-        else old.silent_ticks,
-        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
-        if silent
-        else old.one_silent_ticks,
+        silent_ticks=ticks_for(silent_ms / 1e3, period, MIN_SILENT_TICKS)
+        if silent_ms
+        else old_limits.silent_ticks,
+        one_silent_ticks=ticks_for(silent_ms / 1e3, period, MIN_SILENT_TICKS)
+        if silent_ms
+        else old_limits.one_silent_ticks,
         stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS)
         if stalled
-        else old.stalled_ticks,
-        temperature_soft=soft or old.temperature_soft,
-        temperature_hard=hard or old.temperature_hard,
+        else old_limits.stalled_ticks,
+        temperature_soft=soft_temperature or old_limits.temperature_soft,
+        temperature_hard=hard or old_limits.temperature_hard,
     )
 
 
@@ -156,32 +158,34 @@ def _judge_ticks(
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
     """Judge each tick from its logged state, but debounce and latch faults with the new limits."""
-    other = replace(controller, other_limits=limits)
+    other_controller = replace(controller, other_limits=limits)
     state = controller.initial_state()
-    shadow = other.initial_state()
-    stops: list[LimitStop] = []
-    ticks = stopped = stopped_logged = 0
-    for logged in log.ticks():
-        entry = logged.tick_in
+    shadow = other_controller.initial_state()
+    limit_stops: list[LimitStop] = []
+    ticks = stopped_ticks = logged_stop_ticks = 0
+    for logged_tick in log.ticks():
+        entry = logged_tick.tick_in
         # In every tick, the controller starts from the state that it had in the recorded run. Only
         # the debounce counters and latched faults that follow from the new limits are carried from
         # tick to tick.
-        judged = state.copy()
-        judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
-        judged.decide(latched=shadow.latched, reported_faults=shadow.decisions.reported_faults)
+        judged_state = state.copy()
+        judged_state.view("fault_ticks")[...] = shadow.view("fault_ticks")
+        judged_state.decide(
+            latched=shadow.latched, reported_faults=shadow.decisions.reported_faults
+        )
         try:
-            shadow, verdict = other.tick(judged, entry)
-            state, out = controller.tick(state, entry)
+            shadow, verdict = other_controller.tick(judged_state, entry)
+            state, tick_output = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
         logged_faults = {
-            _fault_id(event) + event.where for event in out.events if event.name == "fault"
+            _fault_id(event) + event.where for event in tick_output.events if event.name == "fault"
         }
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
-        stopped += verdict.action >= SafetyAction.HOLD
-        stopped_logged += out.action >= SafetyAction.HOLD
+        stopped_ticks += verdict.action >= SafetyAction.HOLD
+        logged_stop_ticks += tick_output.action >= SafetyAction.HOLD
         for event in verdict.events:
             if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= SafetyAction.HOLD:
                 fault = FAULT_BY_ID[_fault_id(event)]
@@ -189,7 +193,7 @@ def _judge_ticks(
                 # The text of a fault event ends with the reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 in_log = fault.id + event.where in logged_faults
-                stops.append(
+                limit_stops.append(
                     LimitStop(
                         entry.k,
                         t_s,
@@ -201,8 +205,10 @@ def _judge_ticks(
                         in_log,
                     )
                 )
-    counts = Counter(stop.fault for stop in stops)
-    return LimitsJudgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
+    counts = Counter(stop.fault for stop in limit_stops)
+    return LimitsJudgement(
+        ticks, stopped_ticks, logged_stop_ticks, tuple(limit_stops), dict(counts)
+    )
 
 
 def _fault_id(event: TickEvent) -> str:

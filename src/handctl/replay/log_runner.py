@@ -44,12 +44,14 @@ def relative_error(difference: TickDifference) -> float:
     Returns:
         the size: 0 for texts, and infinity if a number is NaN.
     """
-    logged = difference.logged
+    logged_value = difference.logged
     computed = difference.computed
-    if isinstance(logged, str) or isinstance(computed, str):
+    if isinstance(logged_value, str) or isinstance(computed, str):
         return 0.0
-    apart = abs(logged - computed)
-    return math.inf if math.isnan(apart) else apart / max(1.0, abs(logged))
+    difference_size = abs(logged_value - computed)
+    return (
+        math.inf if math.isnan(difference_size) else difference_size / max(1.0, abs(logged_value))
+    )
 
 
 @dataclass(slots=True)
@@ -157,44 +159,50 @@ class LogRunner:
         """
         tally = DifferenceTally()
         tick = self.controller.tick
-        for logged, numbers in self._logged_ticks(first_tick, end_tick):
+        for logged_tick, numbers in self._logged_ticks(first_tick, end_tick):
             try:
-                state, out = tick(state, logged.tick_in)
+                state, tick_output = tick(state, logged_tick.tick_in)
             except ValueError as error:
-                raise refusal_error(error, logged.tick_in.k) from None
+                raise refusal_error(error, logged_tick.tick_in.k) from None
             tally.ticks += 1
             if progress and tally.ticks % TICKS_PER_PROGRESS_REPORT == 0:
                 progress(TICKS_PER_PROGRESS_REPORT)
             if observer:
-                observer(logged.tick_in, out)
-            if not are_outputs_equal(logged, numbers, out):
+                observer(logged_tick.tick_in, tick_output)
+            if not are_outputs_equal(logged_tick, numbers, tick_output):
                 tally.add_tick(
-                    list(differing_fields(self.telemetry_columns, logged, numbers, out)),
-                    are_decisions_equal(logged, out),
+                    list(
+                        differing_fields(self.telemetry_columns, logged_tick, numbers, tick_output)
+                    ),
+                    are_decisions_equal(logged_tick, tick_output),
                 )
-                if tally.first_state_difference is None and logged.tick_in.k in self.snapshots:
-                    tally.first_state_difference = self._state_difference(logged, state)
+                if tally.first_state_difference is None and logged_tick.tick_in.k in self.snapshots:
+                    tally.first_state_difference = self._state_difference(logged_tick, state)
         return state, tally
 
     def _logged_ticks(self, first_tick: int, end_tick: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index `first_tick` to `end_tick` - 1, each with its telemetry."""
-        firsts = self.log.first_of_chunk
+        chunk_starts = self.log.first_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
         # the part are dropped below.
-        chunk, last = np.searchsorted(firsts, (first_tick, end_tick), side="right") - 1
-        chunks = slice(int(chunk), int(last) + 1)
+        chunk, last_chunk = np.searchsorted(chunk_starts, (first_tick, end_tick), side="right") - 1
+        chunks = slice(int(chunk), int(last_chunk) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True)
-        return islice(both, first_tick - int(firsts[chunk]), end_tick - int(firsts[chunk]))
+        return islice(
+            both, first_tick - int(chunk_starts[chunk]), end_tick - int(chunk_starts[chunk])
+        )
 
     def _state_difference(
-        self, logged: TickRecord, state: ControllerState
+        self, logged_tick: TickRecord, state: ControllerState
     ) -> TickDifference | None:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
-            was = restore_state(self.controller.derived.layout, self.snapshots[logged.tick_in.k])
+            was = restore_state(
+                self.controller.derived.layout, self.snapshots[logged_tick.tick_in.k]
+            )
         except ValueError:
             return None  # if another version wrote the state, its fields are different
-        return state_difference(self.log.header, logged, was, state)
+        return state_difference(self.log.header, logged_tick, was, state)
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:

@@ -35,14 +35,14 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
 
-def check_same_hand(log: RunLog, name: str, hand_identity: str, where: str) -> None:
+def check_same_hand(log: RunLog, name: str, hand_identity: str, location: str) -> None:
     """Raise an error if a log was recorded with another hand than the given hand.
 
     Args:
         log: log to check.
         name: name of the given hand.
         hand_identity: identity of the given hand.
-        where: file of the given hand, for the error message.
+        location: file of the given hand, for the error message.
 
     Raises:
         IncomparableError: the identity of the hand in the log differs from the given identity.
@@ -52,7 +52,7 @@ def check_same_hand(log: RunLog, name: str, hand_identity: str, where: str) -> N
     if logged_identity != hand_identity:
         raise IncomparableError(
             f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {hand_identity[:12]}",
-            where,
+            location,
             "the same hand",
         )
 
@@ -86,10 +86,13 @@ def rms_and_peak(signal_difference: Array) -> dict[str, float]:
 
     If all values are NaN, the RMS and the peak are NaN.
     """
-    finite = signal_difference[~np.isnan(signal_difference)]
-    if not finite.size:
+    finite_differences = signal_difference[~np.isnan(signal_difference)]
+    if not finite_differences.size:
         return {"rms": float("nan"), "peak": float("nan")}
-    return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
+    return {
+        "rms": float(np.sqrt(np.mean(finite_differences**2))),
+        "peak": float(np.abs(finite_differences).max()),
+    }
 
 
 def signal_delay(signal_before: Array, signal_after: Array, period: float) -> float:
@@ -104,28 +107,38 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
     """
     if np.isnan(signal_before).any() or np.isnan(signal_after).any():
         return float("nan")
-    reach = min(round(MAX_DELAY_S / period), len(signal_before) // 4)
-    if reach < 1 or not np.ptp(signal_before) > MIN_SIGNAL_SPAN * np.abs(signal_before).max():
+    max_delay_ticks = min(round(MAX_DELAY_S / period), len(signal_before) // 4)
+    if (
+        max_delay_ticks < 1
+        or not np.ptp(signal_before) > MIN_SIGNAL_SPAN * np.abs(signal_before).max()
+    ):
         return float("nan")
-    inner = slice(reach, len(signal_before) - reach)
+    inner = slice(max_delay_ticks, len(signal_before) - max_delay_ticks)
     # `roll` moves rows from one end of a signal to the other end. The slice `inner` excludes these
     # rows.
     residual = np.array(
         [
             np.var(np.roll(signal_after, -shift)[inner] - signal_before[inner])
-            for shift in range(-reach, reach + 1)
+            for shift in range(-max_delay_ticks, max_delay_ticks + 1)
         ]
     )
     best = int(np.argmin(residual))
-    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
+    if not 0 < best < 2 * max_delay_ticks or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
         signal_before[inner]
     ):
         return float("nan")
-    earlier, lowest, later = residual[best - 1 : best + 2]
+    residual_before, min_residual, residual_after = residual[best - 1 : best + 2]
     # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
     # not positive, the minimum is flat, and the best shift is not refined.
-    bend = earlier - 2.0 * lowest + later
-    return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
+    curvature = residual_before - 2.0 * min_residual + residual_after
+    return float(
+        (
+            best
+            - max_delay_ticks
+            + (0.5 * (residual_before - residual_after) / curvature if curvature > 0 else 0.0)
+        )
+        * period
+    )
 
 
 def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Array:
@@ -160,19 +173,21 @@ def compare_runs(
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
     result: dict[str, Any] = {}
     for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
-        before, after = (
+        signals_before, signals_after = (
             factor * resampled_field(*run, times)
             for run in ((a, field, start_a), (b, field, start_b))
         )
-        rows = compare_signals(a.header.axis_names(axis), before, after, period)
-        sliding = prismatic_joints(a.header) if field == "q" else frozenset()
-        result[f"{axis}_{unit}"] = {name: row for name, row in rows.items() if name not in sliding}
-        if sliding:
+        rows = compare_signals(a.header.axis_names(axis), signals_before, signals_after, period)
+        prismatic = prismatic_joints(a.header) if field == "q" else frozenset()
+        result[f"{axis}_{unit}"] = {
+            name: row for name, row in rows.items() if name not in prismatic
+        }
+        if prismatic:
             to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
             result[f"{axis}_mm"] = {
                 name: dict(zip(row, (to_mm * list(row.values())).tolist(), strict=True))
                 for name, row in rows.items()
-                if name in sliding
+                if name in prismatic
             }
     return result
 
@@ -187,7 +202,7 @@ def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = (
+            delay_text = (
                 ""
                 if math.isnan(ms)
                 else ", in time"
@@ -195,7 +210,7 @@ def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
                 else f", {_delay_text(ms)}"
             )
             if not math.isnan(row["rms"]):
-                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
+                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{delay_text}"
 
 
 def _delay_text(delay_ms: float) -> str:

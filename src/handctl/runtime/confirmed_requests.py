@@ -65,8 +65,8 @@ def absent_controller_reported(bus: str) -> Iterator[None]:
     Raises:
         BusError: the bus is local, and had no mailbox before the block and none after it.
     """
-    simulated = bus.startswith(LOCAL_BUS_PREFIX)
-    had_mailbox = not simulated or os.path.lexists(mailbox_path(bus))
+    is_simulated = bus.startswith(LOCAL_BUS_PREFIX)
+    had_mailbox = not is_simulated or os.path.lexists(mailbox_path(bus))
     try:
         yield
     except UnconfirmedError:
@@ -98,15 +98,15 @@ def send_with_confirmation(
     name = f"{os.getpid()}-{next(_request_numbers)}"
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
-    sent = False
+    is_sent = False
     reason = CONTROLLER_SILENT_TEXT
     watcher.discard_lines()
     while (left := end - time.monotonic()) > 0.0:
-        if is_repeated or not sent:
-            sent, reason = _try_send_request(
+        if is_repeated or not is_sent:
+            is_sent, reason = _try_send_request(
                 watcher, data, min(left, REQUEST_REPEAT_S) if is_repeated else left
             )
-        if not sent:
+        if not is_sent:
             if not (is_repeated or reason == MAILBOX_FULL_TEXT):
                 break
             time.sleep(min(left, SEND_RETRY_PERIOD_S))
@@ -190,17 +190,17 @@ def follow_until_off(watcher: StatusWatcher, command_word: str, line: StatusLine
                 command_word,
                 f"accepted, but the hand is still in mode {line['mode']}",
             )
-        new = None
+        new_status = None
         last_line = time.monotonic()
-        while new is None:
+        while new_status is None:
             if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
                     watcher.name,
                     command_word,
                     f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
-            new = watcher.next_line(0.0) or _subscribe_again(watcher)
-        line = new
+            new_status = watcher.next_line(0.0) or _subscribe_again(watcher)
+        line = new_status
 
 
 def is_hand_off(line: StatusLine) -> bool:

@@ -140,7 +140,7 @@ class SimulatorSettings:
         See ``simulated_hand``.
         """
         with self.simulated_hand(round(1e9 * controller.model.period)) as peer:
-            yield SimulatedRun.begin(controller, peer)
+            yield SimulatedRun.start_run(controller, peer)
 
     def _hand_file(self, folder: Path) -> str:
         if not isinstance(self.hand, Hand):
@@ -182,7 +182,7 @@ class SimulatedRun:
     record_ticks: bool = True
 
     @staticmethod
-    def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
+    def start_run(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
         """Begin a run in which a controller controls a simulated hand."""
         return SimulatedRun(
             controller,
@@ -213,9 +213,9 @@ class SimulatedRun:
         """
         for _ in range(skipped_ticks):
             self._step()
-        _, out = self._decide(io_events, requests, late_ns)
+        _, tick_output = self._decide(io_events, requests, late_ns)
         self._step()
-        return out
+        return tick_output
 
     def run_ticks(self, limit_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
@@ -227,9 +227,9 @@ class SimulatedRun:
             limit_s: longest duration of the run [s].
         """
         while self.k * self.period_ns < limit_s * 1e9:
-            entry, out = self._decide((), (), 0)
-            yield entry, out
-            if out.mode == HandMode.DONE:
+            entry, tick_output = self._decide((), (), 0)
+            yield entry, tick_output
+            if tick_output.mode == HandMode.DONE:
                 return
             self._step()
 
@@ -239,10 +239,10 @@ class SimulatedRun:
         Return True if an output fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
-            out = self.run_tick()
-            if is_reached(out):
+            tick_output = self.run_tick()
+            if is_reached(tick_output):
                 return True
-            if out.mode == HandMode.DONE:
+            if tick_output.mode == HandMode.DONE:
                 return False
         return False
 
@@ -300,6 +300,6 @@ def simulate_controller(
     """
     with simulator.begin_run(controller) as run:
         run.record_ticks = False
-        for entry, out in run.run_ticks(limit_s):
-            on_tick(entry, out)
+        for entry, tick_output in run.run_ticks(limit_s):
+            on_tick(entry, tick_output)
         return run.state

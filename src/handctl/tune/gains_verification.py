@@ -175,38 +175,38 @@ class VerifyObserver:
         self._requests = []
         return requests
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Observe a tick, see `RunObserver`."""
-        if out.phase == "settle" and self._phase != "settle":
+        if tick_output.phase == "settle" and self._phase != "settle":
             self._round += 1
             # The gains are changed in the phase `settle`, while the hand is at rest.
             if self._round == self.old_rounds + 1:
                 self._request_gains(self.new_gains, self.old_gains)
-        self._phase = out.phase
-        if out.phase != "move":
+        self._phase = tick_output.phase
+        if tick_output.phase != "move":
             self._lagging_ns = entry.t_ns
-        elif self.blocked is None and out.mode == HandMode.ACTIVE:
-            names = self._blocked_names(out)
+        elif self.blocked is None and tick_output.mode == HandMode.ACTIVE:
+            names = self._blocked_names(tick_output)
             self._lagging_ns = self._lagging_ns if names else entry.t_ns
             if entry.t_ns - self._lagging_ns >= BLOCKED_DURATION_NS:
-                self.blocked = self._blocked_digit(out, names)
-        ringing = self._torque_rate(entry, out)
+                self.blocked = self._blocked_digit(tick_output, names)
+        ringing = self._torque_rate(entry, tick_output)
         if self._round <= self.old_rounds:
             self._max_ringing = max(self._max_ringing, ringing)
-        elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
+        elif self.rollback is None and (reason := self._violated_limit(tick_output, ringing)):
             amplitude = self.amplitudes[self._round - 1]
             self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old_gains, self.new_gains)
 
-    def _blocked_names(self, out: TickOut) -> tuple[str, ...]:
+    def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
         """Return the names of the digits in contact, if one of them lags behind its goal.
 
         The digit with the largest lag comes first.
         """
-        numbers = out.telemetry
-        lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
+        numbers = tick_output.telemetry
+        goal_deviation = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
         lags = {
-            name: float(np.nanmax(lag[joints], initial=0.0))
+            name: float(np.nanmax(goal_deviation[joints], initial=0.0))
             for (name, joints), touches in zip(
                 self.hand.digit_joints.items(), numbers.contact, strict=True
             )
@@ -216,16 +216,16 @@ class VerifyObserver:
             return ()
         return tuple(sorted(lags, key=lags.__getitem__, reverse=True))
 
-    def _blocked_digit(self, out: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
+    def _blocked_digit(self, tick_output: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
-        digit, *others = digit_names
+        digit, *other_digits = digit_names
         units = self.hand.displayed_mean(digit)
         column = self.hand.digit_names.index(digit)
-        mean = float(mean_angles(self.hand, out.telemetry.q[None])[0, column])
+        mean = float(mean_angles(self.hand, tick_output.telemetry.q[None])[0, column])
         amplitude = UNBLOCKED_FRACTION * move_amplitude(mean / float(units.scale[0]))
         return BlockedDigit(
             digit,
-            tuple(others),
+            tuple(other_digits),
             f"{units.factor[0] * mean:.0f} {units.names[0]}",
             self.amplitudes[self._round - 1],
             max(0.0, round(math.floor(amplitude / AMPLITUDE_STEP) * AMPLITUDE_STEP, 2)),
@@ -250,17 +250,17 @@ class VerifyObserver:
         """Return the number of joints of each digit."""
         return [len(digit.joints) for digit in self.hand.digit]
 
-    def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
+    def _torque_rate(self, entry: TickIn, tick_output: TickOut) -> float:
         """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
-        torque = out.telemetry.motor_torque_goal
-        before = self._torque
+        torque = tick_output.telemetry.motor_torque_goal
+        torque_before = self._torque
         self._torque = torque
-        if before is None or out.mode != HandMode.ACTIVE:
+        if torque_before is None or tick_output.mode != HandMode.ACTIVE:
             return 0.0
         # The control rate is not known to the observer. Therefore the mean period of the ticks so
         # far is used.
         period = entry.t_ns / max(entry.k, 1) / 1e9
-        self._rates.append(float(np.square(torque - before).mean()) / period**2)
+        self._rates.append(float(np.square(torque - torque_before).mean()) / period**2)
         while len(self._rates) > RINGING_WINDOW_S / period:
             self._rates.popleft()
         return float(np.sqrt(sum(self._rates) / len(self._rates)))
@@ -269,24 +269,27 @@ class VerifyObserver:
         """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
         units = self.hand.display_units
         touches = np.repeat(telemetry.contact > 0.0, self._joint_counts)
-        lag = np.abs(telemetry.q_goal - telemetry.q) / units.scale
-        error = np.where(touches | np.isnan(lag), 0.0, lag)
+        goal_deviation = np.abs(telemetry.q_goal - telemetry.q) / units.scale
+        error = np.where(touches | np.isnan(goal_deviation), 0.0, goal_deviation)
         joint = int(error.argmax())
         if error[joint] <= self.limits.tracking_rad:
             return ""
-        shown = units.scale[joint] * units.factor[joint]
-        worst, limit = shown * error[joint], shown * self.limits.tracking_rad
-        return f"tracking error {worst:.1f} {units.names[joint]}, limit {limit:.1f}"
+        displayed_factor = units.scale[joint] * units.factor[joint]
+        largest_error, limit = (
+            displayed_factor * error[joint],
+            displayed_factor * self.limits.tracking_rad,
+        )
+        return f"tracking error {largest_error:.1f} {units.names[joint]}, limit {limit:.1f}"
 
-    def _violated_limit(self, out: TickOut, ringing_N: float) -> str:
+    def _violated_limit(self, tick_output: TickOut, ringing_N: float) -> str:
         """Return a text about the limit that a tick violates, or an empty text if it violates none."""
-        if out.action >= SafetyAction.HOLD:
-            return f"safety: {out.action.name}"
-        if out.mode != HandMode.ACTIVE:
+        if tick_output.action >= SafetyAction.HOLD:
+            return f"safety: {tick_output.action.name}"
+        if tick_output.mode != HandMode.ACTIVE:
             return ""
         limits = self.limits
-        numbers = out.telemetry
-        if out.phase == "move" and (text := self._tracking_violation(numbers)):
+        numbers = tick_output.telemetry
+        if tick_output.phase == "move" and (text := self._tracking_violation(numbers)):
             return text
         for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
             if tension > limits.trip_fraction * tendon.tension_trip_N:
@@ -343,19 +346,23 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
     """
     columns = []
     for key, (name, unit) in COMPARED_MEASURES.items():
-        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in round_scores])
-        new = np.array([getattr(rounds[-1], key) for rounds in round_scores])
+        old_scores = np.array(
+            [getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in round_scores]
+        )
+        new_scores = np.array([getattr(rounds[-1], key) for rounds in round_scores])
         n = len(round_scores)
-        mean = float(old.mean())
-        change = float((new - old).mean())
+        mean = float(old_scores.mean())
+        change = float((new_scores - old_scores).mean())
         spread = (
             ASSUMED_SPREAD_FRACTION * mean
             if n == 1
-            else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
+            else float(student.ppf(0.975, n - 1) * (new_scores - old_scores).std(ddof=1) / n**0.5)
         )
         counts = abs(change) > max(spread, SAME_VALUE_FRACTION * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
-        columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
+        columns.append(
+            MeasureComparison(name, unit, mean, float(new_scores.mean()), spread, verdict)
+        )
     return columns
 
 
@@ -375,17 +382,17 @@ def scores_by_round(
             the controller are used instead.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
-    starts = [change.k for change in log.phases if change.name == "settle"]
+    start_indices = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each(log.phases, log.k)
     angle = np.where(log.field("contact") > 0.0, np.nan, digit_angles(hand, log.field("q_goal")))
     if truth is None:
-        real = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
+        measured_truth = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
     else:
-        real = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
+        measured_truth = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []
-    for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
+    for start, end in zip(start_indices, [*start_indices[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
-        part_truth = GroundTruth(real.angle[part], real.tension[part])
+        part_truth = GroundTruth(measured_truth.angle[part], measured_truth.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]
         results.append(

@@ -26,14 +26,19 @@ def run(args: argparse.Namespace) -> int:
             judgement = judge_by_limits(log, args.limits, update_progress)
         code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
-        stops = [_stop_fields(stop) for stop in judgement.stops]
+        stop_rows = [_stop_fields(stop) for stop in judgement.stops]
         counts = {
             "ticks": judgement.ticks,
             "stopped": judgement.stopped,
             "stopped_logged": judgement.stopped_logged,
         }
         print_json(
-            {"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops}
+            {
+                "log": str(args.recorded),
+                **counts,
+                "by_fault": judgement.by_fault,
+                "stops": stop_rows,
+            }
         )
         return code
     print_escaped(
@@ -41,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
         f"the limits of the run in {judgement.stopped_logged}"
     )
     for stop in judgement.stops:
-        also = "as in the run" if stop.in_logged_run else "new"
+        comparison_text = "as in the run" if stop.in_logged_run else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
-            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"
+            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {comparison_text}"
         )
     return code

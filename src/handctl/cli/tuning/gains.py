@@ -34,14 +34,14 @@ def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``gains``, and return the exit code."""
     if args.what == "set":
         return _change_live_gains(args)
-    does = {
+    run_function_by_kind = {
         "show": _show_gains,
         "diff": _print_diff,
         "apply": _apply_file,
         "rollback": _roll_back,
         "log": _print_history,
     }
-    return does[args.what](args, load_hand(args.hand))
+    return run_function_by_kind[args.what](args, load_hand(args.hand))
 
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
@@ -56,7 +56,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "value": value,
                 "origin": layers.origins[key],
                 "bounds": str(gain_bounds[key]),
-                "live": gain_bounds[key].live,
+                "live": gain_bounds[key].is_live_changeable,
                 "meaning": gain_meaning(gain_bounds[key]),
             }
             for key, value in values.items()
@@ -67,11 +67,15 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
         f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance)
     )
     for key, value in values.items():
-        when = "changes at any time" if gain_bounds[key].live else "changes before arming"
+        change_time_text = (
+            "changes at any time"
+            if gain_bounds[key].is_live_changeable
+            else "changes before arming"
+        )
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
             print_escaped(
-                f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}."
+                f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {change_time_text}."
             )
     return ExitCode.DONE
 
@@ -88,8 +92,8 @@ def _provenance_text(provenance: GainsProvenance) -> str:
     """Return the provenance of gains as a phrase with number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
-    made = f", made {provenance.made}" if provenance.made else ""
-    return number + made + (f", from {', '.join(sources)}" if sources else "")
+    date_text = f", made {provenance.made}" if provenance.made else ""
+    return number + date_text + (f", from {', '.join(sources)}" if sources else "")
 
 
 def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
@@ -103,15 +107,15 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     )
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (_gains_to_compare(word, hand) for word in sides)
-    changed = different_values(one, other)
+    first_gains, second_gains = (_gains_to_compare(word, hand) for word in sides)
+    differences = different_values(first_gains, second_gains)
     if args.json:
-        print_json({"sides": sides, "changed": changed})
+        print_json({"sides": sides, "changed": differences})
         return ExitCode.DONE
-    for key, (was, now) in changed.items():
-        print(f"{key:<38} {was:g} -> {now:g}")
+    for key, (old_value, new_value) in differences.items():
+        print(f"{key:<38} {old_value:g} -> {new_value:g}")
     print(
-        f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}"
+        f"{len(differences)} of {len(values_by_key(second_gains))} gains differ between {sides[0]} and {sides[1]}"
     )
     return ExitCode.DONE
 
@@ -128,8 +132,8 @@ def _gains_to_compare(gains_word: str, hand: Hand) -> Gains:
     if gains_word == "packaged":
         return packaged_gains(hand.name)
     if gains_word == "present":
-        present = store.present_gains()
-        return present.gains if present else packaged_gains(hand.name)
+        present_gains = store.present_gains()
+        return present_gains.gains if present_gains else packaged_gains(hand.name)
     if gains_word.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.history_entries()}
         if gains_word.lstrip("0") not in entries:
@@ -174,8 +178,8 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     """
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
-    newest = entries[-1].number if entries else 0
-    to = newest if _rename_unusable(store) and args.to is None else args.to
+    newest_number = entries[-1].number if entries else 0
+    to = newest_number if _rename_unusable(store) and args.to is None else args.to
     return _report_done(args, store, store.roll_back(to).provenance)
 
 
@@ -184,12 +188,12 @@ def _rename_unusable(store: GainsStore) -> bool:
 
     Return True if a file was renamed.
     """
-    aside = store.set_aside()
-    if aside:
+    aside_path = store.set_aside()
+    if aside_path:
         print_escaped(
-            f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True
+            f"handctl: {store.path} cannot be used, and was renamed to {aside_path}", error=True
         )
-    return bool(aside)
+    return bool(aside_path)
 
 
 def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance) -> int:
@@ -205,27 +209,28 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     store = GainsStore(hand.name)
     entries = store.history_entries()
     try:
-        present = store.present_gains()
+        present_gains = store.present_gains()
     except ConfigError as error:
         print_escaped(
             f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}",
             True,
         )
-        present = None
+        present_gains = None
     if args.json:
         print_json(
             {
-                "present": _number_text(present),
+                "present": _number_text(present_gains),
                 "entries": [entry.file.provenance.model_dump() for entry in entries],
             }
         )
         return ExitCode.DONE
     for entry in entries:
-        mark = "*" if entry.number == _number_text(present) else " "
-        print_escaped(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
-    print(
-        f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}"
+        present_mark = "*" if entry.number == _number_text(present_gains) else " "
+        print_escaped(f"{present_mark} {entry.number:>4}  {_entry_line(entry, entries)}")
+    present_text = (
+        _number_text(present_gains) or "packaged" if present_gains is None else store.path
     )
+    print(f"{len(entries)} applied; present: {present_text}")
     return ExitCode.DONE
 
 
@@ -235,14 +240,16 @@ def _number_text(present_value: Any) -> int:
 
 def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
-    by_number = {one.number: one.file.gains for one in stored_gains}
-    before = by_number.get(
+    gains_by_number = {stored_gain.number: stored_gain.file.gains for stored_gain in stored_gains}
+    gains_before = gains_by_number.get(
         entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
     )
-    changed = list(different_values(before, entry.file.gains))
-    few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
-    made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
-    return made_and_sources + (f"; changes {few}" if few else "; changes nothing")
+    differences = list(different_values(gains_before, entry.file.gains))
+    first_differences = ", ".join(differences[:3]) + (" .." if len(differences) > 3 else "")
+    provenance_text = _provenance_text(entry.file.provenance).partition(", made ")[2]
+    return provenance_text + (
+        f"; changes {first_differences}" if first_differences else "; changes nothing"
+    )
 
 
 def _change_live_gains(args: argparse.Namespace) -> int:
@@ -266,14 +273,14 @@ def _change_live_gains(args: argparse.Namespace) -> int:
             line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
-        applied = _wait_for_answers(watcher, values, line)
+        applied_values = _wait_for_answers(watcher, values, line)
     finally:
         watcher.close()
     if args.json:
-        print_json({"bus": bus, "set": applied})
+        print_json({"bus": bus, "set": applied_values})
     else:
         print(
-            "\n".join(f"{key} = {text}" for key, text in applied.items())
+            "\n".join(f"{key} = {text}" for key, text in applied_values.items())
             or "no change: these gains are in use"
         )
     return ExitCode.DONE

@@ -46,11 +46,11 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
-    check_gain_margins(plan.hand, new.gains, plan.rate_hz)
-    old = plan.gains
-    base = old.model_copy(update={"filter": new.gains.filter})
-    if old.filter != new.gains.filter:
+    new_gains = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
+    check_gain_margins(plan.hand, new_gains.gains, plan.rate_hz)
+    old_gains = plan.gains
+    base = old_gains.model_copy(update={"filter": new_gains.gains.filter})
+    if old_gains.filter != new_gains.gains.filter:
         print_note(
             "the filter's gains cannot change in a run: both halves use the new filter gains"
         )
@@ -59,19 +59,19 @@ def run(args: argparse.Namespace) -> int:
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
-    first = args.seed
+    first_seed = args.seed
     runs = []
     for seed in range(
-        first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
+        first_seed, first_seed + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
     ):
         args.seed = seed
-        run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
-        observer = VerifyObserver(plan.hand, base, new.gains, amplitudes=amplitudes)
+        run_log = log if seed == first_seed else log.with_stem(f"{log.stem}-seed{seed}")
+        observer = VerifyObserver(plan.hand, base, new_gains.gains, amplitudes=amplitudes)
         outcome, truth = _run_test_round(args, plan, ExerciseProgram(amplitudes), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
-    args.seed = first
+    args.seed = first_seed
     return _report_verification(args, runs, outcome)
 
 
@@ -120,18 +120,18 @@ def _judge_run(
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
-        rounds = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
+        round_scores = scores_by_round(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, verify_observer.rollback)
-    stopped = _stop_reason(outcome.state.failure, verify_observer, len(rounds))
+    stop_reason = _stop_reason(outcome.state.failure, verify_observer, len(round_scores))
     return {
-        "through": not stopped,
-        "stopped": stopped,
+        "through": not stop_reason,
+        "stopped": stop_reason,
         "blocked": asdict(verify_observer.blocked) if verify_observer.blocked else None,
         "amplitudes": verify_observer.amplitudes,
         "returned": asdict(verify_observer.rollback) if verify_observer.rollback else None,
         "failure": outcome.state.failure,
-        "rounds": rounds,
+        "rounds": round_scores,
         "judged_by": "truth" if truth else "estimates",
         "log": str(log),
         "picture": str(picture),
@@ -165,39 +165,49 @@ def _report_verification(
     """
     from handctl.tune.gains_verification import compare_rounds
 
-    last = round_results[-1]
-    columns = compare_rounds([one["rounds"] for one in round_results]) if last["through"] else []
-    worse = [column.name for column in columns if column.verdict == "worse"]
-    reason = last["stopped"]
-    if worse and not args.accept_worse:
-        reason = f"{', '.join(worse)} worse than with the old gains; --accept-worse accepts this"
+    last_round_result = round_results[-1]
+    columns = (
+        compare_rounds([round_result["rounds"] for round_result in round_results])
+        if last_round_result["through"]
+        else []
+    )
+    worse_names = [column.name for column in columns if column.verdict == "worse"]
+    reason = last_round_result["stopped"]
+    if worse_names and not args.accept_worse:
+        reason = (
+            f"{', '.join(worse_names)} worse than with the old gains; --accept-worse accepts this"
+        )
     if not reason and outcome.exit_code != ExitCode.DONE:
         reason = f"the run ended with exit code {int(outcome.exit_code)}"
-    verified = last["through"] and not reason
-    result = {key: value for key, value in last.items() if key not in ("through", "stopped")} | {
-        "verified": verified,
+    is_verified = last_round_result["through"] and not reason
+    result = {
+        key: value for key, value in last_round_result.items() if key not in ("through", "stopped")
+    } | {
+        "verified": is_verified,
         "why_not": reason,
         "columns": [asdict(column) for column in columns],
-        "worse": worse,
-        "rounds": [asdict(one) for one in last["rounds"]],
+        "worse": worse_names,
+        "rounds": [asdict(round_result) for round_result in last_round_result["rounds"]],
         "runs": len(round_results),
-        "logs": [one["log"] for one in round_results],
+        "logs": [round_result["log"] for round_result in round_results],
     }
     if args.json:
         print_json(result)
     else:
-        _print_rounds(result, last["rounds"], args)
+        _print_rounds(result, last_round_result["rounds"], args)
     if outcome.exit_code != ExitCode.DONE:
         return outcome.exit_code
-    return ExitCode.DONE if verified else ExitCode.FAILED
+    return ExitCode.DONE if is_verified else ExitCode.FAILED
 
 
 def _print_columns(result: dict[str, Any]) -> None:
     runs = result["runs"]
-    how = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
-    for one in result["columns"]:
-        change = f"{one['old']:.2f} -> {one['new']:.2f} {one['unit']}, difference +-{one['spread']:.2f} ({how})"
-        print(f"{one['name']}: {one['verdict']}, {change}")
+    spread_text = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
+    for column in result["columns"]:
+        change = f"{column['old']:.2f} -> {column['new']:.2f} {column['unit']}"
+        print(
+            f"{column['name']}: {column['verdict']}, {change}, difference +-{column['spread']:.2f} ({spread_text})"
+        )
 
 
 def _print_rounds(
@@ -215,8 +225,15 @@ def _print_rounds(
         "peak tension [N]",
     ):
         table.add_column(heading)
-    for i, (one, amplitude) in enumerate(zip(test_rounds, result["amplitudes"], strict=False)):
-        numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
+    for i, (round_row, amplitude) in enumerate(
+        zip(test_rounds, result["amplitudes"], strict=False)
+    ):
+        numbers = (
+            round_row.tracking_deg,
+            round_row.tension_N,
+            round_row.effort_Nm_per_s,
+            round_row.peak_tension_N,
+        )
         table.add_row(
             _gains_label(i, result["returned"], result["amplitudes"]),
             f"{amplitude:g}",
@@ -224,17 +241,17 @@ def _print_rounds(
         )
     console = rich_console()
     console.print(table)
-    back = result["returned"]
-    if back:
-        console.print(gains_return_text(back))
+    gains_return = result["returned"]
+    if gains_return:
+        console.print(gains_return_text(gains_return))
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
     # The last line is the verdict, even if a run has ended early.
     if result["verified"]:
         words = ("handctl", "gains", "apply", str(args.candidate), "--hand", str(args.hand))
-        apply = shlex.join(words)
-        print_escaped(f"verified; to use them: {apply}")
+        apply_command = shlex.join(words)
+        print_escaped(f"verified; to use them: {apply_command}")
     else:
         print_escaped(f"not verified: {result['why_not']}")
 

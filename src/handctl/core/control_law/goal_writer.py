@@ -29,9 +29,9 @@ def write_goals(
     tendon = layout.table(block, "tendon")
     digit = layout.table(block, "digit")
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
-    ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
+    trajectory_kinds = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
-    for d, (goal, tendons, places) in enumerate(
+    for d, (goal, tendons, coordinate_slice) in enumerate(
         zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)
     ):
         kinds[tendons] = int(_kind_of_control(goal))
@@ -45,19 +45,21 @@ def write_goals(
             )
             tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
-        ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
+        trajectory_kinds[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, StreamedTrajectory):
-            ways[d] = STREAMED
+            trajectory_kinds[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
-            ways[d] = MINIMUM_JERK
-            way[s.TRAJECTORY_START, places] = goal.trajectory.start
-            way[s.TRAJECTORY_END, places] = goal.trajectory.end
+            trajectory_kinds[d] = MINIMUM_JERK
+            way[s.TRAJECTORY_START, coordinate_slice] = goal.trajectory.start
+            way[s.TRAJECTORY_END, coordinate_slice] = goal.trajectory.end
             digit[s.TRAJECTORY_SINCE, d] = goal.since
             digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
             blend = goal.trajectory.blend
             digit[s.TRAJECTORY_BLEND, d] = blend.duration if blend else 1.0
-            way[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
-            way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
+            way[s.TRAJECTORY_START_SPEED, coordinate_slice] = blend.speed if blend else 0.0
+            way[s.TRAJECTORY_START_ACCELERATION, coordinate_slice] = (
+                blend.acceleration if blend else 0.0
+            )
 
 
 def _kind_of_control(goal: DigitGoal) -> GoalKind:
@@ -76,9 +78,9 @@ def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
     """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
-    for trajectory, since, places in sampled_goals(model, goals):
-        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
-            trajectory.motion_at(t - since)
+    for trajectory, start_time, coordinate_slice in sampled_goals(model, goals):
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, coordinate_slice] = (
+            trajectory.motion_at(t - start_time)
         )
 
 
@@ -89,8 +91,8 @@ def sampled_goals(
     """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
-        (goal.trajectory, goal.since, places)
-        for goal, places in rows
+        (goal.trajectory, goal.since, coordinate_slice)
+        for goal, coordinate_slice in rows
         if goal.trajectory is not None
         and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
     )

@@ -57,27 +57,30 @@ def raise_tensions_to_floor(
     total = np.zeros(count)
     feedback = np.zeros(count)
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.TENDONS_FIRST, d]
-        end = c.digit_int[h.TENDONS_END, d]
-        if not c.tendon_int[h.HAS_SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
+        first_tendon = c.digit_int[h.FIRST_TENDON, d]
+        end = c.digit_int[h.END_TENDON, d]
+        if (
+            not c.tendon_int[h.IS_REDUNDANT_DIGIT, first_tendon]
+            or x.tendon_int[s.GOAL_KIND, first_tendon] != MOTION
+        ):
             continue
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             # Only the part of the feedback that moves the digit may raise tension goals. The other
             # part of the feedback, in the null space, damps the motion of the motors.
             feedback[n] = part_explained_by_motion(c, n, terms[1])
-        bound = _largest_balance_factor(c, first, end, limit, terms)
-        fraction = _fraction_of_feedback(c, first, end, bound, terms, feedback)
-        more = 0.0
-        for n in range(first, end):
+        bound = _largest_balance_factor(c, first_tendon, end, limit, terms)
+        fraction = _fraction_of_feedback(c, first_tendon, end, bound, terms, feedback)
+        required_rise = 0.0
+        for n in range(first_tendon, end):
             terms[1, n] -= (1.0 - fraction) * feedback[n]
             lacking = c.tendon[h.TENSION_FLOOR, n] - terms[0, n] - fraction * feedback[n]
-            more = max(more, lacking / c.tendon[h.BALANCE_TENSION, n])
-        more = min(more, bound)
-        for n in range(first, end):
-            terms[0, n] += more * c.tendon[h.BALANCE_TENSION, n]
+            required_rise = max(required_rise, lacking / c.tendon[h.BALANCE_TENSION, n])
+        required_rise = min(required_rise, bound)
+        for n in range(first_tendon, end):
+            terms[0, n] += required_rise * c.tendon[h.BALANCE_TENSION, n]
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
             total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (
                 error[n] - part_explained_by_motion(c, n, error)
             )
@@ -87,11 +90,11 @@ def raise_tensions_to_floor(
 
 @kernel_helper
 def _largest_balance_factor(
-    c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix
+    c: ConstantTables, first_tendon: int, end: int, limit: Vector, terms: Matrix
 ) -> float:
     """Return the largest factor of the balance tensions that keeps all tendons of a digit within their limits."""
     factor = math.inf
-    for n in range(first, end):
+    for n in range(first_tendon, end):
         room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
         factor = min(
             factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE_TENSION, n]
@@ -101,7 +104,7 @@ def _largest_balance_factor(
 
 @kernel_helper
 def _fraction_of_feedback(
-    c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
+    c: ConstantTables, first_tendon: int, end: int, bound: float, terms: Matrix, feedback: Vector
 ) -> float:
     """Return the largest fraction of the feedback that keeps all tendons of a digit above the tension floor.
 
@@ -113,8 +116,10 @@ def _fraction_of_feedback(
         feedback: (N,) part of the feedback forces that moves the digit [N].
     """
     fraction = 1.0
-    for n in range(first, end):
-        above = terms[0, n] + bound * c.tendon[h.BALANCE_TENSION, n] - c.tendon[h.TENSION_FLOOR, n]
-        if feedback[n] < -max(above, 0.0):
-            fraction = min(fraction, max(above, 0.0) / -feedback[n])
+    for n in range(first_tendon, end):
+        margin_above_floor = (
+            terms[0, n] + bound * c.tendon[h.BALANCE_TENSION, n] - c.tendon[h.TENSION_FLOOR, n]
+        )
+        if feedback[n] < -max(margin_above_floor, 0.0):
+            fraction = min(fraction, max(margin_above_floor, 0.0) / -feedback[n])
     return fraction

@@ -226,9 +226,9 @@ def predict_reports(x: StateTables, c: ConstantTables) -> None:
         limit = c.tendon[h.FORCE_MAX, n]
         if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
             limit = x.servo[s.SERVO_BEFORE + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
-        known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
+        is_known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
             x.tendon[s.MEASURED_FORCE, n]
         )
         x.servo[s.SERVO_REPORT, n] = (
-            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if known else math.nan
+            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if is_known else math.nan
         )

@@ -46,7 +46,7 @@ def begin_segments(
     at: TablePlaces,
     target_coordinates: Vector,
     held_coordinates: Vector,
-    since: float,
+    start_time: float,
     duration: float,
     target_interval: float,
     max_rate: float,
@@ -62,7 +62,7 @@ def begin_segments(
         target_coordinates: (C,) requested coordinates [rad].
         held_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
             taut tendons [rad].
-        since: start of the motion [s].
+        start_time: start of the motion [s].
         duration: duration of the motion [s].
         target_interval: time between this target and the previous target [s]. If this time is
             infinite, the motion ends at rest.
@@ -70,20 +70,20 @@ def begin_segments(
         minimum_jerk: 1 for a motion of minimum jerk, 0 for a motion at constant rate.
     """
     x = state_tables(block, at)
-    clipped = False
+    is_clipped = False
     for k in range(x.coordinate.shape[1]):
         low, high = x.coordinate[s.STREAM_RANGE, k], x.coordinate[s.STREAM_RANGE + 1, k]
         target = min(max(held_coordinates[k], low), high)
-        clipped |= abs(target - target_coordinates[k]) > CLIP_TOLERANCE
+        is_clipped |= abs(target - target_coordinates[k]) > CLIP_TOLERANCE
         rate = min(
             max((target - x.coordinate[s.STREAM_TARGET, k]) / target_interval, -max_rate), max_rate
         )
         _write_segment(x, k, target, rate, duration, minimum_jerk == 1)
         x.coordinate[s.STREAM_TARGET_RATE, k] = rate
         x.coordinate[s.STREAM_TARGET, k] = target
-    x.run[s.STREAM_SINCE] = since
+    x.run[s.STREAM_SINCE] = start_time
     x.run[s.STREAM_DURATION] = duration
-    return clipped
+    return is_clipped
 
 
 @kernel_helper
@@ -115,10 +115,10 @@ def _write_segment(
         x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
         return
     squared = duration * duration
-    missing = target - position - duration * rate - 0.5 * squared * acceleration
+    position_gap = target - position - duration * rate - 0.5 * squared * acceleration
     slower = speed - rate - duration * acceleration
-    b = 480.0 * (slower * duration / 10.0 - missing / 4.0) / (squared * squared)
-    c = 480.0 * (missing / 3.0 - slower * duration / 8.0) / (squared * squared * duration)
+    b = 480.0 * (slower * duration / 10.0 - position_gap / 4.0) / (squared * squared)
+    c = 480.0 * (position_gap / 3.0 - slower * duration / 8.0) / (squared * squared * duration)
     x.coordinate[s.STREAM_SEGMENT + 1, k] = rate
     x.coordinate[s.STREAM_SEGMENT + 2, k] = 0.5 * acceleration
     x.coordinate[s.STREAM_SEGMENT + 3, k] = (b * duration + c * squared) / 6.0
@@ -129,13 +129,13 @@ def _write_segment(
 @kernel_helper
 def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
-    after = t - x.run[s.STREAM_SINCE]
-    if after >= x.run[s.STREAM_DURATION]:
+    elapsed_time = t - x.run[s.STREAM_SINCE]
+    if elapsed_time >= x.run[s.STREAM_DURATION]:
         return x.coordinate[s.STREAM_TARGET, k], 0.0
     position = rate = 0.0
     for power in range(5, -1, -1):  # Horner's scheme evaluates the polynomial and its derivative
-        rate = rate * after + position
-        position = position * after + x.coordinate[s.STREAM_SEGMENT + power, k]
+        rate = rate * elapsed_time + position
+        position = position * elapsed_time + x.coordinate[s.STREAM_SEGMENT + power, k]
     return position, rate
 
 
@@ -154,32 +154,37 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     rate = x.coordinate[s.TRAJECTORY + 1, k]
     scale = coordinate_scale(c, d, k)
     gain = c.run[h.STREAM_ACCELERATION] * period * scale
-    slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
+    min_rate, max_rate = _allowed_rates(x, c, d, k, period, scale, gain)
     now = x.run_int[s.T_NS] / 1e9
-    aim, aim_rate = position_on_segment(x, k, now)
+    target_position, target_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SINCE] + x.run[s.STREAM_DURATION] - now, 0.0)
     end_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
     # This position moves at the rate of the targets, and reaches the latest target at the end of
     # the segment.
     point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
-    mean = (aim - position) / period
-    allowed = gain * (1.0 + LIMIT_TOLERANCE)
-    free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
-    free &= (
-        slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
-        and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
+    mean = (target_position - position) / period
+    max_rate_change = gain * (1.0 + LIMIT_TOLERANCE)
+    is_within_limits = (
+        abs(mean - rate) <= max_rate_change and abs(target_rate - rate) <= max_rate_change
     )
-    free &= (
-        abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
+    is_within_limits &= (
+        min_rate - gain * LIMIT_TOLERANCE <= min(mean, target_rate)
+        and max(mean, target_rate) <= max_rate + gain * LIMIT_TOLERANCE
     )
-    new_rate = aim_rate
-    if not free:
+    is_within_limits &= (
+        abs(target_rate - end_rate)
+        <= max_stoppable_speed(abs(point - target_position), gain, period) + max_rate_change
+    )
+    new_rate = target_rate
+    if not is_within_limits:
         x.run_int[s.STREAM_LIMITED] += 1
-        apart = point - position - end_rate * period
-        sought = min(max(end_rate + _speed_to(apart, gain, period), slowest), fastest)
+        remaining_distance = point - position - end_rate * period
+        sought = min(
+            max(end_rate + _speed_to(remaining_distance, gain, period), min_rate), max_rate
+        )
         new_rate = rate + min(max(sought - rate, -gain), gain)
-        aim = position + new_rate * period
-    x.coordinate[s.TRAJECTORY, k] = aim
+        target_position = position + new_rate * period
+    x.coordinate[s.TRAJECTORY, k] = target_position
     x.coordinate[s.TRAJECTORY + 1, k] = new_rate
     x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
 
@@ -190,7 +195,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
 
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
     return 1.0
@@ -215,30 +220,30 @@ def _allowed_rates(
         gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
-    top = c.run[h.STREAM_SPEED] * scale
-    slowest = max(
-        -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
+    max_speed = c.run[h.STREAM_SPEED] * scale
+    min_rate = max(
+        -max_speed, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
     )
-    fastest = min(
-        top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
+    max_rate = min(
+        max_speed, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
     lead = (
         scale
         * MAX_LEAD_RAD
-        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
+        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS)
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
-    back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
+    return_rate = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
     ahead = _speed_to(digit + lead - position, gain, period) + max(digit_rate, 0.0)
-    slowest = max(slowest, min(back, fastest))
-    return slowest, min(fastest, max(ahead, slowest))
+    min_rate = max(min_rate, min(return_rate, max_rate))
+    return min_rate, min(max_rate, max(ahead, min_rate))
 
 
 @kernel_helper
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]

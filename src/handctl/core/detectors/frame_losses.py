@@ -24,28 +24,31 @@ SHORT_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 
 
 @kernel_helper
-def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
+def ticks_overdue(now_ns: int, last_heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
     """Return by how many whole ticks a reading of a node is overdue.
 
     A reading from the last period counts as in time.
 
     Args:
         now_ns: time of the tick [ns].
-        heard_ns: time of the latest reading [ns], -1 before the first reading.
+        last_heard_ns: time of the latest reading [ns], -1 before the first reading.
         cyclic_ns: period in which the node sends readings without a request [ns], or 0 if every
             tick requests a reading.
         period_ns: control period [ns].
     """
-    if heard_ns < 0:
+    if last_heard_ns < 0:
         return AGE_WITHOUT_READING
-    return max((now_ns - cyclic_ns - heard_ns) // period_ns, 0)
+    return max((now_ns - cyclic_ns - last_heard_ns) // period_ns, 0)
 
 
 @kernel_helper
 def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of motor n is overdue."""
     return ticks_overdue(
-        now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS]
+        now_ns,
+        x.tendon_int[s.FEEDBACK_NS, n],
+        c.tendon_int[h.CYCLIC_FEEDBACK_PERIOD_NS, n],
+        c.run_int[h.PERIOD_NS],
     )
 
 
@@ -57,18 +60,18 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     result is 0 in a hand without load cells.
     """
     group = c.tendon_int[h.CELL_GROUP, n]
-    heard_ns = -1
+    last_heard_ns = -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
-            heard_ns = max(heard_ns, x.group_int[s.GROUP_NS, g])
+            last_heard_ns = max(last_heard_ns, x.group_int[s.GROUP_NS, g])
     if c.run_int[h.TENSION_GROUPS] == 0:
         return 0
-    return ticks_overdue(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, last_heard_ns, 0, c.run_int[h.PERIOD_NS])
 
 
 @kernel_helper
 def update_loss_counts(
-    x: StateTables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
+    x: StateTables, c: ConstantTables, now_ns: int, unknown_count: int, counts_losses: bool
 ) -> None:
     """Update the counts of lost frames, malformed frames and unknown frames of all nodes.
 
@@ -76,31 +79,33 @@ def update_loss_counts(
         x: state tables.
         c: constants of the hand.
         now_ns: time of the tick [ns].
-        unknown: number of frames with unknown identifiers in the tick.
+        unknown_count: number of frames with unknown identifiers in the tick.
         counts_losses: True to count missing replies. Missing replies are counted if the motors may
             make torque and the host missed no tick.
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
-        late = False
+        is_late = False
         if node < tendons:
-            late = motor_ticks_overdue(x, c, node, now_ns) > 0
+            is_late = motor_ticks_overdue(x, c, node, now_ns) > 0
         else:
             for n in range(tendons):
-                late |= cell_ticks_overdue(x, c, n, now_ns) > 0
-        recent = x.node_int[s.LOST_REPLIES, node]
+                is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
+        recent_losses = x.node_int[s.LOST_REPLIES, node]
         earlier = x.node_int[s.LOST_REPLIES + 1, node]
         # The two integers form a shift register: the oldest bit of the first integer moves into the
         # second one.
         x.node_int[s.LOST_REPLIES + 1, node] = (
-            earlier << 1 | recent >> (BITS_PER_WORD - 1)
+            earlier << 1 | recent_losses >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
-        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
+        x.node_int[s.LOST_REPLIES, node] = (
+            recent_losses << 1 | (is_late and counts_losses)
+        ) & WORD_MASK
         misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
     # The count of unknown frames decays with a time constant of 1 s. A small count of unknown
     # frames is set to 0, so that the stored value becomes constant.
-    leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown
+    leaked = x.run[s.UNKNOWN_RATE] * (1.0 - c.run[h.PERIOD]) + unknown_count
     x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
 
 
@@ -129,7 +134,10 @@ def misses_every_second(x: StateTables, node: int) -> bool:
 
     At most one pair of consecutive replies may be missing.
     """
-    recent = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
+    recent_losses = x.node_int[s.LOST_REPLIES, node] & SHORT_MASK
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
-    return count_set_bits(recent) >= HALF_RATE_MISSES and count_set_bits(recent & recent >> 1) <= 1
+    return (
+        count_set_bits(recent_losses) >= HALF_RATE_MISSES
+        and count_set_bits(recent_losses & recent_losses >> 1) <= 1
+    )

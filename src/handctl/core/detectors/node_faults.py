@@ -68,15 +68,17 @@ FAULT_PHASE = int(DrivePhase.FAULT)
 
 
 @kernel_helper
-def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_node_faults(
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: Evidence
+) -> None:
     """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
-        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
-        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_AT_FLOOR]:
             evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
     _detect_rejected_positions(x, evidence)
-    if not armed:
+    if not is_armed:
         return
     _detect_drive_errors(x, evidence)
     _detect_silent_sensors(x, c, evidence)
@@ -108,14 +110,14 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
         age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[N02, n] = age
-    last = -1
+    last_group = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
-        if group > last:  # a frame with several joints is tested once, for its first joint
-            last = group
-            heard_ns = x.group_int[s.GROUP_NS, group]
-            if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
-                evidence[N02B, j] = (now_ns - heard_ns) * 1e-9
+        if group > last_group:  # a frame with several joints is tested once, for its first joint
+            last_group = group
+            last_heard_ns = x.group_int[s.GROUP_NS, group]
+            if last_heard_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
+                evidence[N02B, j] = (now_ns - last_heard_ns) * 1e-9
 
 
 @kernel_helper
@@ -151,7 +153,7 @@ def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence:
         if jerk > c.run[h.NOISE_LIMIT]:
             evidence[N07, n] = jerk
         disobeyed = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
-        tolerated = min(NOT_OBEYED_N, NOT_OBEYED_FRACTION * c.tendon[h.DRIVE_LIMIT, n])
+        tolerated = min(NOT_OBEYED_N, NOT_OBEYED_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n])
         if disobeyed > tolerated or torque_correlation.is_command_contradicted(x, c, n):
             evidence[N14, n] = disobeyed
         if x.tendon[s.SWING_S, n] > SWING_S:
@@ -179,15 +181,15 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
-            turned = (
+            turned_angle = (
                 stuck_sensors.motion_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
                 )
                 / c.joint[h.JOINT_SCALE, j]
                 * DEG_PER_RAD
             )
-            if turned > STUCK_JOINT_DEG:
-                evidence[N04 + 1, j] = turned
+            if turned_angle > STUCK_JOINT_DEG:
+                evidence[N04 + 1, j] = turned_angle
 
 
 @kernel_helper
@@ -214,9 +216,9 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 @kernel_helper
 def _has_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
-    turned = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
+    turned_angle = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
     # The comparison with NaN is False, so an unknown position does not count as released.
-    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned < -PAID_OUT_M)
+    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned_angle < -PAID_OUT_M)
 
 
 @kernel_helper
@@ -224,13 +226,13 @@ def _still_reports_torque(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a drive still reports the torque that it made before the torque was cut."""
     # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
     # report of such a drive is then old.
-    if not c.tendon_int[h.ANSWERS_ONCE, n]:
+    if not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
         return False
     # The last report before the cut is in REPORT_FORCES, which is updated only while the motors may
     # make torque.
-    before = abs(x.tendon[s.REPORT_FORCES + 3, n])
-    reported = abs(x.tendon[s.MEASURED_FORCE, n])
+    last_force = abs(x.tendon[s.REPORT_FORCES + 3, n])
+    reported_force = abs(x.tendon[s.MEASURED_FORCE, n])
     # A drive that reports its torque in large steps may report one step although it makes no
     # torque.
     threshold = STILL_REPORTED_N + c.tendon[h.TORQUE_STEP, n]
-    return reported > threshold and reported > STILL_PULLING_FRACTION * before
+    return reported_force > threshold and reported_force > STILL_PULLING_FRACTION * last_force

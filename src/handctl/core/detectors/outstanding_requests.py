@@ -43,7 +43,7 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
         replies = x.tendon_int[s.FEEDBACKS_NOW, n]
         outstanding = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         x.tendon_int[s.EXCESS_REPLIES, n] = 0
-        if replies > outstanding and c.tendon_int[h.ANSWERS_ONCE, n]:
+        if replies > outstanding and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
             x.tendon_int[s.EXCESS_REPLIES, n] = 1 + outstanding
             any_excess = True
         x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(outstanding - replies, 0)

@@ -48,34 +48,34 @@ FULL_FRICTION_SPEED_M_S = 5e-3
 
 
 @kernel_helper
-def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool) -> None:
+def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared: bool) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. In the tick after a missed tick, positions and
+        missed_ticks: ticks missed before the present tick. In the tick after a missed tick, positions and
             speeds are not used.
         tared: True if the zeros of the load cells are known.
     """
-    now = np.empty(len(TIME_CONSTANTS_S))
+    residual_sums = np.empty(len(TIME_CONSTANTS_S))
     initialized = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
-        position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
-        speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
+        position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
+        speed = x.tendon[s.SPEED, n] if missed_ticks == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
         readable = tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if readable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
-        commanded = x.tendon[s.COMMANDED_FORCE, n]
-        made = commanded if math.isnan(force) else force
+        commanded_force = x.tendon[s.COMMANDED_FORCE, n]
+        motor_force = commanded_force if math.isnan(force) else force
         monitored = monitored_tension(x, c, n, tared)
         if not initialized:
             # The two fast filters start at the present tension and at the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(monitored) else monitored
-            x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
-        turned = position - x.tendon[s.LAST_POSITION, n]
+            x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
+        turned_angle = position - x.tendon[s.LAST_POSITION, n]
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
         # some millimetres per second, the computed friction has its full value. When the motor is
         # at rest, the computed friction therefore does not change its sign in every tick.
@@ -83,32 +83,32 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
             speed * 1e3
         )
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
-        balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
-        now[BALANCE] = now[QUICK_BALANCE] = balance
-        now[MOTOR_FORCE] = made
-        now[COMMAND_DIFFERENCE] = commanded - force
+        balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
+        residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
+        residual_sums[MOTOR_FORCE] = motor_force
+        residual_sums[COMMAND_DIFFERENCE] = commanded_force - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            now[COMMAND_DIFFERENCE] = x.servo[s.SERVO_REPORT, n] - force
-        now[TENSION] = monitored
-        now[QUICK_FORCE] = made
-        now[SLIP] = x.tendon[s.SLIP, n]
-        now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
+            residual_sums[COMMAND_DIFFERENCE] = x.servo[s.SERVO_REPORT, n] - force
+        residual_sums[TENSION] = monitored
+        residual_sums[QUICK_FORCE] = motor_force
+        residual_sums[SLIP] = x.tendon[s.SLIP, n]
+        residual_sums[JERK] = square(turned_angle - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed. The excess friction is therefore the residual of the
         # force balance, multiplied by the sign of the speed.
-        now[EXCESS_FRICTION] = (
+        residual_sums[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S
             else math.nan
         )
         for row in range(len(TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
-            if not math.isnan(now[row] - low):
+            if not math.isnan(residual_sums[row] - low):
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
-                    now[row] - low
+                    residual_sums[row] - low
                 )
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
-        x.tendon[s.LAST_POSITION_STEP, n] = turned
+        x.tendon[s.LAST_POSITION_STEP, n] = turned_angle
 
 
 @kernel_helper

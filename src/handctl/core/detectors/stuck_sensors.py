@@ -48,22 +48,22 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         # The position of the encoder is compared instead of the tendon travel, because the travel
         # also changes with the angle of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
-        last = x.tendon[s.STUCK_TEST_POSITION, n]
-        moved = not math.isnan(value) and value != last
+        last_position = x.tendon[s.STUCK_TEST_POSITION, n]
+        has_moved = not math.isnan(value) and value != last_position
         goal = x.tendon[s.FILTERED_GOAL, n]
         tension = reference_tension(x, c, n)
-        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
+        if has_moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
             x.tendon[s.MOTOR_ANCHOR, n] = goal
-        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
+        if has_moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
             x.tendon[s.MOTOR_ANCHOR + 1, n] = tension
         if not math.isnan(value):
-            x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon_int[s.MOTOR_STUCK, n] = 0 if has_moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_POSITION, n] = value
         cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        last = x.tendon[s.STUCK_TEST_TENSION, n]
-        moved = not math.isnan(cell) and cell != last
+        last_position = x.tendon[s.STUCK_TEST_TENSION, n]
+        has_moved = not math.isnan(cell) and cell != last_position
         force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
-        if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
+        if has_moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
             x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.CELL_ANCHOR + 1, n] = force
         # A comparison with NaN is False, so an unknown motor force changes nothing.
         if force < x.tendon[s.CELL_ANCHOR, n]:
@@ -71,19 +71,19 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if force > x.tendon[s.CELL_ANCHOR + 1, n]:
             x.tendon[s.CELL_ANCHOR + 1, n] = force
         if not math.isnan(cell):
-            x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
+            x.tendon_int[s.CELL_STUCK, n] = 0 if has_moved else x.tendon_int[s.CELL_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_TENSION, n] = cell
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
-        last = x.joint[s.STUCK_TEST_ANGLE, j]
-        moved = not math.isnan(value) and value != last
+        last_position = x.joint[s.STUCK_TEST_ANGLE, j]
+        has_moved = not math.isnan(value) and value != last_position
         reference = joint_angle_by_spools(x, c, j)
         if not are_all_tendons_taut(x, c, j):
             x.joint[s.JOINT_ANCHOR, j] = math.nan
-        if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
+        if has_moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
             x.joint[s.JOINT_ANCHOR, j] = reference
         if not math.isnan(value):
-            x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint_int[s.JOINT_STUCK, j] = 0 if has_moved else x.joint_int[s.JOINT_STUCK, j] + 1
             x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
@@ -95,7 +95,7 @@ def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
     In a digit with surplus tendons, an antagonist can stretch a tendon whose own motor is at rest.
     """
-    return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
+    return math.nan if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @kernel_helper
@@ -131,8 +131,8 @@ def motion_since_reading(reference: float, anchor: float) -> float:
 
     Return 0 if the motion of the reference is unknown.
     """
-    apart = abs(reference - anchor)
-    return 0.0 if math.isnan(apart) else apart
+    distance = abs(reference - anchor)
+    return 0.0 if math.isnan(distance) else distance
 
 
 @kernel_helper
@@ -151,28 +151,28 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
-        before = x.tendon[s.FILTERED_GOAL, n]
-        present = x.tendon[s.EXCURSION, n]
+        last_goal = x.tendon[s.FILTERED_GOAL, n]
+        present_excursion = x.tendon[s.EXCURSION, n]
         x.tendon[s.FILTERED_GOAL, n] = goal
-        if math.isnan(before):
+        if math.isnan(last_goal):
             continue
-        change = goal - before
+        change = goal - last_goal
         if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
-            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(
+            x.tendon[s.FILTERED_GOAL, n] = last_goal + math.copysign(
                 max(fraction * abs(change), min_step), change
             )
-        if abs(goal - present) < ARRIVAL_DISTANCE_M:
-            x.tendon[s.FILTERED_GOAL, n] = present
-            if abs(present - before) > GOAL_JUMP_M:
+        if abs(goal - present_excursion) < ARRIVAL_DISTANCE_M:
+            x.tendon[s.FILTERED_GOAL, n] = present_excursion
+            if abs(present_excursion - last_goal) > GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
                 # jump of the filtered goal. The value from which the motion of the filtered goal is
                 # counted therefore jumps too.
-                x.tendon[s.MOTOR_ANCHOR, n] += present - before
+                x.tendon[s.MOTOR_ANCHOR, n] += present_excursion - last_goal
         elif _is_digit_pressing(x, c, n):
-            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
+            x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - last_goal
 
 
 @kernel_helper

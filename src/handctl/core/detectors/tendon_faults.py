@@ -57,12 +57,12 @@ from handctl.safety.faults.tendon import (
 
 @kernel_helper
 def detect_tendon_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: Evidence
 ) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
-    rail = c.run[h.TENSION_RAIL]
+    rail = c.run[h.CELL_SATURATION]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
-    relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
+    is_relaxed = x.run_int[s.MODE] == RELAX_MODE and relaxing_s > RELAXED_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
@@ -72,11 +72,14 @@ def detect_tendon_faults(
             evidence[T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
-        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
+        if (
+            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < rail
+            and c.tendon_int[h.CELL_GROUP, n] >= 0
+        ):
             evidence[T03B, n] = tension
-        if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
+        if is_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        if armed and is_cell_saturated(x, c, n):
+        if is_armed and is_cell_saturated(x, c, n):
             evidence[T06, n] = tension
 
 
@@ -87,13 +90,13 @@ def detect_tendon_faults_under_torque(
     """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
-        unexplained = residuals.unexplained_tension(x, c, n)
+        unexplained_tension = residuals.unexplained_tension(x, c, n)
         rubs = residuals.excess_friction(x, n)
-        if unexplained > RESIDUAL_WARN_N:
-            evidence[T04A, n] = unexplained
+        if unexplained_tension > RESIDUAL_WARN_N:
+            evidence[T04A, n] = unexplained_tension
         excess = residuals.excess_tension(x, c, n)
-        if unexplained > RESIDUAL_TRIP_N or excess > EXCESS_TENSION_TRIP_N:
-            evidence[T04B, n] = max(unexplained, excess)
+        if unexplained_tension > RESIDUAL_TRIP_N or excess > EXCESS_TENSION_TRIP_N:
+            evidence[T04B, n] = max(unexplained_tension, excess)
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
         pushed = stuck_sensors.motion_since_reading(
@@ -122,14 +125,14 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     if not is_tendon_streamed(x, c, n):
         return speed
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if not math.isnan(x.joint[s.DQ_GOAL, j]):
             speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]
     return speed
 
 
 @kernel_helper
-def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
+def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded_tension: float) -> float:
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
     In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
@@ -151,16 +154,16 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        commanded: commanded tension, positive [N].
+        commanded_tension: commanded tension, positive [N].
     """
     if c.tendon_int[h.CELL_GROUP, n] < 0:
         return SNAP_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
-    if not holds or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY or is_stream_running(x):
+    is_holding = x.tendon_int[s.GOAL_KIND, n] == TENSION
+    if not is_holding or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY or is_stream_running(x):
         return SNAP_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
-    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[h.MOTOR_COULOMB, n]
     # The comparison needs no division, because the damping may be zero.
     if FREE_SPOOL_FRACTION * force >= SNAP_SPEED * damping:
         return SNAP_SPEED
@@ -171,26 +174,26 @@ def _snap_speed(x: StateTables, c: ConstantTables, n: int, commanded: float) -> 
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
-    commanded = x.tendon[s.COMMANDED_TENSION, n]
+    commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]
-    since = x.tendon_int[s.SLACK_TICKS, n] * period
-    if since > SLACK_WARN_S:
-        evidence[T02A, n] = since
-    if since > SLACK_TRIP_S:
-        evidence[T02B, n] = since
+    slack_duration = x.tendon_int[s.SLACK_TICKS, n] * period
+    if slack_duration > SLACK_WARN_S:
+        evidence[T02A, n] = slack_duration
+    if slack_duration > SLACK_TRIP_S:
+        evidence[T02B, n] = slack_duration
     tension = monitored_tension(x, c, n, x.run_int[s.TARED] == 1)
-    planned = _planned_speed(x, c, n)
-    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded < 0.0:
-        commanded = -commanded
+    planned_speed = _planned_speed(x, c, n)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded_tension < 0.0:
+        commanded_tension = -commanded_tension
         speed = -speed
-        planned = -planned
+        planned_speed = -planned_speed
         tension = -tension
     was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
-    beyond = speed - max(planned, 0.0)
+    beyond = speed - max(planned_speed, 0.0)
     if (
-        beyond > _snap_speed(x, c, n, commanded)
-        and commanded > SNAP_N
-        and tension < SNAP_FRACTION * commanded
+        beyond > _snap_speed(x, c, n, commanded_tension)
+        and commanded_tension > SNAP_N
+        and tension < SNAP_FRACTION * commanded_tension
         and was_taut
     ):
         evidence[T01, n] = beyond

@@ -40,15 +40,19 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         elif tension > TAUT_N:
             x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
         stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
-        apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
+        travel_difference = (
+            x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
+        )
         if read and math.isnan(x.tendon[s.SLIP_REFERENCE, n]):
-            x.tendon[s.SLIP_REFERENCE, n] = apart
+            x.tendon[s.SLIP_REFERENCE, n] = travel_difference
         if x.tendon[s.TAUT_S, n] <= SETTLE_S:
             x.tendon[s.SLIP_REFERENCE, n] = math.nan
         x.tendon[s.SLIP, n] = math.nan
         if read:
             x.tendon[s.SLIP, n] = (
-                (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+                (travel_difference - x.tendon[s.SLIP_REFERENCE, n])
+                / c.tendon[h.MOMENT_ARM_SUM, n]
+                * DEG_PER_RAD
             )
             far = abs(x.tendon[s.SLIP, n]) > derailed_limit(c, n)
             x.tendon[s.DERAILED_READINGS, n] = (

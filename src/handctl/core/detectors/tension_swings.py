@@ -28,13 +28,13 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update for each tendon the mean square of the difference between measured and commanded tension."""
     period = c.run[h.PERIOD]
-    slow = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
+    slow_fraction = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
     mean = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
         quick = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
         if tared and not math.isnan(deviation):
-            x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
+            x.tendon[s.SWING_SLOW, n] += slow_fraction * (deviation - x.tendon[s.SWING_SLOW, n])
             quick = deviation - x.tendon[s.SWING_SLOW, n]
         # A missing reading counts as a difference of 0.
         x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])

@@ -19,36 +19,38 @@ class NamedFields(Protocol):
 
 
 def consistency_events(
-    model: HandModel, before: NamedFields, after: NamedFields
+    model: HandModel, fields_before: NamedFields, fields_after: NamedFields
 ) -> tuple[TickEvent, ...]:
     """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
         model: model of the hand.
-        before: state of the controller after the last tick.
-        after: state of the controller in the present tick.
+        fields_before: state of the controller after the last tick.
+        fields_after: state of the controller in the present tick.
     """
     events: list[TickEvent] = []
-    doubtful = after.view("doubtful")
-    was = before.view("doubtful")
+    doubtful = fields_after.view("doubtful")
+    was = fields_before.view("doubtful")
     if (doubtful != was).any():
         for n in np.flatnonzero(doubtful != was).tolist():
             name = model.hand.tendon_names[n]
-            nis = after.view("nis_mean")[n]
+            nis = fields_after.view("nis_mean")[n]
             verdict = (
                 "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
             )
             text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
             events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
-    blocked = after.view("blocked")
-    was = before.view("blocked")
-    if (blocked != was).any():
-        planned = after.view("planned_contact")
-        for d in np.flatnonzero((blocked != was) & (planned == 0)).tolist():
+    is_blocked = fields_after.view("blocked")
+    was = fields_before.view("blocked")
+    if (is_blocked != was).any():
+        planned_contact = fields_after.view("planned_contact")
+        for d in np.flatnonzero((is_blocked != was) & (planned_contact == 0)).tolist():
             name = model.hand.digit_names[d]
-            tension = after.view("touch")[d]
+            tension = fields_after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
             events.append(
-                TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again")
+                TickEvent(
+                    "info", "blocked", name, text if is_blocked[d] else f"{name} is free again"
+                )
             )
     return tuple(events)

@@ -59,14 +59,14 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     For all other digits, the tip force is set to 0, but the estimated drift of the load cells is
     kept.
     """
-    closing = False
+    is_closing = False
     for d in range(x.digit.shape[1]):
         if x.digit_int[s.CLOSING, d]:
-            closing = True
+            is_closing = True
         else:
             x.digit[s.SMOOTHED_TIP_FORCE, d] = x.digit[s.CONTACT_FORCE, d] = 0.0
             x.digit[s.TIP_FORCE_MEAN, d] = math.nan
-    if not closing:
+    if not is_closing:
         return
     lever = np.zeros(x.joint.shape[1])
     _write_tip_levers(x, c, lever)
@@ -104,15 +104,15 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
     The result is 0 if a force at the tip does not load any tendon of the digit.
     """
-    work = 0.0
+    virtual_work = 0.0
     size = 0.0
-    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+    for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         response = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             response += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
-        work += response * x.tendon[s.EXTERNAL_TENSION, n]
+        virtual_work += response * x.tendon[s.EXTERNAL_TENSION, n]
         size += response * response
-    return work / size if size > MIN_SQUARED_RESPONSE else 0.0
+    return virtual_work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper
@@ -121,14 +121,22 @@ def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
 
     Both averages are equal until the detection of slip begins.
     """
-    judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
+    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_JUDGED_FROM]
     for n in range(x.tendon.shape[1]):
         # The length on the spool minus the elastic stretch is the tendon length that moves the
         # joints.
-        here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
-        fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
-        slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]
-        fast = fast + (here - fast) * c.run[h.GRIP_FAST_FRACTION] if x.run_int[s.GRIPPING] else here
-        slow = slow + (here - slow) * c.run[h.GRIP_SLOW_FRACTION]
-        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast
-        x.tendon[s.GRIP_TRAVEL_SLOW, n] = slow if judged and x.run_int[s.GRIPPING] else fast
+        load_side_travel = (
+            x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+        )
+        fast_travel = x.tendon[s.GRIP_TRAVEL_FAST, n]
+        slow_travel = x.tendon[s.GRIP_TRAVEL_SLOW, n]
+        fast_travel = (
+            fast_travel + (load_side_travel - fast_travel) * c.run[h.GRIP_FAST_FRACTION]
+            if x.run_int[s.GRIPPING]
+            else load_side_travel
+        )
+        slow_travel = slow_travel + (load_side_travel - slow_travel) * c.run[h.GRIP_SLOW_FRACTION]
+        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast_travel
+        x.tendon[s.GRIP_TRAVEL_SLOW, n] = (
+            slow_travel if is_slip_judged and x.run_int[s.GRIPPING] else fast_travel
+        )

@@ -60,7 +60,7 @@ def correct_covariance(
         gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
         predicted_covariances: (7, 7) result: covariance after the correction.
         information: (3,) result: inverse covariance of the two innovations, see
-            ``constants.INFORMATION_AT``.
+            ``constants.INFORMATION_OFFSET``.
 
     Returns:
         Standard deviation of the difference between measured and expected load-cell reading [N].
@@ -69,15 +69,15 @@ def correct_covariance(
     H = np.zeros((2, STATE_COUNT))
     for m in range(2):
         for i in range(STATE_COUNT):
-            H[m, i] = c.design[n, kind, h.H_AT + STATE_COUNT * m + i]
-    observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
+            H[m, i] = c.design[n, kind, h.MEASUREMENT_MATRIX_OFFSET + STATE_COUNT * m + i]
+    observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_OFFSET]
     H[1, CELL_ERROR] = observable
     P = _present_covariance(x, c, n, kind)
     crossed = _multiply_by_transposed(P, H)
     size = _multiply_matrices(H, crossed)
     R = np.zeros(2)
     for m in range(2):
-        R[m] = c.design[n, kind, h.R_AT + m] * (
+        R[m] = c.design[n, kind, h.MEASUREMENT_NOISE_OFFSET + m] * (
             MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
     # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
@@ -94,14 +94,16 @@ def correct_covariance(
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
-    rest = np.zeros((STATE_COUNT, STATE_COUNT))
+    joseph_factor = np.zeros((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
+            joseph_factor[i, j] = (1.0 if i == j else 0.0) - (
+                gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
+            )
     # The Joseph form of the covariance is (I - K H) P (I - K H)^T + K R K^T. The Joseph form is
     # symmetric and positive for any gain, even for a gain that leaves the load-cell error
     # uncorrected (Schmidt's consider filter).
-    joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
+    joseph = _multiply_by_transposed(_multiply_matrices(joseph_factor, P), joseph_factor)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             predicted_covariances[i, j] = (
@@ -122,11 +124,11 @@ def predict_covariances(
     of the new design.
     """
     periods = 1 + ticks_to_predict(c, missed_ticks)
-    steady = True
+    is_steady = True
     for n in range(len(predicted_covariances)):
         kind = x.tendon_int[s.FILTER_KIND, n]
-        F = _copy_design_matrix(c, n, kind, h.F_AT)
-        Q = _copy_design_matrix(c, n, kind, h.Q_AT)
+        F = _copy_design_matrix(c, n, kind, h.TRANSITION_MATRIX_OFFSET)
+        Q = _copy_design_matrix(c, n, kind, h.PROCESS_NOISE_OFFSET)
         P = predicted_covariances[n]
         for _ in range(periods):
             P = _multiply_by_transposed(_multiply_matrices(F, P), F)
@@ -135,12 +137,12 @@ def predict_covariances(
                     P[i, j] += Q[i, j]
         # The covariance that was computed so far belongs to the old filter design.
         if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
-            P = _copy_design_matrix(c, n, kind, h.P_AT)
+            P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
                 x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n] = P[i, j]
-        steady &= _is_steady(c, n, kind, P)
-    x.run_int[s.COVARIANCE_PROPAGATED] = not steady
+        is_steady &= _is_steady(c, n, kind, P)
+    x.run_int[s.COVARIANCE_PROPAGATED] = not is_steady
 
 
 @kernel_helper
@@ -157,7 +159,9 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
-    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_AT])
+    return math.sqrt(
+        _tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_OFFSET]
+    )
 
 
 @kernel_helper
@@ -167,7 +171,7 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: 
     After a missing measurement, the covariance computed in each tick is returned, and otherwise the
     constant covariance.
     """
-    P = _copy_design_matrix(c, n, design_kind, h.P_AT)
+    P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
@@ -177,12 +181,17 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: 
 
 @kernel_helper
 def _is_steady(c: ConstantTables, n: int, design_kind: int, P: Matrix) -> bool:
-    steady = _copy_design_matrix(c, n, design_kind, h.P_AT)
+    steady_covariance = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     for i in range(STATE_COUNT):
-        observed = c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
-        if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
+        observed = (
+            c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_OFFSET] if i == CELL_ERROR else 1.0
+        )
+        if (
+            abs(P[i, i] - steady_covariance[i, i]) * observed
+            > STEADY_FRACTION * steady_covariance[i, i] * observed
+        ):
             return False
-    variance = _tension_variance(c, n, design_kind, steady)
+    variance = _tension_variance(c, n, design_kind, steady_covariance)
     return abs(_tension_variance(c, n, design_kind, P) - variance) <= STEADY_FRACTION * variance
 
 
@@ -192,9 +201,9 @@ def _tension_variance(c: ConstantTables, n: int, design_kind: int, P: Matrix) ->
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             variance += (
-                c.design[n, design_kind, h.TENSION_ROW_AT + i]
+                c.design[n, design_kind, h.TENSION_ROW_OFFSET + i]
                 * P[i, j]
-                * c.design[n, design_kind, h.TENSION_ROW_AT + j]
+                * c.design[n, design_kind, h.TENSION_ROW_OFFSET + j]
             )
     return variance
 

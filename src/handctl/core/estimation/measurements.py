@@ -28,11 +28,11 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
         x.tendon_int[s.SATURATED, n] = 0
         if x.tendon_int[s.CELL_FRESH, n]:
             cell = x.tendon[s.CELL_READING, n]
-            saturated = not c.run[h.CELL_LOW] < cell < c.run[h.CELL_HIGH]
+            saturated = not c.run[h.CELL_MIN] < cell < c.run[h.CELL_MAX]
             if saturated:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
-                cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
+                cell = c.run[h.CELL_MAX] if cell >= c.run[h.CELL_MAX] else c.run[h.CELL_MIN]
             x.tendon[s.MEASURED_TENSION, n] = cell - (
                 c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n]
             )
@@ -132,11 +132,11 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         valid = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         # A drive reports the torque that an ideal motor would make. The real motor makes the
         # reported torque multiplied by ``TORQUE_GAIN``.
-        made = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
-        x.tendon[s.MEASURED_FORCE, n] = made / spool if valid else math.nan
+        reported_force = x.tendon[s.REPORTED_TORQUE, n] * c.tendon[h.TORQUE_GAIN, n]
+        x.tendon[s.MEASURED_FORCE, n] = reported_force / spool if valid else math.nan
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
@@ -150,7 +150,7 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     tension. The tare may hide either of these cases, so the function tests both values.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
-    beyond = tension >= c.run[h.TENSION_RAIL] or tension <= c.run[h.TENSION_LOW]
+    beyond = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
     return bool(beyond or x.tendon_int[s.SATURATED, n])
 
 

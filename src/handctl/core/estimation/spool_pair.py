@@ -28,9 +28,9 @@ def net_tension_at_joint(net_tension: float, pretension: float, passed_fraction:
 
     Source: capstan equation.
     """
-    first = max(pretension + 0.5 * net_tension, net_tension, 0.0)
-    second = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
-    return first * passed_fraction - second / passed_fraction
+    first_tension = max(pretension + 0.5 * net_tension, net_tension, 0.0)
+    second_tension = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
+    return first_tension * passed_fraction - second_tension / passed_fraction
 
 
 @kernel_helper

@@ -106,11 +106,11 @@ def design_filter(
     Raises:
         ConfigError: no filter follows from the gains.
     """
-    made: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
-    found = []
+    blocks_by_parameters: dict[tuple[float, ...], tuple[FilterBlock, ...]] = {}
+    designs = []
     for i, joints in enumerate(joint_period.tolist()):
         kind = (joints, *space.numbers_of(i))
-        if kind not in made:
+        if kind not in blocks_by_parameters:
             with solver_failures_as_errors("filter"):
                 certain = tuple(
                     _design_filter_block(space, i, (regime, False), gains, period_s, joints)
@@ -120,21 +120,21 @@ def design_filter(
                     _design_filter_block(space, i, (regime, True), gains, period_s, joints)
                     for regime in TAUT_REGIMES
                 )
-                made[kind] = (
+                blocks_by_parameters[kind] = (
                     *certain,
                     *adds_noise,
                     certain[TendonRegime.SLACK],
                 )  # the filter of a slack tendon never gets added noise
-        found.append(made[kind])
-    return FilterDesign(tuple(found))
+        designs.append(blocks_by_parameters[kind])
+    return FilterDesign(tuple(designs))
 
 
 def _continuous_model(
     space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the row (7,) that computes the tension."""
-    taut = regime != TendonRegime.SLACK
-    k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
+    is_taut = regime != TendonRegime.SLACK
+    k, c = (space.stiffness[i], space.damping[i]) if is_taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((STATE_COUNT, STATE_COUNT))
     B = np.zeros((STATE_COUNT, INPUT_COUNT))
@@ -210,12 +210,12 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
         stiffness: stiffness of the tendon [N/m].
         regime: regime of the tendon, free or held.
     """
-    free = regime == TendonRegime.FREE
+    is_free = regime == TendonRegime.FREE
     process_noise[D, D] *= (
-        ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR
+        ADDED_DISTURBANCE_FACTOR if is_free else ADDED_HELD_DISTURBANCE_FACTOR
     ) ** 2
     process_noise[S, S] += (
-        (ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness
+        (ADDED_TENSION_WALK if is_free else ADDED_HELD_TENSION_WALK) / stiffness
     ) ** 2
 
 
@@ -228,11 +228,11 @@ def _discretise_model(
     """
     n, m = B.shape
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
-    loan = expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
-    F = held[:n, :n]
-    noise = loan[n:, n:].T @ loan[:n, n:]
-    return F, held[:n, n:], (noise + noise.T) / 2
+    zero_order_hold = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
+    van_loan_matrix = expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
+    F = zero_order_hold[:n, :n]
+    noise = van_loan_matrix[n:, n:].T @ van_loan_matrix[:n, n:]
+    return F, zero_order_hold[:n, n:], (noise + noise.T) / 2
 
 
 def _design_filter_block(
@@ -266,13 +266,13 @@ def _design_filter_block(
     if adds_noise:
         _add_process_noise(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= PLAN_FRACTION_WITH_NOISE
-    F, held, Q = _discretise_model(A, B, intensity, period_s)
+    F, held_input_matrix, Q = _discretise_model(A, B, intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
     H[2, S] = 1.0
-    known = regime == TendonRegime.SLACK
-    H[1, E] = float(known)
+    is_known = regime == TendonRegime.SLACK
+    H[1, E] = float(is_known)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
     # The first two measurements are the encoder and the load cell. Without a load cell, only the
     # encoder is used.
@@ -282,7 +282,7 @@ def _design_filter_block(
     K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
     # The filter corrects the load-cell error only if a measurement distinguishes it from tension.
-    K[E] *= known
+    K[E] *= is_known
     H[1, E] = 1.0
     K[S, 2] = (
         1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
@@ -292,16 +292,28 @@ def _design_filter_block(
     K[O, 2] = -K[S, 2]
     drift = (
         0.0
-        if known or read == 1
+        if is_known or read == 1
         else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     )
     variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon
     information = np.zeros((2, 2))
     information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
-    finite_or_error(F, held, K, P, information)
+    finite_or_error(F, held_input_matrix, K, P, information)
     return FilterBlock(
-        F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma
+        F,
+        held_input_matrix,
+        H,
+        K,
+        Q,
+        noise**2,
+        P,
+        is_known,
+        drift,
+        tension,
+        variance,
+        information,
+        sigma,
     )
 
 

@@ -101,25 +101,25 @@ class WireTables:
                 values are 1.
         """
         self._signals: list[SignalTable] = []
-        found: dict[int, list[int]] = {}
+        indices_by_id: dict[int, list[int]] = {}
         for drive in drives:
-            found |= {
+            indices_by_id |= {
                 _frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0]
                 for can_id in drive.host_ids
             }
-        found |= {
+        indices_by_id |= {
             _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, HOST_FRAMES, 0, 0, 0, 0, 0]
             for can_id in sensors.host_ids
         }
         for n, drive in enumerate(drives):
-            found |= {
+            indices_by_id |= {
                 _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
                 for can_id in drive.node_ids
             }
             for message in drive.cyclic_messages.feedback:
                 kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
                 signals = self._add_message(message)
-                found[_frame_key(drive.bus, message.can_id)] = [
+                indices_by_id[_frame_key(drive.bus, message.can_id)] = [
                     n,
                     kind,
                     *signals,
@@ -127,7 +127,7 @@ class WireTables:
                     0,
                     message.nearest,
                 ]
-        found |= {
+        indices_by_id |= {
             _frame_key(sensors.bus, can_id): [
                 SENSOR_NODE_OWNER,
                 STATE_MACHINE_FRAMES,
@@ -140,7 +140,7 @@ class WireTables:
             for can_id in sensors.service_ids
         }
         for group, message in enumerate(sensors.messages):
-            found[_frame_key(sensors.bus, message.can_id)] = [
+            indices_by_id[_frame_key(sensors.bus, message.can_id)] = [
                 SENSOR_NODE_OWNER,
                 SENSOR_FRAMES,
                 *self._add_message(message),
@@ -148,9 +148,9 @@ class WireTables:
                 group,
                 0,
             ]
-        keys = sorted(found)
+        keys = sorted(indices_by_id)
         self.keys: IntArray = np.array(keys, dtype=np.int64)
-        self.entries: IntArray = np.array([found[key] for key in keys], dtype=np.int64)
+        self.entries: IntArray = np.array([indices_by_id[key] for key in keys], dtype=np.int64)
         self.wholes = np.concatenate([table.wholes for table in self._signals])
         self.reals = np.concatenate([table.reals for table in self._signals])
         self._build_torque_commands(drives)
@@ -174,9 +174,9 @@ class WireTables:
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
         """Add the signals of a message to the tables. Return the range of their rows."""
-        first = sum(len(table.wholes) for table in self._signals)
+        first_signal = sum(len(table.wholes) for table in self._signals)
         self._signals.append(SignalTable(message))
-        return first, first + len(self._signals[-1].wholes)
+        return first_signal, first_signal + len(self._signals[-1].wholes)
 
     def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
         rows = list[list[int]]()
@@ -218,8 +218,8 @@ class WireTables:
             if not holds_position[n] or message is None:
                 continue
             signals = SignalTable(message).wholes
-            first = sum(len(one) for one in wholes)
-            servos[n] = first, first + len(signals)
+            first_row = sum(len(signal_rows) for signal_rows in wholes)
+            servos[n] = first_row, first_row + len(signals)
             templates[n] = _frame_template(message, drive.bus)
             wholes.append(signals)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
@@ -236,9 +236,9 @@ class WireTables:
         for drive in drives:
             rechecks = drive.rechecks
             ranges.append((len(rows), len(rows) + len(rechecks)))
-            for one in rechecks:
-                key = _frame_key(one.reply.bus, one.reply.can_id)
-                rows.append(_recheck_row(one, int(np.searchsorted(self.keys, key))))
+            for recheck in rechecks:
+                key = _frame_key(recheck.reply.bus, recheck.reply.can_id)
+                rows.append(_recheck_row(recheck, int(np.searchsorted(self.keys, key))))
         self.recheck_ranges: IntArray = np.array(ranges, dtype=np.int64).reshape(-1, 2)
         self.rechecks: WordRows = np.array(rows, dtype=np.uint64).reshape(-1, WORDS_PER_RECHECK)
 
@@ -252,8 +252,8 @@ def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     """
     request, reply = frames_as_records((recheck.request, recheck.reply)).rows
     key_mask, mask = (
-        sum(0xFF << 8 * i for i in range(first, end))
-        for first, end in (recheck.key_bytes, recheck.compared_bytes)
+        sum(0xFF << 8 * i for i in range(first_byte, end))
+        for first_byte, end in (recheck.key_bytes, recheck.compared_bytes)
     )
     row = np.empty(WORDS_PER_RECHECK, dtype=np.uint64)
     row[:WORDS_PER_RECORD] = request
@@ -276,7 +276,7 @@ def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray
             if signal.quantity in (SignalQuantity.POSITION, SignalQuantity.VELOCITY)
             else torque_gain
         )
-        low, high = signal.ends
+        low, high = signal.value_limits
         if signal.quantity == SignalQuantity.TORQUE:
             low = max(low, -message.limit)
             high = min(high, message.limit)

@@ -84,11 +84,15 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     if power == codec.FAULT:
         return _state_when_fault(updated, progress)
     if progress.disabling_ns >= 0:
-        off = power in codec.STATES_WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
-        if not off:
+        is_off = (
+            power in codec.STATES_WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
+        )
+        if not is_off:
             return updated._replace(phase=ENABLED)
-        quiet = updated._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
-        return quiet._replace(phase=FAULT if state.error else READY)
+        quiet_state = updated._replace(
+            private=progress._replace(enable_sent=False, disabling_ns=-1)
+        )
+        return quiet_state._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
         return enter_fault(
             updated._replace(private=progress._replace(enable_sent=False)),
@@ -112,13 +116,13 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
     """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
+    state_when_off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
     text = (
         codec.error_text(progress.code)
         if progress.code
         else "fault, and its emergency message was not heard"
     )
-    return enter_fault(off, progress.code or DROPPED_OUT_ERROR, text)
+    return enter_fault(state_when_off, progress.code or DROPPED_OUT_ERROR, text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:

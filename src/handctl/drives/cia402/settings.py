@@ -61,7 +61,7 @@ def required_steps(
     bases = ((0x1400, RPDO), (0x1800, TPDO))
     # PDOs 2 to 4 are switched off. The parameter records of these PDOs have consecutive indices,
     # and their default identifiers differ by 0x100.
-    others = [
+    other_setup_steps = [
         SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
         for i in (1, 2, 3)
@@ -84,7 +84,7 @@ def required_steps(
         SetupStep(write, 0x1017, 0, heartbeat_ms, 2),
         SetupStep(write, 0x6060, 0, mode, 1),
         SetupStep(same, 0x6061, 0, mode, 1),
-        *others,
+        *other_setup_steps,
         *pdo_steps(0x1400, 0x1600, RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
         *pdo_steps(0x1800, 0x1A00, TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
     )

@@ -108,8 +108,16 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
             error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES)
         )
     if status_nibble in codec.ERROR_TEXTS:
-        off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
-        return enter_fault(off, status_nibble, codec.ERROR_TEXTS[status_nibble])
-    unknown = state._replace(private=progress._replace(enabled_by_other=True))
-    unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}")
-    return unknown._replace(phase=ENABLED) if progress.disabling else unknown
+        off_state = state._replace(
+            private=progress._replace(enable_sent=False, enabled_by_other=False)
+        )
+        return enter_fault(off_state, status_nibble, codec.ERROR_TEXTS[status_nibble])
+    enabled_by_other_state = state._replace(private=progress._replace(enabled_by_other=True))
+    enabled_by_other_state = enter_fault(
+        enabled_by_other_state, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}"
+    )
+    return (
+        enabled_by_other_state._replace(phase=ENABLED)
+        if progress.disabling
+        else enabled_by_other_state
+    )

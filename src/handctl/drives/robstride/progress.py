@@ -101,12 +101,12 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = mode == codec.RESET_MODE
+    is_off = mode == codec.RESET_MODE
     updated = progress._replace(
-        enable_sent=progress.enable_sent and not off, enabled_by_other=not off
+        enable_sent=progress.enable_sent and not is_off, enabled_by_other=not is_off
     )
     in_error = enter_fault(state._replace(private=updated), fault, fault_text(fault))
-    return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
+    return in_error._replace(phase=ENABLED) if progress.disabling and not is_off else in_error
 
 
 def fault_text(fault: int) -> str:

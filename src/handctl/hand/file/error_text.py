@@ -70,26 +70,31 @@ def validation_mistakes(
     details = [
         detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within
     ]
-    unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
-    found = [_unknown_key_mistake(detail["loc"], model, content) for detail in unknown]
+    unknown_details = [detail for detail in details if detail["type"] == "extra_forbidden"]
+    unknown_key_mistakes = [
+        _unknown_key_mistake(detail["loc"], model, content) for detail in unknown_details
+    ]
     misspelt = {
-        (detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)
+        (detail["loc"][:-1], mistake.right)
+        for detail, mistake in zip(unknown_details, unknown_key_mistakes, strict=True)
     }
     for detail in details:
         location = detail["loc"]
         where = key_path(content, location)
         if detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt:
-                found.append(
+                unknown_key_mistakes.append(
                     FileMistake("missing", where, _meaning_of_missing_key(location, model))
                 )
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
-            right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
+            expected = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
             if detail["input"] == UNMEASURED_PLACEHOLDER:
-                right += _field_meaning(_field_of_key(location, model))
-            found.append(FileMistake(toml_spelling(detail["input"]), where, right))
-    return found
+                expected += _field_meaning(_field_of_key(location, model))
+            unknown_key_mistakes.append(
+                FileMistake(toml_spelling(detail["input"]), where, expected)
+            )
+    return unknown_key_mistakes
 
 
 WITHIN_DIGITS = ("tendon", "motor")
@@ -104,14 +109,14 @@ def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseM
     field = _field_of_key(key_location, model)
     if field is None:
         return "a value"
-    form = "a value"
+    expected_form = "a value"
     annotation = field.model.model_fields[field.name].annotation
     if len(key_location) == 1 and _models_in_annotation(annotation):
         name = key_location[0]
         is_list = not isinstance(annotation, type)
-        form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
-        form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
-    return form + _field_meaning(field)
+        expected_form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
+        expected_form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
+    return expected_form + _field_meaning(field)
 
 
 class _ModelField(NamedTuple):
@@ -188,13 +193,13 @@ def with_paths_of_file(
         mistakes: mistakes whose key paths belong to the resolved content.
         origin_of_path: key path in the file, for each key path in the resolved content.
     """
-    found: dict[FileMistake | str, FileMistake] = {}
+    located_mistakes: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
-        where = _path_in_file(mistake.where, origin_of_path)
-        shared = where != mistake.where and mistake.what != "missing"
-        placed = mistake._replace(where=where)
-        found.setdefault(where if shared else placed, placed)
-    return list(found.values())
+        location = _path_in_file(mistake.where, origin_of_path)
+        is_shared = location != mistake.where and mistake.what != "missing"
+        placed_mistake = mistake._replace(where=location)
+        located_mistakes.setdefault(location if is_shared else placed_mistake, placed_mistake)
+    return list(located_mistakes.values())
 
 
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
@@ -210,8 +215,8 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
         pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
         names.setdefault(pattern, []).append(section[2] if section else "")
     return [
-        pattern._replace(where=pattern.where.replace("{}", shortened_list(found)))
-        for pattern, found in names.items()
+        pattern._replace(where=pattern.where.replace("{}", shortened_list(matching_names)))
+        for pattern, matching_names in names.items()
     ]
 
 

@@ -41,13 +41,13 @@ class DatasetCamera(NamedTuple):
 
     Attributes:
         name: name of the camera, such as ``wrist``.
-        videos: video file that the camera recorded, for each episode.
+        video_paths: video file that the camera recorded, for each episode.
         starts_s: time from the start of the run to the first image of the video [s], for each
             episode.
     """
 
     name: str
-    videos: tuple[Path, ...]
+    video_paths: tuple[Path, ...]
     starts_s: tuple[float, ...]
 
     @property
@@ -72,14 +72,15 @@ class EpisodeVideo(NamedTuple):
     histogram: NDArray[np.int64]
 
 
-def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_s: Sequence[float], logs: int) -> tuple[
+def make_cameras(names: Sequence[str], paths_by_camera: Sequence[Sequence[Path]], starts_s: Sequence[float],
+logs: int) -> tuple[
     DatasetCamera, ...
 ]:  # fmt: skip
     """Check the names, files and times given for cameras, and return the cameras.
 
     Args:
         names: name of each camera.
-        videos: video files of each camera, one for each log.
+        paths_by_camera: video files of each camera, one for each log.
         starts_s: time from the start of each run to the first frame of its video [s]. A single
             value applies to all runs.
         logs: number of logs.
@@ -88,12 +89,12 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
         ConfigError: a name is wrong, the number of videos or times is wrong, a video does not
             exist, or ffmpeg is not installed.
     """
-    starts = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
-    if len(starts) != logs or not np.isfinite(starts).all():
+    start_times = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
+    if len(start_times) != logs or not np.isfinite(start_times).all():
         raise ConfigError(
             f"{len(starts_s)} times", "--camera-start", f"one, or {logs} finite times [s]"
         )
-    for name, files in zip(names, videos, strict=True):
+    for name, files in zip(names, paths_by_camera, strict=True):
         if not name.isidentifier() or not name.isascii() or list(names).count(name) > 1:
             raise ConfigError(
                 repr(name), "--camera", "a name of letters and digits, each camera once"
@@ -110,7 +111,8 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
             "no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg"
         )
     return tuple(
-        DatasetCamera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True)
+        DatasetCamera(name, tuple(files), start_times)
+        for name, files in zip(names, paths_by_camera, strict=True)
     )
 
 
@@ -137,8 +139,8 @@ def write_episode_video(
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     if first_s < -MAX_FRAME_GAP_S:
-        late = f"the video begins {-first_s:.2f} s after the start of the episode"
-        raise LogError(late, str(source_video), "a video of the whole run")
+        late_start_text = f"the video begins {-first_s:.2f} s after the start of the episode"
+        raise LogError(late_start_text, str(source_video), "a video of the whole run")
     filters = [
         f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
@@ -169,8 +171,8 @@ def write_episode_video(
         ]
         count += 1
     if count < frame_count:
-        missing = (frame_count - count) / fps + MAX_FRAME_GAP_S
-        early = f"the video ends {missing:.2f} s before the end of the episode"
+        missing_time_s = (frame_count - count) / fps + MAX_FRAME_GAP_S
+        early = f"the video ends {missing_time_s:.2f} s before the end of the episode"
         raise LogError(early, str(source_video), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
@@ -240,17 +242,17 @@ def histogram_statistics(
     total = histogram.sum(axis=1)
     mean = histogram @ values / total
     spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
-    present = [np.flatnonzero(channel) for channel in histogram]
+    present_levels = [np.flatnonzero(channel) for channel in histogram]
     cumulated = np.cumsum(histogram, axis=1) / total[:, None]
     statistics = {
-        "min": values[[levels[0] for levels in present]],
-        "max": values[[levels[-1] for levels in present]],
+        "min": values[[levels[0] for levels in present_levels]],
+        "max": values[[levels[-1] for levels in present_levels]],
         "mean": mean,
         "std": spread,
     }
     for percent in percents:
         levels = [int(np.searchsorted(channel, percent / 100.0)) for channel in cumulated]
         statistics[f"q{percent:02d}"] = values[levels]
-    return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {
+    return {name: statistic.reshape(3, 1, 1).tolist() for name, statistic in statistics.items()} | {
         "count": [frames]
     }

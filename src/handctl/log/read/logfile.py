@@ -55,10 +55,10 @@ class LogErrorContext:
         """Raise a LogError instead of an exception that a bad file has caused."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE_ERRORS):
             return
-        missing = isinstance(error, KeyError)
+        is_missing = isinstance(error, KeyError)
         problem = (
             f"{printable_text(repr(error.args[0]))} is missing"
-            if missing
+            if is_missing
             else printable_text(str(error))
         )
         raise LogError(f"damaged log: {problem}", self.where, "an intact file") from error

@@ -45,9 +45,9 @@ def set_up_commands(
     up: CommandWords = (*link, "up")
     if channel.startswith("vcan"):
         add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
-        begin = (*link, "down") if interface_exists else add
+        first_command = (*link, "down") if interface_exists else add
         mtu = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
-        return (begin, *mtu, queue, up)
+        return (first_command, *mtu, queue, up)
     timing: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
         timing = (*timing, "dbitrate", str(data_bitrate), "fd", "on")

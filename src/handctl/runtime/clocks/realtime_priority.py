@@ -32,9 +32,9 @@ class GrantedPriority:
 
     def __str__(self) -> str:
         """List the granted and the refused permissions in one line."""
-        granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
+        priority_text = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
         memory = ", memory locked" if self.memory_locked else ", memory not locked"
-        return granted + memory + (", processors kept awake" if self.processors_awake else "")
+        return priority_text + memory + (", processors kept awake" if self.processors_awake else "")
 
 
 def request_priority(level: int = 60) -> GrantedPriority:
@@ -56,8 +56,8 @@ def prepare_priority() -> GrantedPriority:
     real-time priority, so that other processes can use the core.
     """
     locked = _lock_memory()
-    with realtime_priority() as granted, awake_processors() as awake:
-        return GrantedPriority(granted, locked, awake)
+    with realtime_priority() as granted_priority, awake_processors() as awake:
+        return GrantedPriority(granted_priority, locked, awake)
 
 
 @contextmanager

@@ -46,9 +46,9 @@ class SuspendWatch:
 
     def _clock_difference(self) -> int | None:
         """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
-        before = self._monotonic()
+        time_before = self._monotonic()
         boot = self._boot()
-        return boot - before if self._monotonic() - before < MAX_READING_NS else None
+        return boot - time_before if self._monotonic() - time_before < MAX_READING_NS else None
 
     def take_events(self) -> list[IoEvent]:
         """Return an event with the duration [ms] if the machine was suspended since the last call."""

@@ -16,9 +16,9 @@ The packaged hand with one motor per digit has this rate.
 
 def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
-    head = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
+    title_lines = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
-    return "\n".join([*head, *rows])
+    return "\n".join([*title_lines, *rows])
 
 
 def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
@@ -48,21 +48,22 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 def _catalogue_row(row: CatalogueRow) -> str:
     # The faults that belong to a row are its stages. A row that the controller does not check in
     # each tick has no faults.
-    judged = (
+    condition_text = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest = f"{row.latest_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
-    latest += f", ODrive {row.odrive_ms:g} ms more" if row.odrive_ms else ""
-    latest += f", after {row.counted_from}" if row.counted_from else ""
-    latest = (
-        latest
+    latest_text = f"{row.latest_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest_text += f", ODrive {row.odrive_ms:g} ms more" if row.odrive_ms else ""
+    latest_text += f", after {row.counted_from}" if row.counted_from else ""
+    latest_text = (
+        latest_text
         if row.ticks or row.ms
         else "before torque"
         if row.where != CHECKED_BY_FAULT_TABLE
         else "1 tick"
     )
     return (
-        f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, GUARDED_PROTOCOLS))} | {latest} "
+        f"| {row.id} | {row.title} | {condition_text} | {' | '.join(map(row.visibility, GUARDED_PROTOCOLS))} | "
+        f"{latest_text} "
         f"| {row.tested} |"
     )
 
@@ -87,8 +88,8 @@ def late_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
         for e in entries
         if is_late(e)
     ]
-    head = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
-    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+    title_line = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
+    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *rows])
 
 
 def hardware_checklist() -> str:

@@ -103,24 +103,29 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
     middle = 0.5 * (low + high)
-    half = 0.5 * (high - low)
+    half_range = 0.5 * (high - low)
 
     def excite_step(
         step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
     ) -> ExciteStep:
         angles_or_tensions = () if targets is None else tuple(targets.tolist())
-        given = {"digit": name, "name": step_name, "kind": kind, "duration_s": duration_s} | more
-        return ExciteStep.model_validate(given | {"targets": angles_or_tensions})
+        step_fields = {
+            "digit": name,
+            "name": step_name,
+            "kind": kind,
+            "duration_s": duration_s,
+        } | more
+        return ExciteStep.model_validate(step_fields | {"targets": angles_or_tensions})
 
     sweeps = []
     for signs in _sign_patterns(len(middle)):
-        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half))
+        sweeps.append(excite_step("approach", "move", 0.4, middle - signs * half_range))
         for duration in SWEEP_DURATIONS_S:
             sweeps += [
-                excite_step("sweep", "move", duration, middle + side * signs * half)
+                excite_step("sweep", "move", duration, middle + side * signs * half_range)
                 for side in (1.0, -1.0)
             ]
-    amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
+    amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half_range).tolist())
     swing = excite_step(
         "swing",
         "chirp",
@@ -130,19 +135,24 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         low_Hz=SWING_LOW_HZ,
         high_Hz=SWING_HIGH_HZ,
     )
-    rest, stretches = _stretched_tensions(hand, digit)
+    rest_tension, stretches = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
     _, largest = _tension_limits(hand, digit)
     onto_stop = -CLOSE_FRACTION / STRETCH_FRACTION * largest if pairs else stretches[0][0]
     stretch_steps = []
     for lower, upper in stretches:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + SETTLE_S
-        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
+        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, is_held=True))
         for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
                     excite_step(
-                        "stretch", "tension", duration, goal, rate=TENSION_RATE_N_PER_S, held=True
+                        "stretch",
+                        "tension",
+                        duration,
+                        goal,
+                        rate=TENSION_RATE_N_PER_S,
+                        is_held=True,
                     )
                 )
     return [
@@ -150,7 +160,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             "taut",
             "tension" if pairs else "taut",
             0.4,
-            rest if pairs else _balanced_tensions(hand, digit),
+            rest_tension if pairs else _balanced_tensions(hand, digit),
             rate=40.0,
         ),
         *sweeps,
@@ -163,11 +173,16 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             CLOSING_DURATION_S if pairs else 0.8,
             onto_stop,
             rate=20.0 if pairs else 60.0,
-            held=True,
+            is_held=True,
         ),
         *stretch_steps,
         excite_step(
-            "open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True
+            "open",
+            "tension",
+            0.4,
+            rest_tension if pairs else stretches[0][0],
+            rate=100.0,
+            is_held=True,
         ),
         excite_step("open", "move", OPENING_DURATION_S, low),
         excite_step("rest", "limp", 0.1),
@@ -176,13 +191,15 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
-    least, most = digit.reach
+    least, most = digit.coordinate_limits
     margin = math.radians(STOP_MARGIN_DEG)
     low = np.maximum(least + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
     high = np.minimum(most - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
-    near, far = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
-    sideways = digit.sideways_coordinates & (least + margin < near) & (most - margin > far)
-    return np.where(sideways, near, low), np.where(sideways, far, high)
+    near_angle, far_angle = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
+    sideways = (
+        digit.sideways_coordinates & (least + margin < near_angle) & (most - margin > far_angle)
+    )
+    return np.where(sideways, near_angle, low), np.where(sideways, far_angle, high)
 
 
 def _sign_patterns(coordinate_count: int) -> list[Array]:
@@ -211,9 +228,9 @@ def _swing_amplitudes(
     tree = HandLinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle_angles
-    moved = tree.mass_matrix(q)[digit.joints, digit.joints]
+    moved_mass = tree.mass_matrix(q)[digit.joints, digit.joints]
     arms = digit.reduced_moment_arms
-    inertia = np.abs(digit.coupling.T @ moved @ digit.coupling).sum(axis=1)
+    inertia = np.abs(digit.coupling.T @ moved_mass @ digit.coupling).sum(axis=1)
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
     motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
@@ -252,18 +269,26 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():
-        whole = largest / STRETCH_FRACTION
-        return np.zeros(len(whole)), [(-PAIR_LOW_FRACTION * whole, -PAIR_HIGH_FRACTION * whole)]
+        full_stretch_tension = largest / STRETCH_FRACTION
+        return np.zeros(len(full_stretch_tension)), [
+            (-PAIR_LOW_FRACTION * full_stretch_tension, -PAIR_HIGH_FRACTION * full_stretch_tension)
+        ]
     arms = digit.reduced_moment_arms
     opens = arms.sum(axis=1) < 0.0
     hold = np.where(opens, largest, floor)
-    half = np.where(opens, 0.5 * largest, floor)
-    stretches = [(half, hold)]
+    half_tension = np.where(opens, 0.5 * largest, floor)
+    stretches = [(half_tension, hold)]
     for i in np.flatnonzero(~opens).tolist():
         without = np.where(np.arange(len(hold)) == i, 0.0, hold)
-        opening = -(arms.T @ without)
-        closing = np.maximum(arms[i], 0.0)
-        most = float((MAX_TORQUE_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min())
+        opening_torque = -(arms.T @ without)
+        closing_arms = np.maximum(arms[i], 0.0)
+        most = float(
+            (
+                MAX_TORQUE_RATIO
+                * opening_torque[closing_arms > 0.0]
+                / closing_arms[closing_arms > 0.0]
+            ).min()
+        )
         upper = hold.copy()
         upper[i] = max(min(most, float(largest[i])), float(floor[i]))
         stretches.append((hold, upper))

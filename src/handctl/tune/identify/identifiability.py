@@ -70,13 +70,13 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     # Each right singular vector is a combination of parameters. The singular value of this vector
     # measures how much the data say about the combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
-    widths = fit.half_widths
+    half_widths = fit.half_widths
     values = fit.parameter_values
     names = tuple(
         name
         for name in PARAMETER_UNITS
         if name not in unseen
-        and _is_narrow(name, values[name], widths[name])
+        and _is_narrow(name, values[name], half_widths[name])
         and _is_excited(jacobian, name)
     )
     reasons = {
@@ -119,9 +119,9 @@ def _lacks_encoders(hand: Hand, digit: str) -> bool:
     to measure.
     """
     tendons = hand.digit_tendons[digit]
-    sprung = hand.digit_named(digit).has_springs
+    has_springs = hand.digit_named(digit).has_springs
     several = tendons.stop - tendons.start > 1
-    return sprung and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
+    return has_springs and several and not bool(np.all(hand.tendons_with_encoders[tendons]))
 
 
 def _is_narrow(name: str, half_width: float, width: float) -> bool:
@@ -162,17 +162,17 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     """
     index = hand.tendon_names.index(tendon)
     is_pair = bool(hand.is_pair[index])
-    sprung = hand.digit_named(digit).has_springs
+    has_springs = hand.digit_named(digit).has_springs
     unseen = {} if is_pair else {"pretension": ""}
     if is_pair:
         unseen["torque_gain"] = (
             "without a load cell the torque of the drive is the unit of all forces"
         )
-    if not sprung:
+    if not has_springs:
         unseen |= dict.fromkeys(
             ("spring_stiffness", "spring_preload"), "the hand file has no springs"
         )
-    if sprung:
+    if has_springs:
         unseen["moment_arm"] = (
             "it trades off with springs and stretch, so the moment arms of the hand file are used"
         )
@@ -230,7 +230,7 @@ def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     At a coherence of 1, the speed follows from the force through a linear system. Noise, friction,
     and other causes of the motion reduce the coherence.
     """
-    use = data.acting & np.isfinite(data.travel)
+    use = data.torque_mask & np.isfinite(data.travel)
     force = data.command[use]
     travel = data.travel[use]
     if len(force) < 64:

@@ -76,14 +76,18 @@ def solve_least_squares(
     """
     run = partial(least_squares, x_scale="jac", bounds=parameter_bounds, max_nfev=MAX_SOLVER_STEPS)
     # In the first round, a soft L1 loss limits the effect of outliers.
-    first = run(residual_function, start_parameters, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
-    weight = np.ones_like(first.fun)
-    weight[: len(sample_times)] = np.abs(first.fun[: len(sample_times)]) < 2.0 * OUTLIER_RESIDUAL
+    first_solution = run(
+        residual_function, start_parameters, loss="soft_l1", f_scale=OUTLIER_RESIDUAL
+    )
+    weight = np.ones_like(first_solution.fun)
+    weight[: len(sample_times)] = (
+        np.abs(first_solution.fun[: len(sample_times)]) < 2.0 * OUTLIER_RESIDUAL
+    )
 
     def weighted_residuals(z: Array) -> Array:
         return residual_function(z) * weight
 
-    result = run(weighted_residuals, first.x)
+    result = run(weighted_residuals, first_solution.x)
     jacobian = np.asarray(result.jac)
     covariance, freedom = _parameter_covariance(jacobian, result.fun, sample_times)
     return FitSolution(result.x, covariance, jacobian, result.fun, freedom)
@@ -117,25 +121,27 @@ def _parameter_covariance(
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.
     """
-    plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    plain_covariance = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     # The rows with prior knowledge are exact by definition. Therefore they enter the middle factor
     # of the sandwich estimator without correction.
     middle = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
-    expected = [np.diag(plain @ middle @ plain)]
+    expected = [np.diag(plain_covariance @ middle @ plain_covariance)]
     for rows in _block_rows(sample_times):
         part = jacobian[rows]
-        left = np.eye(len(rows)) - part @ plain @ part.T
+        left = np.eye(len(rows)) - part @ plain_covariance @ part.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
         # a least-squares solution takes the place of the inverse of (I - H).
         alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
         score = part.T @ alone[:, 0]
         middle += np.outer(score, score)
-        expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
-    robust = plain @ middle @ plain
+        expected.append(
+            np.maximum(np.diag(plain_covariance @ part.T @ alone[:, 1:] @ plain_covariance), 0.0)
+        )
+    robust = plain_covariance @ middle @ plain_covariance
     # The robust covariance may be larger than that of independent noise, but never smaller.
-    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
+    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain_covariance), 1.0))
     shares = np.array(expected) / np.sum(expected, axis=0)
     freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), MIN_VARIANCE_FRACTION)
-    return np.asarray(plain * np.outer(wider, wider)), np.asarray(
+    return np.asarray(plain_covariance * np.outer(wider, wider)), np.asarray(
         np.maximum(freedom, MIN_DEGREES_OF_FREEDOM)
     )

@@ -112,10 +112,12 @@ class GainDesign:
         Args:
             reason: reason why the hand does not come to rest.
         """
-        before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
+        margins_before = {
+            loop: unproven_margins(margin) for loop, margin in self.margins_before.items()
+        }
         return replace(
             self,
-            margins_before=before,
+            margins_before=margins_before,
             worst_before=unproven_margins(self.worst_before),
             not_at_rest_before=reason,
         )
@@ -183,16 +185,16 @@ def gains_with_poles(
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
         model, w, damping
     )
-    shared = _without_tendon_forces(model.gains, kind)
+    shared_gains = _without_tendon_forces(model.gains, kind)
     if kind == LoopKind.MOTION:
-        motion = shared.motion
+        motion = shared_gains.motion
         force = largest_force_weight(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _checked_gains(shared, motion={**motion.model_dump(), **table})
-    tension = shared.tension
+        return _checked_gains(shared_gains, motion={**motion.model_dump(), **table})
+    tension = shared_gains.tension
     force = largest_force_weight(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _checked_gains(shared, tension={**tension.model_dump(), **table})
+    return _checked_gains(shared_gains, tension={**tension.model_dump(), **table})
 
 
 def _scaled_tendon_forces(
@@ -204,11 +206,13 @@ def _scaled_tendon_forces(
     """
     return [
         {
-            "name": one.name,
-            "motion_force_N": one.motion_force_N and one.motion_force_N * motion_authority,
-            "tension_force_N": one.tension_force_N and one.tension_force_N * tension,
+            "name": tendon_gains.name,
+            "motion_force_N": tendon_gains.motion_force_N
+            and tendon_gains.motion_force_N * motion_authority,
+            "tension_force_N": tendon_gains.tension_force_N
+            and tendon_gains.tension_force_N * tension,
         }
-        for one in gains.tendon
+        for tendon_gains in gains.tendon
     ]
 
 
@@ -371,7 +375,7 @@ def design_gains(
         ValueError: the smallest authority already violates a margin, or no gains pass the further
             test.
     """
-    unproven = False
+    has_unproven_design = False
     for rejection in REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
@@ -381,20 +385,20 @@ def design_gains(
         candidate = candidate and with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried in _with_decreasing_authority(candidate, plants):
-            after = worst_margins(tried, plants)
-            if after.are_sufficient and passes_test(tried):
+        for tried_model in _with_decreasing_authority(candidate, plants):
+            margins_after = worst_margins(tried_model, plants)
+            if margins_after.are_sufficient and passes_test(tried_model):
                 return GainDesign(
-                    tried.gains,
+                    tried_model.gains,
                     all_margins(model),
-                    all_margins(tried),
+                    all_margins(tried_model),
                     worst_margins(model, plants),
-                    after,
+                    margins_after,
                 )
-            unproven = unproven or after.are_sufficient
+            has_unproven_design = has_unproven_design or margins_after.are_sufficient
         # A smaller disturbance rejection changes only one term of the control law. If the hand does
         # not come to rest even then, another term must be the cause.
-        if unproven:
+        if has_unproven_design:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
             )
@@ -449,14 +453,16 @@ def with_largest_authority(
         if force is None:
             return None
         forces |= dict.fromkeys(group, force)
-    shared = min(forces.values())
-    with_shared = _with_force(model, kind, shared)
-    own = {
-        model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared
+    shared_force = min(forces.values())
+    with_shared = _with_force(model, kind, shared_force)
+    own_forces = {
+        model.space.names[i]: force
+        for i, force in forces.items()
+        if force > FORCE_RATIO * shared_force
     }
-    if not own:
+    if not own_forces:
         return with_shared
-    separate = _gains_with_tendon_forces(with_shared, kind, own)
+    separate = _gains_with_tendon_forces(with_shared, kind, own_forces)
     # Each of these forces was found while all tendons had the same force. If two tendons share a
     # joint, a larger force of one tendon reduces the margins of the other.
     return separate if keeps_required_margins(separate, plants, (kind,)) else with_shared
@@ -475,7 +481,7 @@ def _largest_force(
     then bisected. Larger forces are not tried.
     """
 
-    def keeps_margins(log_force: float) -> bool:
+    def has_required_margins(log_force: float) -> bool:
         return keeps_required_margins(
             _with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,)
         )
@@ -483,7 +489,7 @@ def _largest_force(
     best = None
     at = math.log(MIN_FORCE_N)
     while at < math.log(MAX_FORCE_N):
-        if keeps_margins(at):
+        if has_required_margins(at):
             best = at
         elif best is not None:
             break
@@ -493,17 +499,17 @@ def _largest_force(
     high = min(at, math.log(MAX_FORCE_N))
     for _ in range(BISECTION_STEPS):
         middle = (best + high) / 2.0
-        if keeps_margins(middle):
+        if has_required_margins(middle):
             best = middle
         else:
             high = middle
     # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
     # the margins may be smaller.
     for _ in range(MAX_REDUCTIONS):
-        tried = _with_force(model, kind, _rounded_force(best))
+        tried_gains = _with_force(model, kind, _rounded_force(best))
         if all(
             margin.are_sufficient
-            for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))
+            for margin in _each_margin(tried_gains, plants, (kind,), confirmed_margins, (tendon,))
         ):
             break
         best -= LOG_REDUCTION_STEP
@@ -521,8 +527,10 @@ def _rounded_force(log_force: float) -> float:
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     """Return gains in which no single tendon has a separate force in a loop."""
     removed = f"{kind}_force_N"
-    entries = [one.model_copy(update={removed: None}) for one in gains.tendon]
-    kept = [one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N]
+    entries = [tendon_gains.model_copy(update={removed: None}) for tendon_gains in gains.tendon]
+    kept = [
+        entry.model_dump() for entry in entries if entry.motion_force_N or entry.tension_force_N
+    ]
     return _checked_gains(gains, tendon=kept)
 
 
@@ -556,8 +564,18 @@ def design_with_poles(
     Raises:
         ValueError: no weights lead to these poles.
     """
-    moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
-    moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))
-    before = worst_margins(model, plants)
-    after = worst_margins(moved, plants)
-    return GainDesign(moved.gains, all_margins(model), all_margins(moved), before, after)
+    moved_model = model_with_gains(
+        model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping)
+    )
+    moved_model = model_with_gains(
+        moved_model, gains_with_poles(moved_model, LoopKind.TENSION, tension_hz, damping)
+    )
+    margins_before = worst_margins(model, plants)
+    margins_after = worst_margins(moved_model, plants)
+    return GainDesign(
+        moved_model.gains,
+        all_margins(model),
+        all_margins(moved_model),
+        margins_before,
+        margins_after,
+    )
