@@ -35,7 +35,7 @@ def run_demo_with_adapter(
     """Run the demo of a hand through a simulated adapter at a control rate [Hz]."""
     run = demo.run
 
-    def at_rate(args: argparse.Namespace) -> int:
+    def run_at_rate(args: argparse.Namespace) -> int:
         args.rate = rate_hz  # `handctl demo` has no option that selects an adapter.
         return run(args)
 
@@ -51,7 +51,7 @@ def run_demo_with_adapter(
             str(Path(folder) / "run.mcap"),
         ]
         words += ["--wire", f"adapter={adapter_class}", f"seed={seed}"]
-        demo.run = at_rate
+        demo.run = run_at_rate
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
                 main(words)
@@ -62,8 +62,8 @@ def run_demo_with_adapter(
             False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1]
         )
     result = json.loads(output.getvalue())
-    errors_of = result["tracking_rmse_deg"]
-    tracking = (sum(error**2 for error in errors_of.values()) / len(errors_of)) ** 0.5
+    error_by_digit = result["tracking_rmse_deg"]
+    tracking = (sum(error**2 for error in error_by_digit.values()) / len(error_by_digit)) ** 0.5
     return AdapterRunOutcome(
         not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done"
     )

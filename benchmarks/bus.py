@@ -28,10 +28,10 @@ from pathlib import Path
 
 BENCHMARKS_FOLDER = Path(__file__).parent
 MOTOR_COUNTS = (4, 11)
-C_REFERENCE = "C, the same system calls"
-PACKET_PER_FRAME = "C, one packet per frame"
+C_REFERENCE_LABEL = "C, the same system calls"
+PACKET_PER_FRAME_LABEL = "C, one packet per frame"
 MEASUREMENT_ROUNDS = 5
-REFERENCE_ALTERNATIVE = "python-can, scalar codec"
+REFERENCE_LABEL = "python-can, scalar codec"
 
 
 def main() -> None:
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--one", nargs=3, metavar=("MEDIUM", "C_REFERENCE", "TICKS"), help=argparse.SUPPRESS
+        "--one", nargs=3, metavar=("MEDIUM", "C_PROGRAM", "TICKS"), help=argparse.SUPPRESS
     )
     args = parser.parse_args()
     if args.one:
@@ -73,14 +73,14 @@ def measure_both_buses(tick_count: int) -> dict:
 
     For a bus that is not available, the result contains the reason.
     """
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        os.environ["HANDCTL_RUN_DIR"] = short
-        floor = compile_reference(Path(short))
-        how = use_one_core()
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        os.environ["HANDCTL_RUN_DIR"] = short_folder
+        floor = compile_reference(Path(short_folder))
+        core_text = use_one_core()
         return {
             "local": measure_bus("local", floor, tick_count),
             "vcan": measure_vcan(floor, tick_count),
-            "on": how,
+            "on": core_text,
         }
 
 
@@ -122,14 +122,14 @@ def measure_bus(bus_kind: str, c_program: str, tick_count: int) -> dict:
     """
     result: dict = {}
     for motors in MOTOR_COUNTS:
-        rounds: dict = {}
+        rows_by_round: dict = {}
         for _ in range(MEASUREMENT_ROUNDS):
             for name, row in measure_round(
                 bus_kind, c_program, motors, tick_count // MEASUREMENT_ROUNDS
             ):
-                rounds.setdefault(name, []).append(row)
+                rows_by_round.setdefault(name, []).append(row)
         result[str(motors)] = add_ratios(
-            {name: combine_rounds(rows) for name, rows in rounds.items()}
+            {name: combine_rounds(rows) for name, rows in rows_by_round.items()}
         )
     return result
 
@@ -138,41 +138,41 @@ def combine_rounds(round_rows: list[dict]) -> dict:
     """Combine the rounds of one alternative into a row: shortest wall time, and mean CPU time."""
     if "skipped" in round_rows[0]:
         return round_rows[0]
-    wall, used = ([row[key] for row in round_rows] for key in ("wall_us", "cpu_us"))
-    return {"wall_us": min(wall), "cpu_us": statistics.fmean(used)}
+    wall_us, cpu_us = ([row[key] for row in round_rows] for key in ("wall_us", "cpu_us"))
+    return {"wall_us": min(wall_us), "cpu_us": statistics.fmean(cpu_us)}
 
 
 def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: int):
     """Measure the alternatives one after another, and yield the name and the times of each."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.package_clients import CLIENT_BY_PACKAGE
-    from exchange.simulated_motors import MOTORS_BY_MEDIUM, motors_on
+    from exchange.simulated_motors import MOTORS_BY_MEDIUM, open_simulated_motors
     from exchange.torque_exchanges import EXCHANGE_BY_NAME
 
     warnings.simplefilter("ignore")  # The clients print warnings.
     if c_program:
         yield (
-            C_REFERENCE,
+            C_REFERENCE_LABEL,
             measure_c_program(
                 c_program, bus_kind, MOTORS_BY_MEDIUM[bus_kind][2], motor_count, tick_count
             ),
         )
         if bus_kind == "local":
             yield (
-                PACKET_PER_FRAME,
+                PACKET_PER_FRAME_LABEL,
                 measure_c_program(c_program, "packets", "-", motor_count, tick_count),
             )
-    for name, make in {**EXCHANGE_BY_NAME, **CLIENT_BY_PACKAGE}.items():
-        with motors_on(bus_kind) as (peer, interface, channel):
+    for name, make_exchange in {**EXCHANGE_BY_NAME, **CLIENT_BY_PACKAGE}.items():
+        with open_simulated_motors(bus_kind) as (peer, interface, channel):
             try:
-                made = make(interface, channel, motor_count)
+                exchange = make_exchange(interface, channel, motor_count)
             except (ImportError, ValueError) as error:
                 yield name, {"skipped": str(error)}
                 continue
             yield (
                 name,
                 measure_client(
-                    made,
+                    exchange,
                     peer,
                     motor_count,
                     tick_count if name in EXCHANGE_BY_NAME else max(50, tick_count // 5),
@@ -185,8 +185,8 @@ def measure_c_program(
 ) -> dict:
     """Measure the C program on a bus: wall time and CPU time of a tick [us]."""
     words = [c_program, bus_kind, channel, str(motor_count), str(tick_count)]
-    out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
-    return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
+    output_text = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+    return {"wall_us": int(output_text[0]) / 1e3, "cpu_us": int(output_text[1]) / 1e3}
 
 
 def measure_client(client, simulated_motors, motor_count: int, tick_count: int) -> dict:
@@ -202,26 +202,29 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
         In user-mode Linux, a reading of the clock takes as long as sending a frame.
         """
         times = []
-        looking = statistics.median(-clock() + clock() for _ in range(100))
+        clock_read_ns = statistics.median(-clock() + clock() for _ in range(100))
         for _ in range(count):
             a = clock()
             client.send(torques)
             b = clock()
             simulated_motors.send_replies(motor_count, client.reply_of)
             c = clock()
-            got = client.receive()
-            times.append(b - a + clock() - c - 2 * looking)
-            assert len(got) == motor_count
+            frames = client.receive()
+            times.append(b - a + clock() - c - 2 * clock_read_ns)
+            assert len(frames) == motor_count
         return times
 
     measure_ticks(time.perf_counter_ns, max(20, tick_count // 10))
     gc.collect()
     gc.disable()
-    wall = measure_ticks(time.perf_counter_ns, tick_count)
-    used = measure_ticks(time.thread_time_ns, tick_count)
+    wall_ns = measure_ticks(time.perf_counter_ns, tick_count)
+    cpu_ticks_ns = measure_ticks(time.thread_time_ns, tick_count)
     gc.enable()
     client.close()
-    return {"wall_us": statistics.median(wall) / 1e3, "cpu_us": statistics.fmean(used) / 1e3}
+    return {
+        "wall_us": statistics.median(wall_ns) / 1e3,
+        "cpu_us": statistics.fmean(cpu_ticks_ns) / 1e3,
+    }
 
 
 def add_ratios(row_by_name: dict) -> dict:
@@ -230,17 +233,17 @@ def add_ratios(row_by_name: dict) -> dict:
     One kind of ratio is the wall time divided by that of each C program, and the other is the
     speed-up over python-can.
     """
-    reference = row_by_name[REFERENCE_ALTERNATIVE]
+    reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():
         if "skipped" not in row:
             row["times_floor"] = (
-                row["wall_us"] / row_by_name[C_REFERENCE]["wall_us"]
-                if C_REFERENCE in row_by_name
+                row["wall_us"] / row_by_name[C_REFERENCE_LABEL]["wall_us"]
+                if C_REFERENCE_LABEL in row_by_name
                 else None
             )
             row["times_packets"] = (
-                row["wall_us"] / row_by_name[PACKET_PER_FRAME]["wall_us"]
-                if PACKET_PER_FRAME in row_by_name
+                row["wall_us"] / row_by_name[PACKET_PER_FRAME_LABEL]["wall_us"]
+                if PACKET_PER_FRAME_LABEL in row_by_name
                 else None
             )
             row["times_faster_than_python_can"] = reference["wall_us"] / row["wall_us"]

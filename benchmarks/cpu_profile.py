@@ -8,7 +8,7 @@ import pstats
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
-PART_MARKS = {
+CODE_MARKS_BY_PART = {
     "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
     "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
         "firmware_sim/plant/rigid_body_engine", "firmware_sim/scene/support_table", "firmware_sim/plant/drivetrain"),
@@ -50,8 +50,10 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
     for function, (_, _, self_s, _, _) in stats.items():
         for part, fraction in _parts_of_function(stats, function, 6):
             total[part] += self_s * fraction
-    whole = sum(total.values())
-    return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
+    total_time = sum(total.values())
+    return {
+        part: value / total_time for part, value in sorted(total.items(), key=lambda row: -row[1])
+    }
 
 
 def _parts_of_function(
@@ -66,7 +68,7 @@ def _parts_of_function(
     part = next(
         (
             part
-            for part, function_marks in PART_MARKS.items()
+            for part, function_marks in CODE_MARKS_BY_PART.items()
             if any(mark in name for mark in function_marks)
         ),
         None,
@@ -75,7 +77,7 @@ def _parts_of_function(
     if part or not callers or not depth:
         yield part or "other", 1.0
         return
-    whole = sum(times[3] for times in callers.values()) or 1.0
+    callers_time = sum(times[3] for times in callers.values()) or 1.0
     for caller, times in callers.items():
         for owner, fraction in _parts_of_function(profile_stats, caller, depth - 1):
-            yield owner, fraction * times[3] / whole
+            yield owner, fraction * times[3] / callers_time

@@ -39,14 +39,14 @@ from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 
 MEASURED_HANDS = ("jamia", "jamia11")
-TRIED_PLANTS = PLANT_FACTORS | FURTHER_PLANT_FACTORS
+PLANT_VARIATIONS = PLANT_FACTORS | FURTHER_PLANT_FACTORS
 MOTION_SCRIPT = ScriptProgram(
     (
-        ScriptStep("slow", 1.0, angle_deg=30.0, move_s=0.8),
-        ScriptStep("medium", 0.5, angle_deg=55.0, move_s=0.3),
-        ScriptStep("back", 0.3, angle_deg=20.0, move_s=0.25),
-        ScriptStep("and again", 0.3, angle_deg=45.0, move_s=0.2),
-        ScriptStep("open", 0.5, angle_deg=5.0, move_s=0.3),
+        ScriptStep("slow", 1.0, angle_deg=30.0, move_duration_s=0.8),
+        ScriptStep("medium", 0.5, angle_deg=55.0, move_duration_s=0.3),
+        ScriptStep("back", 0.3, angle_deg=20.0, move_duration_s=0.25),
+        ScriptStep("and again", 0.3, angle_deg=45.0, move_duration_s=0.2),
+        ScriptStep("open", 0.5, angle_deg=5.0, move_duration_s=0.3),
         ScriptStep("let go", 0.4, tension_N=0.0, rate_N_per_s=100.0),
         ScriptStep("take up", 0.4, tension_N=6.0, rate_N_per_s=60.0),
     )
@@ -89,16 +89,20 @@ def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepT
     if hand_name == "jamia_bench":
         return [
             LockstepTrial(
-                hand_name, _task_program(STRONG_GRASP), seed, SCENE_NAME, TRIED_PLANTS[plant_name]
+                hand_name,
+                _task_program(STRONG_GRASP),
+                seed,
+                SCENE_NAME,
+                PLANT_VARIATIONS[plant_name],
             )
         ]
-    free = LockstepTrial(
-        hand_name + SPREAD_DIGITS_SUFFIX, MOTION_SCRIPT, seed, None, TRIED_PLANTS[plant_name]
+    free_motion_trial = LockstepTrial(
+        hand_name + SPREAD_DIGITS_SUFFIX, MOTION_SCRIPT, seed, None, PLANT_VARIATIONS[plant_name]
     )
     return [
-        free,
+        free_motion_trial,
         LockstepTrial(
-            hand_name, _task_program(GRASP_TASK), seed, SCENE_NAME, TRIED_PLANTS[plant_name]
+            hand_name, _task_program(GRASP_TASK), seed, SCENE_NAME, PLANT_VARIATIONS[plant_name]
         ),
     ]
 
@@ -140,37 +144,48 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
     """
     numbers = record.telemetry
     period_ns = int(record.t_ns[1] - record.t_ns[0])
-    real = record.tension()
-    before = record.tension(period_ns)
-    raw = numbers["tension_raw"]
+    true_tension = record.tension()
+    tension_before = record.tension(period_ns)
+    raw_tension = numbers["tension_raw"]
     period = period_ns * 1e-9
     model = record.controller.model
-    result = {"filtered": record.filtered_tension - before, "raw": raw - before}
-    result |= {"estimate": numbers["tension"] - real, "raw now": raw - real}
-    result |= {f"average {w:g}": exponential_average(raw, float(w)) - real for w in AVERAGE_WEIGHTS}
+    result = {
+        "filtered": record.filtered_tension - tension_before,
+        "raw": raw_tension - tension_before,
+    }
+    result |= {"estimate": numbers["tension"] - true_tension, "raw now": raw_tension - true_tension}
+    result |= {
+        f"average {w:g}": exponential_average(raw_tension, float(w)) - true_tension
+        for w in AVERAGE_WEIGHTS
+    }
     noise = float(model.space.tension_noise[0])
     result |= {
-        f"cell alone {r:g}": cell_only_estimate(raw, period, noise, float(r)) - real
+        f"cell alone {r:g}": cell_only_estimate(raw_tension, period, noise, float(r)) - true_tension
         for r in TENSION_RATE_NOISES
     }
-    squares = {name: error**2 for name, error in result.items()}
+    squared_errors = {name: error**2 for name, error in result.items()}
     drift = CELL_DRIFT_VARIANCE_N2_PER_S * record.times[:, None]
-    then, now = _reference_sigmas(record.hand.name, regime in ("hold", "beyond 200 N")).T
-    squares |= {"limit": drift + np.square(then), "limit now": drift + np.square(now)}
-    squares["sigma"] = numbers["tension_sigma"] ** 2
-    squares["nis"] = numbers["nis"] / 2.0
+    sigma_with_settled_bias, sigma_now = _reference_sigmas(
+        record.hand.name, regime in ("hold", "beyond 200 N")
+    ).T
+    squared_errors |= {
+        "limit": drift + np.square(sigma_with_settled_bias),
+        "limit now": drift + np.square(sigma_now),
+    }
+    squared_errors["sigma"] = numbers["tension_sigma"] ** 2
+    squared_errors["nis"] = numbers["nis"] / 2.0
     scaled = numbers["innovation"]
-    squares["innovation"] = scaled**2
-    squares["innovation lag 1"] = np.vstack((scaled[:1] * np.nan, scaled[1:] * scaled[:-1]))
-    return squares
+    squared_errors["innovation"] = scaled**2
+    squared_errors["innovation lag 1"] = np.vstack((scaled[:1] * np.nan, scaled[1:] * scaled[:-1]))
+    return squared_errors
 
 
 @cache
-def _reference_sigmas(hand_name: str, is_held: bool) -> np.ndarray:
+def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
     """Return the standard deviations of the reference filter, at the last sample and at present (N, 2) [N]."""
     name = hand_name.removesuffix(SPREAD_DIGITS_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
-    return np.array([reference_sigma(model, i, is_held) for i in range(model.tendon_count)])
+    return np.array([reference_sigma(model, i, is_digit_held) for i in range(model.tendon_count)])
 
 
 def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
@@ -241,15 +256,17 @@ def measure_estimators(
     results = collect_results(squared_error_sums, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
-        of_case = {job: sums for job, sums in results.items() if job[:2] == case}
+        case_sums = {job: sums for job, sums in results.items() if job[:2] == case}
         tables["ended"] += [
-            f"{job}: {reason}" for job, sums in of_case.items() for reason in sums.pop("ended", {})
+            f"{job}: {reason}"
+            for job, sums in case_sums.items()
+            for reason in sums.pop("ended", {})
         ]
-        if of_case:
+        if case_sums:
             tables["hands"].setdefault(case[0], {})[case[1]] = tabulate_regimes(
-                list(of_case.values())
+                list(case_sums.values())
             )
-            tables["seeds"][", ".join(case)] = len(of_case)
+            tables["seeds"][", ".join(case)] = len(case_sums)
     return tables
 
 
@@ -305,7 +322,7 @@ def main() -> None:
     )
     args = parser.parse_args()
     start = time.monotonic()
-    plants = list(TRIED_PLANTS)[:3] if args.quick or args.stiffness else list(TRIED_PLANTS)
+    plants = list(PLANT_VARIATIONS)[:3] if args.quick or args.stiffness else list(PLANT_VARIATIONS)
     counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
     result = measure_estimators(*counts, job_plan_of(args))
     result["wall_s"] = time.monotonic() - start

@@ -79,42 +79,47 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
     parts = args.parts.split(",")
     seeds = range(args.seeds)
     hands = MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
-    which = (
+    selected_parts = (
         QUICK_OBJECTS if args.quick else range(len(GRASP_CASES)) if args.full else DEFAULT_OBJECTS
     )
-    which = [i for i in which if GRASP_CASES[i].grasp in args.grasps.split(",")]
+    selected_parts = [i for i in selected_parts if GRASP_CASES[i].grasp in args.grasps.split(",")]
     result: dict[str, Any] = {}
     if "success" in parts:
-        tries = [(hand, i, seed) for seed in seeds for i in which for hand in hands]
-        result["success"] = list(collect_results(grasp_success.measure_grasp, tries, plan).values())
+        grasp_jobs = [(hand, i, seed) for seed in seeds for i in selected_parts for hand in hands]
+        result["success"] = list(
+            collect_results(grasp_success.measure_grasp, grasp_jobs, plan).values()
+        )
     if "payload" in parts and not args.quick:
         loads = [
-            (hand, along, seed)
+            (hand, load_direction, seed)
             for seed in seeds
             for hand in hands
-            for along in payload.LOAD_DIRECTIONS
+            for load_direction in payload.LOAD_DIRECTIONS
         ]
         result["payload"] = list(collect_results(payload.measure_payload, loads, plan).values())
     if "slip" in parts and not args.quick:
-        slips = [
-            (hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)
+        slip_rows = [
+            (hand, has_slip_reaction, seed)
+            for seed in seeds
+            for hand in hands
+            for has_slip_reaction in (False, True)
         ]
-        result["slip"] = list(collect_results(slip_reaction.measure_slip, slips, plan).values())
+        result["slip"] = list(collect_results(slip_reaction.measure_slip, slip_rows, plan).values())
     if "tip" in parts:
-        found = collect_results(
+        results = collect_results(
             tip_force.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
         )
-        result["tip"] = [row for rows in found.values() for row in rows]
+        result["tip"] = [row for rows in results.values() for row in rows]
     if "contact" in parts:
-        minutes = args.minutes_free or (0.1 if args.quick else 10.0 if args.full else 0.5)
+        simulated_minutes = args.minutes_free or (0.1 if args.quick else 10.0 if args.full else 0.5)
         result["contact"] = _measure_contact_detection(
-            hands, args.seeds * (2 if args.quick else 4), minutes, plan
+            hands, args.seeds * (2 if args.quick else 4), simulated_minutes, plan
         )
     return result
 
 
 def _measure_contact_detection(
-    hand_names: tuple[str, ...], wall_seeds: int, minutes: float, plan: JobPlan
+    hand_names: tuple[str, ...], wall_seeds: int, simulated_minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
@@ -126,9 +131,9 @@ def _measure_contact_detection(
         [(hand, seed) for seed in range(wall_seeds) for hand in hand_names],
         plan,
     )
-    stretch = min(FREE_RUN_S, 60.0 * minutes)
-    count = max(1, round(60.0 * minutes / stretch / contact_detection.MOVING_FRACTION))
-    free = collect_results(
+    stretch = min(FREE_RUN_S, 60.0 * simulated_minutes)
+    count = max(1, round(60.0 * simulated_minutes / stretch / contact_detection.MOVING_FRACTION))
+    free_results = collect_results(
         contact_detection.measure_false_contacts,
         [(hand, stretch, seed) for seed in range(count) for hand in hand_names],
         plan,
@@ -137,17 +142,17 @@ def _measure_contact_detection(
         _summarise_contacts(
             hand,
             [v for j, v in results.items() if j[0] == hand],
-            [v for j, v in free.items() if j[0] == hand],
+            [v for j, v in free_results.items() if j[0] == hand],
         )
         for hand in hand_names
     ]
 
 
 def _summarise_contacts(
-    hand_name: str, wall_delays: list[list[float]], false_contact_rows: list[dict[str, float]]
+    hand_name: str, contact_delays: list[list[float]], false_contact_rows: list[dict[str, float]]
 ) -> dict[str, Any]:
     """Compute the results of one hand from the delays of contact events and the counts of false contacts."""
-    latency = np.array([value for values in wall_delays for value in values])
+    latency = np.array([value for values in contact_delays for value in values])
     if not len(latency) or not false_contact_rows:
         return {"hand": hand_name, "contacts": 0}
     return {

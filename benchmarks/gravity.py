@@ -16,12 +16,16 @@ import math
 import numpy as np
 from trials import control_page, tracking
 from trials.benchmark_hands import FINGERTIP_LOAD, SIDEWAYS_SUFFIX
-from trials.control_laws import GRAVITY_LAWS
+from trials.control_laws import GRAVITY_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
 
-TUNED_LAW_BY_GRAVITY_LAW = dict(
-    zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
+TUNED_LAW_NAME_BY_LAW_NAME = dict(
+    zip(
+        GRAVITY_LAW_BY_NAME,
+        ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2,
+        strict=True,
+    )
 )
 """For each control law of this benchmark, a control law of the tracking benchmark with the same LQR weights.
 
@@ -38,8 +42,8 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
     If the trial ended early, all results are NaN.
     """
     hand, law, seed = job
-    gains = GRAVITY_LAWS[law].gains(
-        *tracking.tuned_weights(hand, TUNED_LAW_BY_GRAVITY_LAW[law], with_margins=True),
+    gains = GRAVITY_LAW_BY_NAME[law].gains(
+        *tracking.tuned_weights(hand, TUNED_LAW_NAME_BY_LAW_NAME[law], with_margins=True),
         RATES_HZ[hand],
     )
     trial = LockstepTrial(
@@ -49,7 +53,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
         None,
         None,
         gains,
-        change_controller=GRAVITY_LAWS[law].change_controller,
+        change_controller=GRAVITY_LAW_BY_NAME[law].change_controller,
     )
     record = run_trial(trial)
     if record.failure:
@@ -65,32 +69,42 @@ def measure_gravity_compensation(seed_count: int, plan: JobPlan) -> dict:
     jobs = [
         (hand, law, k)
         for hand in tracking.MEASURED_HANDS
-        for law in GRAVITY_LAWS
+        for law in GRAVITY_LAW_BY_NAME
         for k in range(seed_count)
     ]
     results = collect_results(run_gravity_trial, jobs, plan)
     result: dict = {}
     for hand in tracking.MEASURED_HANDS:
-        for law in GRAVITY_LAWS:
+        for law in GRAVITY_LAW_BY_NAME:
             rows = [results[hand, law, k] for k in range(seed_count) if (hand, law, k) in results]
             result.setdefault(hand, {})[law] = {
                 speed: {
-                    name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURE_LABELS
+                    name: _mean_over_seeds([row[speed][name] for row in rows])
+                    for name in FIGURE_LABELS
                 }
                 for speed in MEASURED_SPEEDS
             }
     return result
 
 
-def _over_seeds(errors: list[float]) -> dict[str, float]:
-    good = [value for value in errors if np.isfinite(value)]
-    mean, spread = (float(np.mean(good)), float(np.std(good))) if good else (float("nan"),) * 2
-    return {"mean": mean, "spread": spread, "seeds": len(errors), "ended": len(errors) - len(good)}
+def _mean_over_seeds(errors: list[float]) -> dict[str, float]:
+    good_errors = [value for value in errors if np.isfinite(value)]
+    mean, spread = (
+        (float(np.mean(good_errors)), float(np.std(good_errors)))
+        if good_errors
+        else (float("nan"),) * 2
+    )
+    return {
+        "mean": mean,
+        "spread": spread,
+        "seeds": len(errors),
+        "ended": len(errors) - len(good_errors),
+    }
 
 
 def page_section(result: dict) -> str:
     """Return the section on gravity compensation as Markdown, for a result."""
-    head = [
+    column_titles = [
         "hand, law",
         *(f"{speed}, {name} [deg]" for speed in MEASURED_SPEEDS for name in FIGURE_LABELS.values()),
         "seeds",
@@ -99,13 +113,13 @@ def page_section(result: dict) -> str:
     for hand, laws in result.items():
         for law, speeds in laws.items():
             cells = [speeds[speed][name] for speed in MEASURED_SPEEDS for name in FIGURE_LABELS]
-            texts = [f"{one['mean']:.3f} ± {one['spread']:.3f}" for one in cells]
-            ended = cells[0]["ended"]
+            texts = [f"{cell['mean']:.3f} ± {cell['spread']:.3f}" for cell in cells]
+            ended_runs = cells[0]["ended"]
             rows.append(
                 [
                     f"{hand}, {law}",
                     *texts,
-                    f"{cells[0]['seeds']}" + (f" ({ended} ended)" if ended else ""),
+                    f"{cells[0]['seeds']}" + (f" ({ended_runs} ended)" if ended_runs else ""),
                 ]
             )
     seeds = max(
@@ -125,7 +139,7 @@ the tracking table that keep their margins, and there is no force loop. The erro
 angle of a digit from its setpoint, measured in the plant. The columns *steady* have the digit with the largest error.
 All numbers are means over the seeds, with their spread.
 
-{control_page.markdown_table(head, rows)}
+{control_page.markdown_table(column_titles, rows)}
 
 {_benefit_text(result)}
 """
@@ -152,11 +166,11 @@ def _benefit_text(result: dict) -> str:
     )
 
 
-def _reduction_text(row_without: dict, compensated_row: dict) -> str:
-    before = row_without["rmse_deg"]
-    after = compensated_row["rmse_deg"]
-    change = before["mean"] - after["mean"]
-    spread = math.hypot(before["spread"], after["spread"])
+def _reduction_text(uncompensated_row: dict, compensated_row: dict) -> str:
+    rmse_deg_before = uncompensated_row["rmse_deg"]
+    rmse_deg_after = compensated_row["rmse_deg"]
+    change = rmse_deg_before["mean"] - rmse_deg_after["mean"]
+    spread = math.hypot(rmse_deg_before["spread"], rmse_deg_after["spread"])
     return f"{change:+.3f} ± {spread:.3f} deg" + (
         "" if abs(change) > spread else " (nothing beyond the spread)"
     )

@@ -90,25 +90,25 @@ def measure_environment(hand_name: str, environment_name: str, step_count: int) 
     }
     kind = f"handctl/{environment_name}-v0"
     env = gymnasium.make(kind, **options)
-    bare = PlainMujocoEnvironment(
+    mujoco_environment = PlainMujocoEnvironment(
         hand_name, SCENE_BY_ENVIRONMENT[environment_name], env.unwrapped.step_s
     )
-    stepping_s = step_cpu_s(env, step_count)
-    bare_s = step_cpu_s(bare, step_count)
+    environment_s = step_cpu_s(env, step_count)
+    plain_mujoco_s = step_cpu_s(mujoco_environment, step_count)
     step_s = env.unwrapped.step_s
     vector = AsyncVectorEnv([lambda: gymnasium.make(kind, **options)] * PROCESS_COUNT)
     return {
         "hand": hand_name,
         "environment": kind,
         "control_rate_hz": 1.0 / env.unwrapped.model.period,
-        "steps_per_s": 1.0 / stepping_s,
-        "times_real_time": step_s / stepping_s,
-        "bare_steps_per_s": 1.0 / bare_s,
-        "fraction_of_bare": bare_s / stepping_s,
+        "steps_per_s": 1.0 / environment_s,
+        "times_real_time": step_s / environment_s,
+        "bare_steps_per_s": 1.0 / plain_mujoco_s,
+        "fraction_of_bare": plain_mujoco_s / environment_s,
         "processes": PROCESS_COUNT,
         "vector_steps_per_s": vector_steps_per_s(vector, step_count // PROCESS_COUNT),
         "reset_ms": 1e3 * reset_cpu_s(env),
-        "bare_reset_ms": 1e3 * reset_cpu_s(bare),
+        "bare_reset_ms": 1e3 * reset_cpu_s(mujoco_environment),
     }
 
 
@@ -121,25 +121,25 @@ def step_cpu_s(env: gymnasium.Env, step_count: int) -> float:
     """Return the CPU time of a step [s]. The time of resets is not included."""
     rng = np.random.default_rng(0)
     env.reset(seed=0)
-    took = 0.0
+    cpu_time_s = 0.0
     for _ in range(step_count):
         action = random_action(env.action_space, rng)
-        begin = time.process_time()
-        _, _, ended, is_truncated, info = env.step(action)
-        took += time.process_time() - begin
-        if ended:
+        start_time_s = time.process_time()
+        _, _, is_terminated, is_truncated, info = env.step(action)
+        cpu_time_s += time.process_time() - start_time_s
+        if is_terminated:
             raise RuntimeError(f"the episode ended: {info}")
         if is_truncated:
             env.reset()
-    return took / step_count
+    return cpu_time_s / step_count
 
 
 def reset_cpu_s(env: gymnasium.Env) -> float:
     """Return the CPU time of a reset [s]."""
-    begin = time.process_time()
+    start_time_s = time.process_time()
     for _ in range(RESET_COUNT):
         env.reset()
-    return (time.process_time() - begin) / RESET_COUNT
+    return (time.process_time() - start_time_s) / RESET_COUNT
 
 
 def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
@@ -149,10 +149,10 @@ def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
     """
     rng = np.random.default_rng(0)
     environments.reset(seed=0)
-    begin = time.monotonic()
+    start_time_s = time.monotonic()
     for _ in range(step_count):
         environments.step(random_action(environments.action_space, rng))
-    rate = PROCESS_COUNT * step_count / (time.monotonic() - begin)
+    rate = PROCESS_COUNT * step_count / (time.monotonic() - start_time_s)
     environments.close()
     return rate
 

@@ -66,8 +66,8 @@ def rising_hold_task() -> dict[str, Any]:
 
     In this phase the tension rises to 90 N and stays there.
     """
-    other = copy.deepcopy(CAMPAIGN_TASK)
-    hold = other["phase"][-1]
+    other_task = copy.deepcopy(CAMPAIGN_TASK)
+    hold = other_task["phase"][-1]
     hold["duration_s"] = 1.5
     rise = {
         "kind": "hold",
@@ -76,8 +76,8 @@ def rising_hold_task() -> dict[str, Any]:
         "rate_N_per_s": FAST_TENSION_RATE_N_PER_S,
         "duration_s": 60.0,
     }
-    other["phase"].append(rise)
-    return other
+    other_task["phase"].append(rise)
+    return other_task
 
 
 def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
@@ -104,34 +104,38 @@ def run_with_fault(simulation: SimulatedRun, fault_text: str) -> dict[str, Any]:
     """
     simulation.simulated_hand.inject(fault_text)
     start = simulation.k
-    detected = []
-    reacted = -1.0
+    detected_faults = []
+    reaction_time_s = -1.0
     tension = 0.0
-    stopped = 0.0
-    watched, end = (
+    stop_time_s = 0.0
+    watched_motor, end = (
         round(s * 1e9 / simulation.period_ns)
         for s in (OPERATOR_DELAY_S, OPERATOR_DELAY_S + TIME_AFTER_STOP_S)
     )
     for i in range(end):
-        stops = i == watched and reacted < 0
-        out = simulation.run_tick(requests=(STOP_REQUEST,) if stops else ())
+        must_stop = i == watched_motor and reaction_time_s < 0
+        tick_output = simulation.run_tick(requests=(STOP_REQUEST,) if must_stop else ())
         effect = simulation.simulated_hand.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
-        detected += [
-            e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"
+        detected_faults += [
+            e.text.split()[0] for e in tick_output.events if e.name == "fault" and e.level != "info"
         ]
         if (
-            reacted < 0
-            and i < watched
-            and (out.action >= SafetyAction.RELAX or out.mode in (HandMode.RELAX, HandMode.CUT))
+            reaction_time_s < 0
+            and i < watched_motor
+            and (
+                tick_output.action >= SafetyAction.RELAX
+                or tick_output.mode in (HandMode.RELAX, HandMode.CUT)
+            )
         ):
-            reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
+            reaction_time_s = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
         largest = max(simulation.simulated_hand.truth()["tension"])
         tension = max(tension, largest)
-        stopped = max(stopped, largest) if i >= watched else stopped
-        if out.mode == HandMode.DONE:
+        stop_time_s = max(stop_time_s, largest) if i >= watched_motor else stop_time_s
+        if tick_output.mode == HandMode.DONE:
             break
-    return {"found": list(dict.fromkeys(detected)), "ms": reacted, "tension": tension, "stopped": stopped,
+    return {"found": list(dict.fromkeys(detected_faults)), "ms": reaction_time_s, "tension": tension,
+            "stopped": stop_time_s,
             "felt": bool(simulation.simulated_hand.fault_states()[-1]["felt"])}  # fmt: skip
 
 
@@ -154,27 +158,27 @@ def fault_rows(
     }
     with homed_run(hand, rate, seed, task=rising_hold_task()) as simulation:
         for stage in FAULT_STAGES:
-            first = 0
+            first_tick = 0
             for _ in range(round(15.0 * rate)):
-                out = simulation.run_tick()
-                first += out.phase == "free"
-                if is_at_stage(stage, out, first):
+                tick_output = simulation.run_tick()
+                first_tick += tick_output.phase == "free"
+                if is_at_stage(stage, tick_output, first_tick):
                     break
             else:
                 raise SystemExit(
-                    f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}"
+                    f"seed {seed}: no {stage}: {simulation.state.failure or tick_output.phase}"
                 )
             for name, text, stages in HIDDEN_FAULTS:
                 if stage in stages and selected_fault in name:
-                    reading, writing = os.pipe()
+                    read_end, write_end = os.pipe()
                     if os.fork() == 0:
                         os.write(
-                            writing,
+                            write_end,
                             json.dumps(run_with_fault(simulation, text.format(**words))).encode(),
                         )
                         os._exit(0)
-                    os.close(writing)
-                    with os.fdopen(reading) as pipe:
+                    os.close(write_end)
+                    with os.fdopen(read_end) as pipe:
                         yield {
                             "fault": name,
                             "stage": stage,
@@ -192,15 +196,19 @@ def results_table(results: list[dict[str, Any]]) -> str:
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in results):
-        selected = [one for one in results if (one["fault"], one["stage"]) == (name, stage)]
-        by = Counter(id_ for one in selected for id_ in one["found"])
-        rel = [one["ms"] for one in selected if one["ms"] >= 0]
-        detected = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
-        silent = [one["stopped"] for one in selected if one["ms"] < 0]
-        lines.append(f"| {name} | {stage} | {len(rel)} of {len(selected)} | {detected} | {max(rel, default=-1):.0f} | "
-                     f"{max(one['tension'] for one in selected):.0f} | {max(silent, default=0.0):.0f} |")  # fmt: skip
-        if not all(one["felt"] for one in selected):
+    for name, stage in dict.fromkeys((result["fault"], result["stage"]) for result in results):
+        case_rows = [
+            result for result in results if (result["fault"], result["stage"]) == (name, stage)
+        ]
+        by = Counter(id_ for run_row in case_rows for id_ in run_row["found"])
+        reaction_times_ms = [run_row["ms"] for run_row in case_rows if run_row["ms"] >= 0]
+        detected_text = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
+        stop_times_s = [run_row["stopped"] for run_row in case_rows if run_row["ms"] < 0]
+        lines.append(f"| {name} | {stage} | {len(reaction_times_ms)} of {len(case_rows)} | {detected_text} | "
+                     f"{max(reaction_times_ms, default=-1):.0f} | "
+                     f"{max(run_row['tension'] for run_row in case_rows):.0f} | "
+                     f"{max(stop_times_s, default=0.0):.0f} |")  # fmt: skip
+        if not all(run_row["felt"] for run_row in case_rows):
             lines[-1] += " not felt"
     return "\n".join(lines)
 

@@ -99,21 +99,21 @@ def true_parameters(
     hand: Hand, tendon_name: str, plant_factors: dict[str, float]
 ) -> dict[str, float]:
     """Return the true values of the parameters that the identification of a tendon estimates."""
-    known = hand.tendon[hand.tendon_names.index(tendon_name)]
+    tendon = hand.tendon[hand.tendon_names.index(tendon_name)]
     motor = hand.motor_of(tendon_name)
     # Without load cells all forces are identified in units of the commanded torque.
-    unit = 1.0 if known.pretension_N is None else plant_factors["torque_constant"]
+    unit = 1.0 if tendon.pretension_N is None else plant_factors["torque_constant"]
     values = {
-        "tendon_stiffness": known.stiffness_N_per_m * plant_factors["stiffness"] / unit,
+        "tendon_stiffness": tendon.stiffness_N_per_m * plant_factors["stiffness"] / unit,
         "motor_inertia": motor.inertia_kg_m2 * plant_factors["motor_inertia"] / unit,
         "motor_coulomb": motor.coulomb_N_m * plant_factors["friction"] / unit,
         "motor_viscous": motor.viscous_N_m_s_per_rad * plant_factors["damping"] / unit,
-        "capstan": known.friction_coefficient * plant_factors["friction"],
+        "capstan": tendon.friction_coefficient * plant_factors["friction"],
     }
-    if known.pretension_N is None:
+    if tendon.pretension_N is None:
         values["torque_gain"] = plant_factors["torque_constant"]
     else:
-        values["pretension"] = known.pretension_N / unit
+        values["pretension"] = tendon.pretension_N / unit
     # A digit without springs has no spring stiffness to identify. The fit estimates its moment arms
     # instead.
     name = "moment_arm" if "moment_arm" in plant_factors else "spring_stiffness"
@@ -149,24 +149,24 @@ def excite_and_fit(
     controller = make_controller(
         plan, ExciteProgram(excitation_steps(hand, (digit_name,))), None, arm_at_once=True
     )
-    began = time.process_time()
+    start_cpu_s = time.process_time()
     with SimulatorSettings(hand_name, None, seed, plant_factors, homed=True).lockstep_clock(
         plan.period_ns
     ) as clock:
-        held = HoldLimit()
-        outcome = run_lockstep(plan, controller, log, clock, held)
+        hold_limit = HoldLimit()
+        outcome = run_lockstep(plan, controller, log, clock, hold_limit)
     row: FitResultRow = {
         "seed": seed,
         "digit": digit_name,
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
     }
-    row["excite_cpu_s"] = time.process_time() - began
-    if outcome.state.failure or held.stop_reason:
-        return {}, row | {"failure": held.stop_reason or outcome.state.failure}
+    row["excite_cpu_s"] = time.process_time() - start_cpu_s
+    if outcome.state.failure or hold_limit.stop_reason:
+        return {}, row | {"failure": hold_limit.stop_reason or outcome.state.failure}
     with RunLog(log) as record:
         result = identify_tendons(record, hand)
     log.unlink()
-    row["fit_cpu_s"] = time.process_time() - began - row["excite_cpu_s"]
+    row["fit_cpu_s"] = time.process_time() - start_cpu_s - row["excite_cpu_s"]
     return result, row
 
 
@@ -179,8 +179,8 @@ def measure_digit(
     for a failure.
     """
     hand = load_hand(hand_name)
-    sprung = hand.digit_named(digit_name).has_springs
-    factors = draw_plant(seed, sprung)
+    has_springs = hand.digit_named(digit_name).has_springs
+    factors = draw_plant(seed, has_springs)
     result, row = excite_and_fit(
         hand_name, digit_name, seed, factors, gains_for(hand, digit_name, seed), log_folder
     )
@@ -189,22 +189,22 @@ def measure_digit(
     row["refused"] = sorted(
         {
             reason
-            for one in result.values()
-            for reason in (one.contact_text, one.blocked_event)
+            for parameter_row in result.values()
+            for reason in (parameter_row.contact_text, parameter_row.blocked_event)
             if reason
         }
     )
-    shared = {
-        name: one
-        for tendon, one in result.items()
-        for name in one.identifiability.names
+    shared_parameters = {
+        name: tendon_fit
+        for tendon, tendon_fit in result.items()
+        for name in tendon_fit.identifiability.names
         if name in DIGIT_KEYS
     }
     row["parameters"] = [
-        compare_parameter(name, tendon, real, shared.get(name, one))
+        compare_parameter(name, tendon, true_value, shared_parameters.get(name, one))
         for tendon, one in result.items()
-        for name, real in true_parameters(hand, tendon, factors).items()
-        if name not in DIGIT_KEYS or one is shared.get(name, one)
+        for name, true_value in true_parameters(hand, tendon, factors).items()
+        if name not in DIGIT_KEYS or one is shared_parameters.get(name, one)
     ]
     return row
 
@@ -219,7 +219,7 @@ def compare_parameter(
     identified = parameter_name in result.identifiability.names
     error = result.fit.parameter_values[parameter_name] / true_value - 1.0
     width = result.fit.half_widths[parameter_name] / true_value
-    together = (
+    joint_half_width = (
         result.fit.half_widths_of(max(1, len(result.identifiability.names)))[parameter_name]
         / true_value
     )
@@ -228,10 +228,10 @@ def compare_parameter(
         "tendon": tendon_name,
         "error": error,
         "half_width": width,
-        "half_width_all_at_once": together,
+        "half_width_all_at_once": joint_half_width,
         "identified": identified,
         "covered": identified and abs(error) <= width,
-        "covered_all_at_once": identified and abs(error) <= together,
+        "covered_all_at_once": identified and abs(error) <= joint_half_width,
         "within": identified and abs(error) <= PARAMETER_TOLERANCES[parameter_name],
     }
 
@@ -241,7 +241,7 @@ def summarise_results(rows: list[FitResultRow]) -> FitResultRow:
 
     Also summarise the errors of the fits.
     """
-    good = [row["parameters"] for row in rows if "failure" not in row]
+    successful_parameters = [row["parameters"] for row in rows if "failure" not in row]
     result: FitResultRow = {
         "seeds": len(rows),
         "failed": [row for row in rows if "failure" in row],
@@ -249,23 +249,33 @@ def summarise_results(rows: list[FitResultRow]) -> FitResultRow:
     }
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
     for name, limit in PARAMETER_TOLERANCES.items():
-        selected = [one for row in good for one in row if one["name"] == name]
-        errors = sorted(abs(one["error"]) for one in selected)
+        parameter_rows = [
+            result_row
+            for row in successful_parameters
+            for result_row in row
+            if result_row["name"] == name
+        ]
+        errors = sorted(abs(result_row["error"]) for result_row in parameter_rows)
         result["parameters"][name] = {
             "limit": limit,
-            "of": len(selected),
-            "identified": sum(one["identified"] for one in selected),
-            "within": sum(one["within"] for one in selected),
-            "covered": sum(one["covered"] for one in selected),
+            "of": len(parameter_rows),
+            "identified": sum(result_row["identified"] for result_row in parameter_rows),
+            "within": sum(result_row["within"] for result_row in parameter_rows),
+            "covered": sum(result_row["covered"] for result_row in parameter_rows),
             "median_error": errors[len(errors) // 2] if errors else math.nan,
             "worst_error": errors[-1] if errors else math.nan,
-            "mean_error": sum(one["error"] for one in selected) / max(len(selected), 1),
-            "median_half_width": sorted(one["half_width"] for one in selected)[len(selected) // 2]
-            if selected
+            "mean_error": sum(result_row["error"] for result_row in parameter_rows)
+            / max(len(parameter_rows), 1),
+            "median_half_width": sorted(result_row["half_width"] for result_row in parameter_rows)[
+                len(parameter_rows) // 2
+            ]
+            if parameter_rows
             else math.nan,
         }
     for key in ("within", "covered", "covered_all_at_once"):
-        result[f"all_{key}"] = sum(all(one[key] for one in row) for row in good)
+        result[f"all_{key}"] = sum(
+            all(result_row[key] for result_row in row) for row in successful_parameters
+        )
     return result
 
 
@@ -279,11 +289,11 @@ def collect_rows(args: argparse.Namespace) -> list[FitResultRow]:
         if args.into and args.into.exists()
         else []
     )
-    done = {row["seed"] for row in rows}
+    finished_seeds = {row["seed"] for row in rows}
     digits = load_hand(args.hand).digit_names
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(args.first, args.first + (1 if args.quick else args.seeds)):
-            if seed in done:
+            if seed in finished_seeds:
                 continue
             rows.append(measure_digit(seed, digits[seed % len(digits)], Path(folder), args.hand))
             text = f"{rows[-1]['excite_cpu_s']:.0f} + {rows[-1].get('fit_cpu_s', 0.0):.0f} s of CPU"

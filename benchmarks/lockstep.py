@@ -69,17 +69,17 @@ def measure_lockstep_speed(
     hand_name: str, rate_hz: float, scene_name: str, simulated_s: float
 ) -> dict:
     """Measure the CPU times of one hand in one scene."""
-    made = SETUP_BY_SCENE[scene_name]
-    rollout = record_rollout(LockstepStack(hand_name, rate_hz, made), simulated_s)
-    bare = sum_of_shortest(
-        repeat_rollout(LockstepStack(hand_name, rate_hz, made), rollout)
+    run_setup = SETUP_BY_SCENE[scene_name]
+    rollout = record_rollout(LockstepStack(hand_name, rate_hz, run_setup), simulated_s)
+    engine_only_s = sum_of_shortest(
+        repeat_rollout(LockstepStack(hand_name, rate_hz, run_setup), rollout)
         for _ in range(RUNS_PER_CASE)
     )
-    whole = sum_of_shortest(
-        LockstepStack(hand_name, rate_hz, made).run(simulated_s) for _ in range(RUNS_PER_CASE)
+    whole_s = sum_of_shortest(
+        LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s) for _ in range(RUNS_PER_CASE)
     )
     peer = sum_of_shortest(
-        LockstepStack(hand_name, rate_hz, made).simulator_tick_times(simulated_s)
+        LockstepStack(hand_name, rate_hz, run_setup).simulator_tick_times(simulated_s)
         for _ in range(RUNS_PER_CASE // 2)
     )
     ticks = round(simulated_s * rate_hz)
@@ -87,14 +87,14 @@ def measure_lockstep_speed(
         "rate_hz": rate_hz,
         "simulated_s": simulated_s,
         "contacts": rollout.contacts,
-        "bare_times_real_time": simulated_s / bare,
-        "whole_times_real_time": simulated_s / whole,
-        "share_of_bare": bare / whole,
-        "bare_us_a_tick": bare / ticks * 1e6,
-        "rest_us_a_tick": (whole - bare) / ticks * 1e6,
-        "simulator_us_a_tick": (peer - bare) / ticks * 1e6,
+        "bare_times_real_time": simulated_s / engine_only_s,
+        "whole_times_real_time": simulated_s / whole_s,
+        "share_of_bare": engine_only_s / whole_s,
+        "bare_us_a_tick": engine_only_s / ticks * 1e6,
+        "rest_us_a_tick": (whole_s - engine_only_s) / ticks * 1e6,
+        "simulator_us_a_tick": (peer - engine_only_s) / ticks * 1e6,
         "spent": cpu_time_fractions(
-            lambda: LockstepStack(hand_name, rate_hz, made).run(simulated_s)
+            lambda: LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s)
         ),
     }
 
@@ -136,23 +136,23 @@ def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[
     """
     engine = lockstep_stack.engine
     step = engine.step
-    applied = engine.applied
+    applied_torque = engine.applied
     damping = engine.tendon_damping
     table = engine._data.mocap_pos
-    took = []
-    now = time.process_time
+    step_times = []
+    read_cpu_time = time.process_time
     for torque, slope, place in zip(
         rollout.torque, rollout.damping, rollout.table_height, strict=True
     ):
-        before = now()
-        applied[:] = torque
+        start_time_s = read_cpu_time()
+        applied_torque[:] = torque
         damping[:] = slope
         table[:] = place
         step()
-        took.append(now() - before)
+        step_times.append(read_cpu_time() - start_time_s)
     if not np.array_equal(engine.q, rollout.final_angles):
         raise RuntimeError("the repeated motion differs from the recorded motion")
-    return took
+    return step_times
 
 
 def print_results(result: dict) -> None:
@@ -168,9 +168,11 @@ def print_results(result: dict) -> None:
                 f"  mj_step {row['bare_us_a_tick']:.0f} us a tick, the rest {row['rest_us_a_tick']:.0f} us, of it "
                 f"{row['simulator_us_a_tick']:.0f} us behind the wire:"
             )
-            rest = {who: fraction for who, fraction in row["spent"].items() if who != "mj_step"}
-            for who, fraction in sorted(rest.items(), key=lambda row: -row[1]):
-                print(f"    {100 * fraction / sum(rest.values()):5.1f} %  {who}")
+            other_fractions = {
+                who: fraction for who, fraction in row["spent"].items() if who != "mj_step"
+            }
+            for who, fraction in sorted(other_fractions.items(), key=lambda row: -row[1]):
+                print(f"    {100 * fraction / sum(other_fractions.values()):5.1f} %  {who}")
 
 
 if __name__ == "__main__":

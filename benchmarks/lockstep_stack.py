@@ -82,13 +82,13 @@ class LockstepStack:
     def run(self, simulated_s: float) -> list[float]:
         """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
         tick = self.simulation.run_tick
-        took = []
-        now = time.process_time
+        step_times = []
+        read_cpu_time = time.process_time
         for _ in range(round(simulated_s * 1e9) // self.simulation.period_ns):
-            before = now()
+            start_time_s = read_cpu_time()
             tick()
-            took.append(now() - before)
-        return took
+            step_times.append(read_cpu_time() - start_time_s)
+        return step_times
 
     def simulator_tick_times(self, simulated_s: float) -> list[float]:
         """Run for a simulated time [s].
@@ -96,16 +96,16 @@ class LockstepStack:
         Return the CPU time of the simulator in each tick, including MuJoCo [s].
         """
         clock = self.simulation._clock
-        took = []
-        now = time.process_time
+        tick_times = []
+        read_cpu_time = time.process_time
         exchange = clock._exchange
 
         def timed(t_ns: int, records: np.ndarray) -> np.ndarray:
-            before = now()
-            answers = exchange(t_ns, records)
-            took.append(now() - before)
-            return answers
+            start_time_s = read_cpu_time()
+            answer_frames = exchange(t_ns, records)
+            tick_times.append(read_cpu_time() - start_time_s)
+            return answer_frames
 
         clock._exchange = timed
         self.run(simulated_s)
-        return took
+        return tick_times

@@ -42,8 +42,8 @@ def main() -> None:
     if args.one:
         print(json.dumps(measure_in_this_process(*args.one)))
         return
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        os.environ["HANDCTL_RUN_DIR"] = short
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        os.environ["HANDCTL_RUN_DIR"] = short_folder
         result = measure_loops(0.4 if args.quick else 5.0, quick=args.quick)
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
 
@@ -54,16 +54,16 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
             if motors == 4:
-                ours = measure_in_child("ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
+                own_late_us = measure_in_child("ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
                     "late_us"
                 ]
-                bare = measure_in_child("bare", hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
-                    "late_us"
-                ]
+                bare_late_us = measure_in_child(
+                    "bare", hand, bus, 2 * duration_s, LATENESS_RATE_HZ
+                )["late_us"]
                 result["lateness_us"] = {
                     "rate_hz": LATENESS_RATE_HZ,
-                    "handctl": ours,
-                    "bare_sleep": bare,
+                    "handctl": own_late_us,
+                    "bare_sleep": bare_late_us,
                 }
             if motors == 11:
                 result["at_rate"] = {
@@ -74,10 +74,10 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
-                        which: measure_in_child(which, hand, bus, 2 * duration_s, LATENESS_RATE_HZ)[
-                            "late_us"
-                        ]
-                        for which in ("ours", "bare_spin")
+                        loop_kind: measure_in_child(
+                            loop_kind, hand, bus, 2 * duration_s, LATENESS_RATE_HZ
+                        )["late_us"]
+                        for loop_kind in ("ours", "bare_spin")
                     }
             rates = {
                 which: free_and_highest_rate(which, hand, bus, duration_s, quick)
@@ -96,16 +96,16 @@ def free_and_highest_rate(
 
     At the highest rate, less than 1 % of the deadlines are missed.
     """
-    free = measure_in_child(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
-    rate = (0.6 if quick else 0.9) * free
+    unpaced_rate = measure_in_child(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
+    rate = (0.6 if quick else 0.9) * unpaced_rate
     for _ in range(1 if quick else 12):
         if (
             measure_in_child(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
             < MAX_MISSED_FRACTION
         ):
-            return {"free_hz": free, "held_hz": rate}
+            return {"free_hz": unpaced_rate, "held_hz": rate}
         rate *= RATE_REDUCTION
-    return {"free_hz": free, "held_hz": None}
+    return {"free_hz": unpaced_rate, "held_hz": None}
 
 
 def rate_ratio(rates: dict, rate_name: str) -> float | None:
@@ -113,9 +113,9 @@ def rate_ratio(rates: dict, rate_name: str) -> float | None:
 
     Return None if all rates were too high for one of the loops.
     """
-    ours = rates["ours"][rate_name]
+    handctl_rate = rates["ours"][rate_name]
     baseline = rates["usual"][rate_name]
-    return ours / baseline if ours and baseline else None
+    return handctl_rate / baseline if handctl_rate and baseline else None
 
 
 def measure_in_child(
@@ -123,12 +123,12 @@ def measure_in_child(
 ) -> dict:
     """Run one measurement in a separate process and return its result."""
     words = ["--one", loop_name, hand_name, bus_name, str(duration_s), str(rate_hz)]
-    out = subprocess.run(
+    output_text = subprocess.run(
         [sys.executable, __file__, *words], capture_output=True, text=True, timeout=120
     )
-    if out.returncode:
-        raise SystemExit(out.stderr)
-    return json.loads(out.stdout)
+    if output_text.returncode:
+        raise SystemExit(output_text.stderr)
+    return json.loads(output_text.stdout)
 
 
 def measure_in_this_process(
@@ -147,11 +147,11 @@ def measure_in_this_process(
             outcome = run(hand_name, bus_name, float(duration_text), float(rate_text) or None, log)
         except RuntimeError:  # At this rate the controller could not even set up the drives.
             outcome = 0.0, 1.0, []
-    hz, missed, late, *more = outcome
-    result = {"hz": hz, "missed": missed, "late_us": percentiles_us(late)}
-    if more:
-        took, cpu = more
-        result |= {"tick_us": percentiles_us(took), "cpu": cpu}
+    hz, missed_ticks, lateness_us, *other_values = outcome
+    result = {"hz": hz, "missed": missed_ticks, "late_us": percentiles_us(lateness_us)}
+    if other_values:
+        wall_time_s, cpu = other_values
+        result |= {"tick_us": percentiles_us(wall_time_s), "cpu": cpu}
     return result
 
 
@@ -159,7 +159,11 @@ def percentiles_us(times_ns: list[int]) -> dict:
     """Return the percentiles of a list of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(
-        zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True)
+        zip(
+            ("p50", "p99", "p99_9", "max"),
+            (float(percentile) for percentile in percentiles),
+            strict=True,
+        )
     )
 
 
@@ -175,22 +179,24 @@ def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, 
     clock = RealClock(round(1e9 / rate_hz))
     clock.busy_wait = request_priority().is_realtime
     clock.start()
-    late = []
+    lateness_us = []
     k = 1
     while k < duration_s * rate_hz:
-        late.append(clock.wait(k))
-        k += 1 + late[-1] // round(1e9 / rate_hz)
-    return rate_hz, 0.0, late
+        lateness_us.append(clock.wait(k))
+        k += 1 + lateness_us[-1] // round(1e9 / rate_hz)
+    return rate_hz, 0.0, lateness_us
 
 
 @contextmanager
 def both_cores_loaded():
     """Keep two cores busy with two processes that compute without pause."""
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    busy_processes = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)
+    ]
     try:
         yield
     finally:
-        for process in busy:
+        for process in busy_processes:
             process.kill()
             process.wait()
 
@@ -201,12 +207,12 @@ def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float,
 
     request_priority()
     start = time.monotonic_ns()
-    late = []
+    lateness_us = []
     for k in range(1, int(duration_s * rate_hz)):
         deadline = start + int(k * 1e9 / rate_hz)
         time.sleep(max(0, deadline - time.monotonic_ns()) / 1e9)
-        late.append(time.monotonic_ns() - deadline)
-    return rate_hz, 0.0, late
+        lateness_us.append(time.monotonic_ns() - deadline)
+    return rate_hz, 0.0, lateness_us
 
 
 @contextmanager
@@ -230,14 +236,14 @@ def simulated_drives(hand_name: str):
 
 def print_results(result: dict) -> None:
     """Print the result as text."""
-    late = result["lateness_us"]
-    print(f"lateness at {late['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
+    lateness_us = result["lateness_us"]
+    print(f"lateness at {lateness_us['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):
-        print(f"  {name:<24}" + "".join(f"{value:8.1f}" for value in late[name].values()))
-    loaded = result["loaded_us"]
+        print(f"  {name:<24}" + "".join(f"{value:8.1f}" for value in lateness_us[name].values()))
+    loaded_us = result["loaded_us"]
     print("lateness, cores loaded [us]     p50     p99   p99.9     max")
     for name, label in (("ours", "handctl"), ("bare_spin", "bare sleep and spin")):
-        print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded[name].values()))
+        print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded_us[name].values()))
     for rate, row in result["at_rate"].items():
         if "tick_us" not in row:
             print(f"11 motors at {rate:g} Hz: the run did not become active")
@@ -250,11 +256,11 @@ def print_results(result: dict) -> None:
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
-            ours = rates["ours"][kind]
-            other = rates["usual"][kind]
+            handctl_rate = rates["ours"][kind]
+            usual_rate = rates["usual"][kind]
             by = rate_ratio(rates, kind)
             print(
-                f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}"
+                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{usual_rate or 0:8.0f}{by or 0:8.2f}"
             )
 
 

@@ -21,12 +21,12 @@ from handctl.gym.track import TrackEnv
 from handctl.hand.hand_loading import packaged_hands
 
 FloatArray = NDArray[np.float64]
-ANY_SPEED_DEG_S = 1e6
+UNLIMITED_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
 This value is so large that only the controller limits the rate of change.
 """
-WALK_STEP = 0.125
+RANDOM_WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
 
 
@@ -53,7 +53,7 @@ def take_random_step(
 ) -> FloatArray:
     """Return the next action of a random walk from the last action."""
     return np.clip(
-        last_action + random_source.normal(0.0, 2.0 * WALK_STEP, len(last_action)), -1.0, 1.0
+        last_action + random_source.normal(0.0, 2.0 * RANDOM_WALK_STEP, len(last_action)), -1.0, 1.0
     )
 
 
@@ -82,14 +82,14 @@ def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[s
     step = 0
     while True:
         action = ACTION_SOURCES[source_name](random, action, step)
-        _, _, ended, is_truncated, information = env.step(action.astype(np.float32))
+        _, _, is_terminated, is_truncated, information = env.step(action.astype(np.float32))
         largest = max(
             largest,
             float(np.max(np.abs(list(env.simulated_run.simulated_hand.world.plant.tensions())))),
         )
         step += 1
-        if ended or is_truncated:
-            return str(information["failure"]) if ended else "", largest
+        if is_terminated or is_truncated:
+            return str(information["failure"]) if is_terminated else "", largest
 
 
 def main() -> None:
@@ -111,7 +111,7 @@ def main() -> None:
     args = parser.parse_args()
     table = []
     for hand in args.hands:
-        env = TrackEnv(hand, "digit", duration_s=args.seconds, speed_deg_s=ANY_SPEED_DEG_S)
+        env = TrackEnv(hand, "digit", duration_s=args.seconds, speed_deg_s=UNLIMITED_SPEED_DEG_S)
         faults: collections.Counter[str] = collections.Counter()
         largest = 0.0
         for kind in ACTION_SOURCES:
@@ -135,8 +135,8 @@ def main() -> None:
         return
     print("| hand | runs | ended with a fault | largest true tension |\n|---|---|---|---|")
     for row in table:
-        ended = ", ".join(f"{count} {name}" for name, count in row["faults"].items()) or "none"
-        print(f"| {row['hand']} | {row['runs']} | {ended} | {row['largest_N']:.0f} N |")
+        fault_text = ", ".join(f"{count} {name}" for name, count in row["faults"].items()) or "none"
+        print(f"| {row['hand']} | {row['runs']} | {fault_text} | {row['largest_N']:.0f} N |")
 
 
 if __name__ == "__main__":

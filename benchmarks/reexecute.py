@@ -48,15 +48,15 @@ def measure_log(log_path: Path, pass_count: int) -> dict:
         gc.enable()
         ticks = len(log)
         period_us = log.header.period_ns / 1e3
-        tick = sum(map(min, zip(*(one["tick"] for one in runs), strict=True)))
-        shortest = {name: min(one[name] for one in runs) for name in ("read", "compare")} | {
+        tick = sum(map(min, zip(*(run["tick"] for run in runs), strict=True)))
+        shortest_times = {name: min(run[name] for run in runs) for name in ("read", "compare")} | {
             "tick": tick
         }
         return {
             "ticks": ticks,
             "equal": runs[0]["equal"],
-            "us_a_tick": {name: took / ticks * 1e6 for name, took in shortest.items()},
-            "times_real_time": period_us * ticks / (sum(shortest.values()) * 1e6),
+            "us_a_tick": {name: time_s / ticks * 1e6 for name, time_s in shortest_times.items()},
+            "times_real_time": period_us * ticks / (sum(shortest_times.values()) * 1e6),
             "spent": cpu_time_fractions(lambda: execute_once(log, controller)),
         }
 
@@ -69,25 +69,30 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
     the log.
     """
     cpu = time.process_time
-    began = cpu()
+    start_cpu_s = cpu()
     for _ in zip(log.ticks(), log.packed_telemetry(), strict=True):
         pass  # As in an ordinary re-execution, the outputs are not stored.
-    read = cpu() - began
-    logged = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
+    read = cpu() - start_cpu_s
+    logged_ticks = list(zip(log.ticks(), log.packed_telemetry(), strict=True))
     state = controller.initial_state()
-    outs = []
-    took = []
-    for one, _ in logged:
-        before = cpu()
-        state, out = controller.tick(state, one.tick_in)
-        took.append(cpu() - before)
-        outs.append(out)
-    began = cpu()
-    equal = sum(
+    tick_outputs = []
+    times_s = []
+    for logged_tick, _ in logged_ticks:
+        cpu_s_before = cpu()
+        state, tick_output = controller.tick(state, logged_tick.tick_in)
+        times_s.append(cpu() - cpu_s_before)
+        tick_outputs.append(tick_output)
+    start_cpu_s = cpu()
+    equal_tick_count = sum(
         are_outputs_equal(one, numbers, out)
-        for (one, numbers), out in zip(logged, outs, strict=True)
+        for (one, numbers), out in zip(logged_ticks, tick_outputs, strict=True)
     )
-    return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
+    return {
+        "read": read,
+        "tick": times_s,
+        "compare": cpu() - start_cpu_s,
+        "equal": equal_tick_count,
+    }
 
 
 def print_results(result: dict) -> None:

@@ -19,11 +19,11 @@ from handctl.campaign.fault_matrix import ALL_PROTOCOLS
 from handctl.cli.main import main as handctl
 from handctl.hand.hand_loading import load_hand, packaged_hands
 
-FIGURE_LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
+ERROR_LIMIT_BY_MEASURE = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
 """Limits of the errors in a run.
 
 A run passes if its errors are within these limits, and if it had no failure, no missed tick and no
-lost frame. `figure_limits` raises the limit of the tension error for a hand whose load cells drift.
+lost frame. `error_limits` raises the limit of the tension error for a hand whose load cells drift.
 """
 DRIFT_SIGMAS = 3.0
 """Tension error that load-cell drift may explain, in standard deviations of the drift."""
@@ -36,7 +36,7 @@ def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
 
     If the run does not pass, the result includes the reason.
     """
-    out = io.StringIO()
+    output_stream = io.StringIO()
     err = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
         words = [
@@ -50,10 +50,10 @@ def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
             f"{folder}/run.mcap",
             "--json",
         ]
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with contextlib.redirect_stdout(output_stream), contextlib.redirect_stderr(err):
             code = handctl(["demo", "--lockstep", *words])
     figures: dict[str, Any] = {"hand": hand_name, "protocol": protocol, "seed": seed, "exit": code}
-    text = out.getvalue()
+    text = output_stream.getvalue()
     if not text:
         return figures | {"why": err.getvalue().strip().rpartition("\n")[2]}
     result = json.loads(text)
@@ -65,7 +65,7 @@ def run_demo(hand_name: str, protocol: str, seed: int) -> dict[str, Any]:
     return figures | {"why": failure_reason(figures, result)}
 
 
-def figure_limits(hand_name: str, duration_s: float) -> dict[str, float]:
+def error_limits(hand_name: str, duration_s: float) -> dict[str, float]:
     """Return the limits of the errors in a run.
 
     No sensor of the hand can reveal the drift of a load cell. The limit of the tension error is
@@ -76,10 +76,12 @@ def figure_limits(hand_name: str, duration_s: float) -> dict[str, float]:
         * load_hand(hand_name).sensor_node.tension_bias_drift_N
         * math.sqrt(duration_s / 100.0)
     )
-    return FIGURE_LIMITS | {"tension_error_N": max(FIGURE_LIMITS["tension_error_N"], drift)}
+    return ERROR_LIMIT_BY_MEASURE | {
+        "tension_error_N": max(ERROR_LIMIT_BY_MEASURE["tension_error_N"], drift)
+    }
 
 
-def failure_reason(run_figures: dict[str, Any], run_result: dict[str, Any]) -> str:
+def failure_reason(run_errors: dict[str, Any], run_result: dict[str, Any]) -> str:
     """Describe why a run does not pass. Return an empty string if it passes."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
         return (
@@ -88,11 +90,11 @@ def failure_reason(run_figures: dict[str, Any], run_result: dict[str, Any]) -> s
         )
     if min(run_result["contact_force_n"].values()) <= 0.5:
         return "a digit does not hold the object"
-    allowed = figure_limits(run_figures["hand"], run_result["simulated_s"])
+    allowed_errors = error_limits(run_errors["hand"], run_result["simulated_s"])
     return ", ".join(
-        f"{name} {run_figures[name]:.2f}"
-        for name, limit in allowed.items()
-        if not run_figures[name] < limit
+        f"{name} {run_errors[name]:.2f}"
+        for name, limit in allowed_errors.items()
+        if not run_errors[name] < limit
     )
 
 
@@ -105,19 +107,29 @@ def results_table(results: list[dict[str, Any]]) -> str:
         "| hand | protocol | seeds passed | tracking error [deg] | tension error [N] | object motion [mm] |",
         "|---|---|---|---|---|---|",
     ]
-    for hand, protocol in dict.fromkeys((one["hand"], one["protocol"]) for one in results):
-        selected = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
-        worst = [
-            max((one[name] for one in selected if name in one), default=float("nan"))
-            for name in FIGURE_LIMITS
+    for hand, protocol in dict.fromkeys((result["hand"], result["protocol"]) for result in results):
+        selected_results = [
+            result for result in results if (result["hand"], result["protocol"]) == (hand, protocol)
         ]
-        passed = f"{sum(not one['why'] for one in selected)} of {len(selected)}"
-        rows.append(
-            f"| {hand} | {protocol} | {passed} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.3f} |"
+        worst_errors = [
+            max(
+                (run_row[name] for run_row in selected_results if name in run_row),
+                default=float("nan"),
+            )
+            for name in ERROR_LIMIT_BY_MEASURE
+        ]
+        passed_text = (
+            f"{sum(not run_row['why'] for run_row in selected_results)} of {len(selected_results)}"
         )
-    for one in results:
-        if one["why"]:
-            rows.append(f"\n{one['hand']}, {one['protocol']}, seed {one['seed']}: {one['why']}")
+        rows.append(
+            f"| {hand} | {protocol} | {passed_text} | {worst_errors[0]:.2f} | {worst_errors[1]:.2f} | "
+            f"{worst_errors[2]:.3f} |"
+        )
+    for result in results:
+        if result["why"]:
+            rows.append(
+                f"\n{result['hand']}, {result['protocol']}, seed {result['seed']}: {result['why']}"
+            )
     return "\n".join(rows) + "\n"
 
 
@@ -154,12 +166,12 @@ def main() -> None:
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
-    done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
+    finished_jobs = {(result["hand"], result["protocol"], result["seed"]) for result in results}
     cases: list[DemoCase] = [
         (h, p, seed) for seed in range(args.seeds) for h in args.hand for p in args.protocol
     ]
     for case in cases:
-        if case not in done:
+        if case not in finished_jobs:
             results.append(run_demo(*case))
             with args.results.open("a") as file:
                 file.write(json.dumps(results[-1]) + "\n")

@@ -148,23 +148,23 @@ def run_grasp(
         if fault_text:
             run.simulated_hand.inject(fault_text)
         start = np.array(plant.engine.object_pose()[:3])
-        for entry, out in run.run_ticks(30.0):
+        for entry, tick_output in run.run_ticks(30.0):
             t = entry.k * model.period
-            for event in out.events:
+            for event in tick_output.events:
                 if event.name == "fault":
                     record.faults.append(event.text.split()[0])
                 elif event.name == "contact":
                     record.contact_report_s.setdefault(event.where, t)
             forces = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             for name, force in zip(names, forces.tolist(), strict=True):
-                if force > CONTACT_FORCE_N and out.phase == "close":
+                if force > CONTACT_FORCE_N and tick_output.phase == "close":
                     record.first_touch_s.setdefault(name, t)
             if run.state.mode == HandMode.ACTIVE:
-                record.phase.append(out.phase)
+                record.phase.append(tick_output.phase)
                 record.error.append(run.state.view("tension") - np.array(plant.tensions()))
                 record.sigma.append(run.state.view("sigma").copy())
                 record.angle.append(run.state.view("q") - plant.engine.q)
-                if out.phase == "hold":
+                if tick_output.phase == "hold":
                     record.object_motion_mm = 1e3 * float(
                         np.linalg.norm(np.array(plant.engine.object_pose()[:3]) - start)
                     )
@@ -176,10 +176,10 @@ def rms(values: Any) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")
 
 
-def case_figures(runs: list[SensingRun], period_s: float) -> dict[str, float]:
+def measures_of_case(runs: list[SensingRun], period_s: float) -> dict[str, float]:
     """Compute the results of one case from the records of all its runs."""
     moving = []
-    held = []
+    hold_samples = []
     sigma = []
     scaled = []
     angle = []
@@ -188,16 +188,16 @@ def case_figures(runs: list[SensingRun], period_s: float) -> dict[str, float]:
         phase = np.array(record.phase)
         error = np.array(record.error)
         width = np.array(record.sigma)
-        in_motion = np.isin(phase, MOVING_PHASES)
-        holding = np.flatnonzero(phase == "hold")[round(SETTLING_TIME_S / period_s) :]
-        moving.append(error[in_motion])
-        held.append(error[holding])
-        sigma.append(width[holding])
+        is_in_motion = np.isin(phase, MOVING_PHASES)
+        hold_ticks = np.flatnonzero(phase == "hold")[round(SETTLING_TIME_S / period_s) :]
+        moving.append(error[is_in_motion])
+        hold_samples.append(error[hold_ticks])
+        sigma.append(width[hold_ticks])
         # A slack tendon has no tension to estimate.
-        taut = width > 0.0
-        taut[~(in_motion | (phase == "hold"))] = False
-        scaled.append(error[taut] / width[taut])
-        angle.append(np.degrees(np.array(record.angle)[in_motion]))
+        is_taut = width > 0.0
+        is_taut[~(is_in_motion | (phase == "hold"))] = False
+        scaled.append(error[is_taut] / width[is_taut])
+        angle.append(np.degrees(np.array(record.angle)[is_in_motion]))
         delays += [
             1e3 * (t - record.first_touch_s[name])
             for name, t in record.contact_report_s.items()
@@ -205,7 +205,7 @@ def case_figures(runs: list[SensingRun], period_s: float) -> dict[str, float]:
         ]
     return {
         "moving_N": rms(np.concatenate(moving)),
-        "holding_N": rms(np.concatenate(held)),
+        "holding_N": rms(np.concatenate(hold_samples)),
         "sigma_N": float(np.mean(np.concatenate(sigma))),
         "error_per_sigma": rms(np.concatenate(scaled)),
         "angle_deg": rms(np.concatenate(angle)),
@@ -233,7 +233,7 @@ def measure_sensing(seed_count: int) -> dict[str, Any]:
             for seed in range(seed_count)
         ]
         result["cases"].append(
-            {"hand": name, "sensors": sensors, **case_figures(records, model.period)}
+            {"hand": name, "sensors": sensors, **measures_of_case(records, model.period)}
         )
     names = {"tendon": "index_tendon", "motor": "index_motor", "other": "middle_motor"}
     for sensors in ("load cells", "neither"):
@@ -248,8 +248,8 @@ def measure_sensing(seed_count: int) -> dict[str, Any]:
                 0,
                 text.format(**names),
             )
-            found = list(dict.fromkeys(record.faults))
-            result["faults"].setdefault(title, {})[sensors] = found
+            reported_faults = list(dict.fromkeys(record.faults))
+            result["faults"].setdefault(title, {})[sensors] = reported_faults
     return result
 
 
@@ -288,8 +288,9 @@ def page_text(result: dict[str, Any]) -> str:
         for c in result["cases"]
     ]
     faults = [
-        f"| {title} | {', '.join(found['load cells']) or '-'} | {', '.join(found['neither']) or '-'} |"
-        for title, found in result["faults"].items()
+        f"| {title} | {', '.join(reported_faults['load cells']) or '-'} | "
+        f"{', '.join(reported_faults['neither']) or '-'} |"
+        for title, reported_faults in result["faults"].items()
     ]
     return "\n".join(
         [

@@ -55,13 +55,15 @@ def measure_simulator_cpu(
             return LockstepStack(str(path), RATE_BY_HAND_HZ[hand_name], SETUP_BY_SCENE[scene_name])
 
         rollout = record_rollout(new_stack(), simulated_s)
-        bare = sum_of_shortest(repeat_rollout(new_stack(), rollout) for _ in range(RUNS_PER_CASE))
+        engine_only_s = sum_of_shortest(
+            repeat_rollout(new_stack(), rollout) for _ in range(RUNS_PER_CASE)
+        )
         peer = sum_of_shortest(
             new_stack().simulator_tick_times(simulated_s) for _ in range(RUNS_PER_CASE)
         )
     ticks = round(simulated_s * RATE_BY_HAND_HZ[hand_name])
     steps = len(rollout.torque)
-    bare_us = (bare - steps * clock_read_cpu_s()) / ticks * 1e6
+    bare_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
     exchange_us = (peer - ticks * clock_read_cpu_s()) / ticks * 1e6
     return {
         "hand": hand_name,
@@ -75,8 +77,8 @@ def measure_simulator_cpu(
 
 def clock_read_cpu_s() -> float:
     """Measure the CPU time of two successive readings of the clock [s]."""
-    now = time.process_time
-    return min(-(now() - now()) for _ in range(CLOCK_READS))
+    read_cpu_time = time.process_time
+    return min(-(read_cpu_time() - read_cpu_time()) for _ in range(CLOCK_READS))
 
 
 def print_case(case_row: dict) -> None:

@@ -72,12 +72,12 @@ def measure_starts(repeat_count: int, work_folder: Path) -> dict[str, list[Start
     for name, hand in HAND_BY_RUN.items():
         measures[name] = partial(time_until_first_frame, hand, work_folder)
     try:
-        for one in measures.values():
-            one()  # The first start is not counted, because it compiles code and fills the disk cache.
+        for measure in measures.values():
+            measure()  # The first start is not counted, because it compiles code and fills the disk cache.
         times: dict[str, list[StartTime]] = {name: [] for name in measures}
         for _ in range(repeat_count):
-            for name, one in measures.items():
-                times[name].append(one())
+            for name, measure in measures.items():
+                times[name].append(measure())
         return times
     finally:
         hub.terminate()
@@ -86,10 +86,10 @@ def measure_starts(repeat_count: int, work_folder: Path) -> dict[str, list[Start
 
 def time_until_exit(command: list[str]) -> StartTime:
     """Return the wall time and CPU time of a command from its start to its end."""
-    before = children_cpu_s()
-    begin = time.monotonic()
+    children_cpu_s_before = children_cpu_s()
+    start_time_s = time.monotonic()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return StartTime(time.monotonic() - begin, children_cpu_s() - before)
+    return StartTime(time.monotonic() - start_time_s, children_cpu_s() - children_cpu_s_before)
 
 
 def children_cpu_s() -> float:
@@ -118,7 +118,7 @@ def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
         "--log",
         str(work_folder / "run.mcap"),
     ]
-    begin = time.monotonic()
+    start_time_s = time.monotonic()
     run = subprocess.Popen(
         [sys.executable, "-m", "handctl.cli", *words],
         cwd=work_folder,
@@ -130,7 +130,7 @@ def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
             raise SystemExit(
                 f"handctl {' '.join(words)} has sent no frame within {FRAME_TIMEOUT_S:g} s"
             )
-        return StartTime(time.monotonic() - begin, process_cpu_s(run.pid))
+        return StartTime(time.monotonic() - start_time_s, process_cpu_s(run.pid))
     finally:
         run.terminate()
         run.wait()
@@ -141,9 +141,9 @@ def time_until_first_frame(hand_name: str, work_folder: Path) -> StartTime:
 def print_results(result: dict[str, list[StartTime]]) -> None:
     """Print a table of the times."""
     print(f"{'program':28} {'median [s]':>11} {'smallest':>9} {'largest':>8} {'CPU [s]':>8}")
-    for name, starts in result.items():
-        times = [start.wall_s for start in starts]
-        cpu = statistics.median(start.cpu_s for start in starts)
+    for name, start_rows in result.items():
+        times = [start.wall_s for start in start_rows]
+        cpu = statistics.median(start.cpu_s for start in start_rows)
         print(
             f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}"
         )

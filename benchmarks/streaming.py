@@ -53,7 +53,7 @@ TRAJECTORY_KNOT_INTERVAL_S = 0.04
 ``TRAJECTORY_KNOT_INTERVAL_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
 sine by less than 0.001 deg.
 """
-TIME_AFTER_KILL_S = 2.0
+WAIT_AFTER_KILL_S = 2.0
 """Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
 TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
@@ -138,9 +138,9 @@ def flood_with_targets(client: MisbehavingClient) -> None:
     """Send 10,000 targets of the correct motion a second."""
     end = client.t_s + MISBEHAVIOUR_DURATION_S
     while client.t_s < end:
-        began = time.monotonic_ns()
+        start_time_ns = time.monotonic_ns()
         client.send(sine_angle_deg(client.t_s + client.stream.horizon_s))
-        while time.monotonic_ns() < began + 100_000 / client.scale:
+        while time.monotonic_ns() < start_time_ns + 100_000 / client.scale:
             pass
 
 
@@ -190,9 +190,9 @@ def swap_targets(client: MisbehavingClient) -> None:
 
 def jump_randomly(client: MisbehavingClient) -> None:
     """Send random angles like a faulty policy. Some of them are beyond the range of the joints."""
-    draw = random.Random(0)
+    random_source = random.Random(0)
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
-        client.send(draw.uniform(-30.0, 130.0))
+        client.send(random_source.uniform(-30.0, 130.0))
 
 
 def exceed_tension_limit(client: MisbehavingClient) -> None:
@@ -243,8 +243,11 @@ def run_client(
                 client.send_good_targets(GOOD_STREAM_DURATION_S)
             start = hand.observe().k
             CLIENT_BEHAVIOURS[client_name][1](client)
-            seen = hand.observe()
-            print(json.dumps({"from": start, "to": seen.k, **seen.stream._asdict()}), flush=True)
+            observation = hand.observe()
+            print(
+                json.dumps({"from": start, "to": observation.k, **observation.stream._asdict()}),
+                flush=True,
+            )
             if client_name != "straining":
                 client.send_good_targets(GOOD_STREAM_DURATION_S)
 
@@ -356,10 +359,10 @@ def measure_clients(
     A client that starts the controller itself gets a separate hand. A run ends when its client is
     killed. A client that will be killed is therefore the last one of its hand.
     """
-    shared = sorted(
+    shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
     )
-    groups = [shared, [name for name in client_names if name == "killed-owner"]]
+    groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
     for group in filter(None, groups):
         with hand_process(bus_name, time_scale, commissioned_hand) as place:
@@ -422,9 +425,9 @@ def _run_one_client(
     assert child.stdout
     try:
         if CLIENT_BEHAVIOURS[client_name][1] is not stream_while_paused:
-            out = child.communicate(timeout=READY_TIMEOUT_S)[0]
+            output_text = child.communicate(timeout=READY_TIMEOUT_S)[0]
             assert child.returncode == 0, f"{client_name}: the client failed"
-            return json.loads(out), run_start_ns(owning_client, hand_process_run)
+            return json.loads(output_text), run_start_ns(owning_client, hand_process_run)
         assert child.stdout.readline() == "pause\n", f"{client_name}: no stream"
         watcher = owning_client or handctl.connect("jamia", hand_process_run.bus).open()
         time.sleep(0.1 / hand_process_run.scale)
@@ -432,16 +435,16 @@ def _run_one_client(
         start_ns = run_start_ns(watcher, hand_process_run)
         if client_name.startswith("killed"):
             child.kill()
-            time.sleep(TIME_AFTER_KILL_S / hand_process_run.scale)
+            time.sleep(WAIT_AFTER_KILL_S / hand_process_run.scale)
             if owning_client is None:
                 watcher.close()
             return window, start_ns
         child.send_signal(signal.SIGSTOP)
         time.sleep(float(client_name.partition("-")[2]) / 1e3 / hand_process_run.scale)
         child.send_signal(signal.SIGCONT)
-        out = child.communicate(timeout=READY_TIMEOUT_S)[0]
+        output_text = child.communicate(timeout=READY_TIMEOUT_S)[0]
         assert child.returncode == 0, f"{client_name}: the client failed"
-        return json.loads(out), start_ns
+        return json.loads(output_text), start_ns
     finally:
         child.kill()
         child.wait()
@@ -457,9 +460,11 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     assert hand is not None
     starts_ns = list[int]()
     for _ in range(50):
-        seen = hand.observe(wait=True)
+        observation = hand.observe(wait=True)
         starts_ns.append(
-            hand_process_run.simulated_time_ns(seen.published_ns) - seen.t_ns - seen.late_ns
+            hand_process_run.simulated_time_ns(observation.published_ns)
+            - observation.t_ns
+            - observation.late_ns
         )
     return min(starts_ns)
 
@@ -468,15 +473,17 @@ def _client_row(
     log: RunLog, truth: TruthRecord, misbehaviour: dict[str, Any], start_ns: int
 ) -> dict[str, Any]:
     """Return one row of the table: mode, faults, largest true tension and largest speeds during a misbehaviour."""
-    last = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
-    inside = (log.k >= misbehaviour["from"]) & (log.k <= last)
-    first_ns, last_ns = log.t_ns[inside][[0, -1]]
-    rows = truth.values[(truth.t_ns >= first_ns + start_ns) & (truth.t_ns <= last_ns + start_ns)]
+    last_tick = int(log.k[-1]) if misbehaviour["to"] is None else misbehaviour["to"]
+    is_inside = (log.k >= misbehaviour["from"]) & (log.k <= last_tick)
+    inside_start_ns, last_ns = log.t_ns[is_inside][[0, -1]]
+    rows = truth.values[
+        (truth.t_ns >= inside_start_ns + start_ns) & (truth.t_ns <= last_ns + start_ns)
+    ]
     tensions = [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     rates = [i for i, name in enumerate(truth.columns) if name.startswith(f"dq/{STREAMED_DIGIT}")]
-    events = [one.event for one in log.events if first_ns <= one.t_ns <= last_ns]
+    events = [event.event for event in log.events if inside_start_ns <= event.t_ns <= last_ns]
     return {
-        "mode": HandMode(int(log.mode[inside][-1])).name,
+        "mode": HandMode(int(log.mode[is_inside][-1])).name,
         "faults": [
             event.text for event in events if event.name == "fault" and event.level != "info"
         ],
@@ -522,38 +529,44 @@ def measure_tracking(
         truth = read_truth(place.truth)
         with RunLog(place.log) as log:
             began_ns["trajectory"] = start_ns + next(
-                one.t_ns for one in log.phases if one.name == "follow"
+                phase.t_ns for phase in log.phases if phase.name == "follow"
             )
-            late_ms = float(np.percentile(log.late_ns, 99)) / 1e6
-    errors = {name: _tracking_error(truth, began) for name, began in began_ns.items()}
+            lateness_ms = float(np.percentile(log.late_ns, 99)) / 1e6
+    errors = {
+        name: _tracking_error(truth, motion_began_ns) for name, motion_began_ns in began_ns.items()
+    }
     ratios = {f"{name}_ratio": errors[name] / errors["trajectory"] for name in INTERPOLATION_NAMES}
-    return errors | ratios | {"tick_late_p99_ms": late_ms}
+    return errors | ratios | {"tick_late_p99_ms": lateness_ms}
 
 
 def _sine_task() -> str:
     """Return a task that has the same motion as the stream."""
     times = np.arange(0.0, TRACKED_DURATION_S + 1e-9, TRAJECTORY_KNOT_INTERVAL_S).round(3).tolist()
-    stay = {
+    stay_phase = {
         "kind": "move",
         "name": "stay",
         "angle_deg": {STREAMED_DIGIT: SINE_MIDDLE_DEG},
         "duration_s": 0.5,
     }
     angles = {STREAMED_DIGIT: [round(sine_angle_deg(t), 4) for t in times]}
-    follow = {"kind": "follow", "name": "follow", "time_s": times, "angle_deg": angles}
-    return toml_text({"schema": 1, "name": "sine", "phase": [stay, follow]})
+    follow_phase = {"kind": "follow", "name": "follow", "time_s": times, "angle_deg": angles}
+    return toml_text({"schema": 1, "name": "sine", "phase": [stay_phase, follow_phase]})
 
 
 def _tracking_error(truth: TruthRecord, motion_start_ns: int) -> float:
     """Return the RMS of the true minus the intended angle after the first second of the motion [deg]."""
     t = (truth.t_ns - motion_start_ns) / 1e9
-    counted = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
+    evaluation_mask = (t > 1.0) & (t < TRACKED_DURATION_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{STREAMED_DIGIT}")]
-    true = np.degrees(truth.values[counted][:, joints]).mean(axis=1)
+    true = np.degrees(truth.values[evaluation_mask][:, joints]).mean(axis=1)
     return float(
         np.sqrt(
             np.mean(
-                (true - SINE_MIDDLE_DEG - SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t[counted]))
+                (
+                    true
+                    - SINE_MIDDLE_DEG
+                    - SINE_AMPLITUDE_DEG * np.sin(2.0 * math.pi * t[evaluation_mask])
+                )
                 ** 2
             )
         )
@@ -588,8 +601,8 @@ def _observation_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Return the age of each observation at the moment when the client receives it [ms]."""
     ages: list[float] = []
     end = time.monotonic() + duration_s
-    for seen in hand.observations():
-        ages.append(seen.age_s * 1e3)
+    for observation in hand.observations():
+        ages.append(observation.age_s * 1e3)
         if time.monotonic() > end:
             return ages
     return ages
@@ -602,36 +615,36 @@ def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
     """
     ages: list[float] = []
     end = time.monotonic() + duration_s
-    last = -1
+    last_tick = -1
     while time.monotonic() < end:
         line = hand.state()
         now_ns = time.monotonic_ns()
-        seen = hand.observe()
+        observation = hand.observe()
         reader = hand._open_reader()
-        record = reader.read_record(reader.last_read_number - 1 - (seen.k - line["k"]))
-        if record is not None and line["k"] != last and int(record["k"]) == line["k"]:
+        record = reader.read_record(reader.last_read_number - 1 - (observation.k - line["k"]))
+        if record is not None and line["k"] != last_tick and int(record["k"]) == line["k"]:
             ages.append((now_ns - int(record["published_ns"])) / 1e6)
-        last = line["k"]
+        last_tick = line["k"]
     return ages
 
 
 def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
     """Measure how long it takes from sending each target until the next tick has sent its frames [ms]."""
     delays: list[float] = []
-    draw = random.Random(0)
+    random_source = random.Random(0)
     hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
     with hand.stream(STREAM_RATE_HZ, "digit", [STREAMED_DIGIT]) as stream:
-        began = time.monotonic()
-        while (t := time.monotonic() - began) < duration_s:
+        start_time_s = time.monotonic()
+        while (t := time.monotonic() - start_time_s) < duration_s:
             target = [sine_angle_deg(t + stream.horizon_s)]
             number = stream.sent
             sent_ns = time.monotonic_ns()
             stream.send(target)
-            seen = hand.observe()
-            while seen.stream.number < number:
-                seen = hand.observe(wait=True)
-            delays.append((seen.published_ns - sent_ns) / 1e6)
-            time.sleep(draw.uniform(0.7, 1.3) / STREAM_RATE_HZ)
+            observation = hand.observe()
+            while observation.stream.number < number:
+                observation = hand.observe(wait=True)
+            delays.append((observation.published_ns - sent_ns) / 1e6)
+            time.sleep(random_source.uniform(0.7, 1.3) / STREAM_RATE_HZ)
     return delays
 
 
@@ -640,9 +653,9 @@ def _move_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
     delays: list[float] = []
     end = time.monotonic() + duration_s
     while time.monotonic() < end:
-        began = time.monotonic()
+        start_time_s = time.monotonic()
         hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG + len(delays) % 2}, duration_s=0.2, wait=False)
-        delays.append((time.monotonic() - began) * 1e3)
+        delays.append((time.monotonic() - start_time_s) * 1e3)
         time.sleep(0.02)
     return delays
 
@@ -661,10 +674,11 @@ def print_results(result: dict[str, Any]) -> None:
         print("|---|---|---|---|---|---|---|")
         for name, row in result["clients"].items():
             numbers = [row[key] for key in ("accepted", "clipped", "late", "refused")]
-            told = "-" if numbers[0] is None else ", ".join(map(str, numbers))
+            numbers_text = "-" if numbers[0] is None else ", ".join(map(str, numbers))
             faults = ", ".join(sorted({text.split()[0] for text in row["faults"]})) or "none"
             print(
-                f"| {CLIENT_BEHAVIOURS[name][0]} | {told} | {faults} | {row['mode']} | {row['tension_N']:.1f} N "
+                f"| {CLIENT_BEHAVIOURS[name][0]} | {numbers_text} | {faults} | {row['mode']} | "
+                f"{row['tension_N']:.1f} N "
                 f"| {row['speed_deg_s']:.0f} deg/s | {row['joint_speed_deg_s']:.0f} deg/s |"
             )
         print()
@@ -713,13 +727,15 @@ def main() -> None:
         name, bus, scale, *words = args.client
         run_client(name, bus, float(scale), words)
         return
-    if wrong := set(args.part) - set(BENCHMARK_PARTS):
-        parser.error(f"no part {min(wrong)!r}; expected some of {', '.join(BENCHMARK_PARTS)}")
+    if unknown_parts := set(args.part) - set(BENCHMARK_PARTS):
+        parser.error(
+            f"no part {min(unknown_parts)!r}; expected some of {', '.join(BENCHMARK_PARTS)}"
+        )
     parts = args.part or BENCHMARK_PARTS
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        os.environ["HANDCTL_RUN_DIR"] = short
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        os.environ["HANDCTL_RUN_DIR"] = short_folder
         result: dict[str, Any] = {
-            "tension_trip_N": min(one.tension_trip_N for one in load_hand("jamia").tendon)
+            "tension_trip_N": min(tendon.tension_trip_N for tendon in load_hand("jamia").tendon)
         }
         if "clients" in parts:
             result["clients"] = measure_clients(args.only, args.bus, args.time_scale)

@@ -31,17 +31,17 @@ def scoring_jobs(job_count: int) -> list[ScoringJob]:
 
     The search would compute equal trials only once.
     """
-    changed = [
+    gain_changes = [
         gains_with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
         for i in range(job_count)
     ]
-    plain = {
+    job_fields = {
         "hand": load_hand("jamia").to_toml(),
         "rate_hz": RATE_HZ,
         "plants": list(sample_ensemble(1, 0)),
         "seed": 1,
     }
-    return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
+    return [job_fields | {"gains": gains.model_dump(by_alias=True)} for gains in gain_changes]
 
 
 def cpu_s(pid: int) -> float:
@@ -57,17 +57,17 @@ def measure_search(
 
     Return the times, and the scores in the order of the jobs.
     """
-    began = time.monotonic()
-    crew = ProcessPool(worker_count)
+    start_time_s = time.monotonic()
+    worker_pool = ProcessPool(worker_count)
     try:
-        scores = dict(crew.compute_scores(jobs))
-        spent = [cpu_s(pid) for pid in crew.process_ids]
+        scores = dict(worker_pool.compute_scores(jobs))
+        cpu_times_s = [cpu_s(pid) for pid in worker_pool.process_ids]
     finally:
-        crew.close()
+        worker_pool.close()
     row = {
         "workers": worker_count,
-        "clock_s": time.monotonic() - began,
-        "cpu_s": spent,
+        "clock_s": time.monotonic() - start_time_s,
+        "cpu_s": cpu_times_s,
         "load": os.getloadavg()[0],
     }
     return row, [scores[i] for i in range(len(jobs))]
@@ -88,23 +88,26 @@ def main() -> int:
         help="number of workers that are compared with one worker (default: 2)",
     )
     args = parser.parse_args()
-    work = scoring_jobs(4 if args.quick else args.trials)
-    (one, first), (several, second) = measure_search(1, work), measure_search(args.workers, work)
+    jobs = scoring_jobs(4 if args.quick else args.trials)
+    (one_worker, first_scores), (several_workers, second_scores) = (
+        measure_search(1, jobs),
+        measure_search(args.workers, jobs),
+    )
     result = {
-        "trials": len(work),
-        "one": one,
-        "several": several,
-        "faster_by_the_clock": one["clock_s"] / several["clock_s"],
-        "faster_by_cpu": one["cpu_s"][0] / max(several["cpu_s"]),
-        "same_scores": first == second,
+        "trials": len(jobs),
+        "one": one_worker,
+        "several": several_workers,
+        "faster_by_the_clock": one_worker["clock_s"] / several_workers["clock_s"],
+        "faster_by_cpu": one_worker["cpu_s"][0] / max(several_workers["cpu_s"]),
+        "same_scores": first_scores == second_scores,
     }
     if args.json:
         print(json.dumps(result, indent=2))
     else:
-        for row in (one, several):
-            busy = ", ".join(f"{spent:.1f}" for spent in row["cpu_s"])
+        for row in (one_worker, several_workers):
+            cpu_text = ", ".join(f"{worker_cpu_s:.1f}" for worker_cpu_s in row["cpu_s"])
             print(
-                f"{row['workers']} worker(s): {row['clock_s']:.1f} s, CPU {busy} s, load {row['load']:.1f}"
+                f"{row['workers']} worker(s): {row['clock_s']:.1f} s, CPU {cpu_text} s, load {row['load']:.1f}"
             )
         print(
             f"{args.workers} workers are {result['faster_by_the_clock']:.2f} times as fast by the clock, "

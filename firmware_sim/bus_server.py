@@ -30,7 +30,7 @@ MAX_READS_PER_TURN = 64
 
 The limit keeps a busy bus from stopping the plant.
 """
-SLIP_PAUSE_S = 0.005
+CLOCK_SLIP_PAUSE_S = 0.005
 """Pause after a slip of the clock, in which other processes can use the processor core [s]."""
 MAX_CATCH_UP_NS = 4_000_000
 """Maximum plant time by which one turn advances the plant [ns].
@@ -56,11 +56,11 @@ class ServerClock(Protocol):
         """Return the number of ticks for which a controller that uses this clock has sent all frames."""
         ...
 
-    def note_answered(self, ticks: int) -> None:
+    def publish_answered_ticks(self, ticks: int) -> None:
         """Report the number of ticks whose frames have all been answered by the nodes."""
         ...
 
-    def note_reached(self, t_ns: int) -> None:
+    def publish_reached_time(self, t_ns: int) -> None:
         """Report the time that the plant has reached [ns]."""
         ...
 
@@ -83,7 +83,7 @@ class ServedNodes(Protocol):
         ...
 
     @property
-    def malformed(self) -> int:
+    def malformed_frame_count(self) -> int:
         """Return the number of frames that the nodes could not decode."""
         ...
 
@@ -95,11 +95,11 @@ class ServedNodes(Protocol):
         """Advance the nodes towards the time ``t_ns``, by whole time steps."""
         ...
 
-    def reach(self, t_ns: int) -> None:
+    def advance_exactly(self, t_ns: int) -> None:
         """Advance the nodes exactly to the time ``t_ns``."""
         ...
 
-    def take_unsolicited(self) -> list[Frame]:
+    def take_unsolicited_frames(self) -> list[Frame]:
         """Return the unsolicited frames since the last call."""
         ...
 
@@ -153,30 +153,30 @@ class BusServer:
 
         After the wait, advance the plant, and answer the frames.
         """
-        ready = self._wait_for_sockets()
-        frames = self._receive_frames(ready)
+        ready_sockets = self._wait_for_sockets()
+        frames = self._receive_frames(ready_sockets)
         if frames:
-            self._note_host()
-        self._catch_up(sampled=bool(frames))
+            self._check_for_host()
+        self._catch_up(is_sampled=bool(frames))
         self._send_answers(frames)
-        if self._faults and self._faults.read_sockets()[0] in ready:
+        if self._faults and self._faults.read_sockets()[0] in ready_sockets:
             self._faults.serve(self.pace)
         for _ in range(MAX_READS_PER_TURN):
             if not (frames := self._receive_frames(())):
                 break
             self._send_answers(frames)
-        self._note_progress()
+        self._publish_progress()
 
-    def _note_progress(self) -> None:
+    def _publish_progress(self) -> None:
         """Report the number of answered ticks and the time of the plant to a controller that uses the same clock."""
-        self._clock.note_reached(self._world.t_ns + self._world.slip_ns)
+        self._clock.publish_reached_time(self._world.t_ns + self._world.slip_ns)
         # The number of ticks must be read before the sockets are checked. Frames that arrive
         # between these two steps then belong to a later tick.
         ticks = self._clock.ticks_sent()
         if ticks and not self._ready_links(0.0):
-            self._clock.note_answered(ticks)
+            self._clock.publish_answered_ticks(ticks)
 
-    def _note_host(self) -> None:
+    def _check_for_host(self) -> None:
         """Take the real-time priority, because a host has sent frames.
 
         When the first frame of a host arrives, restart the measurement of the pace.
@@ -213,24 +213,24 @@ class BusServer:
         readable, _, _ = select.select(readers, writers, [], timeout_s)
         return readable
 
-    def _catch_up(self, sampled: bool) -> None:
+    def _catch_up(self, is_sampled: bool) -> None:
         """Advance the plant to the time of the clock.
 
         Args:
-            sampled: True to reach the time of the clock exactly. This is necessary if answers to
+            is_sampled: True to reach the time of the clock exactly. This is necessary if answers to
                 frames contain readings of the plant.
         """
         world = self._world
         target_ns = self._clock.now_ns() - world.slip_ns
         behind_ns = target_ns - world.t_ns
         if behind_ns > MAX_DELAY_NS:
-            self._give_up_lost_time(behind_ns)
+            self._skip_lost_time(behind_ns)
             return
         self.overruns += behind_ns > OVERRUN_NS
-        follow = world.reach if sampled else world.advance
-        follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
+        advance_world = world.advance_exactly if is_sampled else world.advance
+        advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
-    def _give_up_lost_time(self, behind_ns: int) -> None:
+    def _skip_lost_time(self, behind_ns: int) -> None:
         """Give up the time during which this process did not run: the plant does not catch up.
 
         The plant and the watchdogs of the drives stood still during this time.
@@ -238,19 +238,19 @@ class BusServer:
         self._world.slip_ns += behind_ns
         self.slips += 1
         if self._priority:
-            self._priority.note_slip()
+            self._priority.count_clock_slip()
         if self._served:
-            self.pace.slipped(behind_ns, self._world.t_ns)
-        time.sleep(SLIP_PAUSE_S)
+            self.pace.count_slip(behind_ns, self._world.t_ns)
+        time.sleep(CLOCK_SLIP_PAUSE_S)
 
     def _send_answers(self, frames: list[Frame]) -> None:
         """Send the answers to frames, and all frames that nodes send without a request."""
-        answers: list[list[Frame]] = [[] for _ in self._ports]
+        answer_frames: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:
-            answers[frame.bus] += self._world.receive(frame)
-        for frame in self._world.take_unsolicited():
-            answers[frame.bus].append(frame)
-        for port, batch in zip(self._ports, answers, strict=True):
+            answer_frames[frame.bus] += self._world.receive(frame)
+        for frame in self._world.take_unsolicited_frames():
+            answer_frames[frame.bus].append(frame)
+        for port, batch in zip(self._ports, answer_frames, strict=True):
             if batch:
                 port.send(batch)
 
@@ -261,8 +261,8 @@ class BusServer:
             "slips": self.slips,
             "slipped_ns": self._world.slip_ns,
             "foreign_frames": self._world.foreign,
-            "malformed_frames": self._world.malformed,
-            "lost_frames": sum(port.lost for port in self._ports),
+            "malformed_frames": self._world.malformed_frame_count,
+            "lost_frames": sum(port.lost_frame_count for port in self._ports),
             "wire_load": [
                 round(port.load, 4) for port in self._ports if isinstance(port, TimedPort)
             ],

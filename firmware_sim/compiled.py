@@ -58,7 +58,7 @@ def kernel_helper(function: F) -> F:
     return function
 
 
-def call_c_function(function: int, first: int, second: int) -> None:
+def call_c_function(function: int, first_argument: int, second_argument: int) -> None:
     """Call a C function with the signature ``void f(void *, void *)``.
 
     The function and both arguments are given as addresses.
@@ -100,10 +100,10 @@ def machine_code(module: ModuleType) -> Any:
     from numba import njit
 
     names = dict(vars(module), call_c_function=_call_intrinsic(), rows_at=_rows_at())
-    imported = _imported_kernels(module)
-    for name, owner in imported.items():
+    imported_kernels = _imported_kernels(module)
+    for name, owner in imported_kernels.items():
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
-    digest = _source_digest(set(imported.values()))
+    digest = _source_digest(set(imported_kernels.values()))
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(
             vars(module)[name].__code__, names, name
@@ -120,12 +120,12 @@ def machine_code(module: ModuleType) -> Any:
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
     """Return the kernels that a module imports from other modules, each with its module of origin."""
-    imported = {}
+    kernel_by_name = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
         if owner != module.__name__ and value.__name__ in _KERNEL_ARGUMENTS.get(owner, {}):
-            imported[name] = sys.modules[owner]
-    return imported
+            kernel_by_name[name] = sys.modules[owner]
+    return kernel_by_name
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
@@ -133,14 +133,16 @@ def _source_digest(modules: set[ModuleType]) -> str:
 
     If no module is given, the digest is an empty text.
     """
-    reached = set(modules)
-    new = set(modules)
-    while new:
-        new = {owner for module in new for owner in _imported_kernels(module).values()} - reached
-        reached |= new
+    reached_modules = set(modules)
+    new_modules = set(modules)
+    while new_modules:
+        new_modules = {
+            owner for module in new_modules for owner in _imported_kernels(module).values()
+        } - reached_modules
+        reached_modules |= new_modules
     sources = [
         Path(str(module.__file__)).read_bytes()
-        for module in sorted(reached, key=lambda module: module.__name__)
+        for module in sorted(reached_modules, key=lambda module: module.__name__)
     ]
     return "_" + hashlib.sha256(b"".join(sources)).hexdigest()[:12] if sources else ""
 
@@ -177,11 +179,16 @@ def _numba_type(name: ArgumentType) -> Any:
 
     if not isinstance(name, str):
         return types.Array(from_dtype(np.dtype(name)), 1, "C")
-    real = types.float64
-    count = types.int64
+    float_type = types.float64
+    integer_type = types.int64
     if name in ("vector", "counts"):
-        return types.Array(real if name == "vector" else count, 1, "C")
-    return {"real": real, "count": count, "flag": types.boolean, "address": types.intp}[name]
+        return types.Array(float_type if name == "vector" else integer_type, 1, "C")
+    return {
+        "real": float_type,
+        "count": integer_type,
+        "flag": types.boolean,
+        "address": types.intp,
+    }[name]
 
 
 def _call_intrinsic() -> Any:
@@ -203,7 +210,7 @@ def _call_intrinsic() -> Any:
         )
         return context.get_dummy_value()
 
-    def typed(typing: Any, function: Any, first: Any, second: Any) -> Any:
+    def typed(typing: Any, function: Any, first_argument: Any, second_argument: Any) -> Any:
         return types.void(types.intp, types.intp, types.intp), code
 
     return intrinsic(typed)

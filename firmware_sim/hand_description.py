@@ -34,9 +34,9 @@ PRISMATIC = "prismatic"
 """Entry of ``joint_type`` for a joint that slides along its axis."""
 
 
-POWER_COUNT = 6
+ARM_COEFFICIENT_COUNT = 6
 """Number of polynomial coefficients of a moment arm that depends on the joint angle."""
-TABLE_POWERS = 4
+ARM_TABLE_DEGREE = 4
 """Maximum number of polynomial coefficients fitted to a table of moment arms."""
 
 
@@ -137,27 +137,27 @@ class ArmCurve:
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        powers: ``POWER_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
+        coefficients: ``ARM_COEFFICIENT_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
             joint angle [rad]. The constant term comes first.
     """
 
     low: float
     high: float
-    powers: tuple[float, ...]
+    coefficients: tuple[float, ...]
 
     @property
-    def opposite(self) -> "ArmCurve":
+    def negated(self) -> "ArmCurve":
         """Return the moment arm of a tendon on the opposite side of the joint.
 
         This moment arm has the opposite sign.
         """
-        return replace(self, powers=tuple(-power for power in self.powers))
+        return replace(self, coefficients=tuple(-power for power in self.coefficients))
 
     @property
     def mean(self) -> float:
         """Return the moment arm, averaged over the range of the joint [m]."""
         area = 0.0
-        for i, power in enumerate(self.powers, 1):
+        for i, power in enumerate(self.coefficients, 1):
             area += power * (self.high**i - self.low**i) / i
         return area / (self.high - self.low)
 
@@ -175,7 +175,7 @@ class TendonSpec:
         stiffness: stiffness of the tendon at tensions below the knee [N/m].
         damping: viscous damping of the tendon [N s/m].
         knee: highest tension at which the stiffness is constant [N].
-        after_knee_ratio: stiffness at tensions far above the knee of the curve, divided by
+        stiffness_ratio_above_knee: stiffness at tensions far above the knee of the curve, divided by
             ``stiffness``.
         knee_width: width of the transition at the knee, as a difference of the tendon's elongation
             [m].
@@ -183,9 +183,9 @@ class TendonSpec:
             equation.
         wrap: wrap angle of the tendon before the first joint [rad].
         pretension: tension at rest in both tendons of a spool pair [N], or 0 for a single tendon.
-        winding: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
+        winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
         curves: moment arms that depend on the joint angle, by the name of the joint.
-        straight: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
+        straight_joints: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
             [m/m]. The tendon does not bend at these joints.
     """
 
@@ -195,14 +195,14 @@ class TendonSpec:
     stiffness: float
     damping: float
     knee: float
-    after_knee_ratio: float
+    stiffness_ratio_above_knee: float
     knee_width: float
     friction: float
     wrap: float
     pretension: float = 0.0
-    winding: int = 1
+    winding_sign: int = 1
     curves: dict[str, ArmCurve] = field(default_factory=dict)
-    straight: frozenset[str] = frozenset()
+    straight_joints: frozenset[str] = frozenset()
 
     @property
     def antagonist(self) -> "TendonSpec":
@@ -212,9 +212,9 @@ class TendonSpec:
         first tendon.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
-        curves = {joint: curve.opposite for joint, curve in self.curves.items()}
+        curves = {joint: curve.negated for joint, curve in self.curves.items()}
         name = f"{self.name}_antagonist"
-        return replace(self, name=name, arms=arms, curves=curves, winding=-self.winding)
+        return replace(self, name=name, arms=arms, curves=curves, winding_sign=-self.winding_sign)
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,7 +236,7 @@ class MotorSpec:
         position_range: largest position that a CAN frame of the drive can contain [rad].
         velocity_range: largest velocity that a CAN frame of the drive can contain [rad/s].
         direction: sign of the motor angle while the spool angle is positive, +1 or -1.
-        zero: encoder angle at which the spool angle theta of a homed hand is 0 [rad].
+        zero_angle: encoder angle at which the spool angle theta of a homed hand is 0 [rad].
         options: options of the drive's protocol.
         serial: serial number of the drive. If None, the drive has the default serial number
             of its protocol.
@@ -261,7 +261,7 @@ class MotorSpec:
     position_range: float
     velocity_range: float
     direction: int
-    zero: float
+    zero_angle: float
     options: dict[str, Any]
     serial: int | None = None
     torque_gain: float = 1.0
@@ -337,7 +337,7 @@ class Hand:
     sensors: SensorSpec | None
     meshes: tuple[LinkMesh, ...] = field(default=(), compare=False)
 
-    def carried_by(self, carrier: str) -> list[Digit]:
+    def digits_on_carrier(self, carrier: str) -> list[Digit]:
         """Return the digits mounted on the last link of the digit ``carrier``.
 
         An empty name stands for the palm.
@@ -349,19 +349,19 @@ class Hand:
         """Return the first tendon of each spool pair."""
         return [tendon for tendon in self.tendons if tendon.pretension]
 
-    def has_pairs(self, digit: Digit) -> bool:
+    def has_spool_pairs(self, digit: Digit) -> bool:
         """Return True if spool pairs move the joints of the given digit."""
         return any(joint in tendon.arms for tendon in self.pairs for joint in digit.joints)
 
     @property
-    def every_tendon(self) -> list[TendonSpec]:
+    def all_tendons(self) -> list[TendonSpec]:
         """Return all tendons: first the tendons of ``tendons``, then the second tendon of each spool pair."""
         return [*self.tendons, *(tendon.antagonist for tendon in self.pairs)]
 
     @property
     def closing_digits(self) -> list[Digit]:
         """Return the digits that can close on an object: the digits that carry no other digit."""
-        return [digit for digit in self.digits if not self.carried_by(digit.name)]
+        return [digit for digit in self.digits if not self.digits_on_carrier(digit.name)]
 
     @property
     def joints(self) -> list[str]:
@@ -416,17 +416,18 @@ def _resolved_file(file_content: dict[str, Any]) -> dict[str, Any]:
     if file_content.get("schema") != 2:
         return file_content
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
-    for given in file_content["digit"]:
-        digit = _section_with_template(file_content, "digit", given)
+    for digit_section in file_content["digit"]:
+        digit = _section_with_template(file_content, "digit", digit_section)
         name, links = digit["name"], len(digit["link_length_m"])
         motors = digit.pop("motor", {})
-        for short, motor in motors.items():
+        for short_name, motor in motors.items():
             sections["motor"].append(
-                _section_with_template(file_content, "motor", motor) | {"name": f"{name}_{short}"}
+                _section_with_template(file_content, "motor", motor)
+                | {"name": f"{name}_{short_name}"}
             )
-        for short, entry in digit.pop("tendon", {}).items():
+        for short_name, entry in digit.pop("tendon", {}).items():
             tendon = _section_with_template(file_content, "tendon", entry) | {
-                "name": f"{name}_{short}"
+                "name": f"{name}_{short_name}"
             }
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
@@ -436,16 +437,16 @@ def _resolved_file(file_content: dict[str, Any]) -> dict[str, Any]:
                     for j, arm in tendon[key].items()
                 }
             sections["tendon"].append(tendon)
-        sliding = digit.get("joint_type", []).count(PRISMATIC)
+        prismatic_count = digit.get("joint_type", []).count(PRISMATIC)
         counts = dict.fromkeys((*PER_LINK_KEYS, "link_mesh_scale"), links)
-        counts |= dict.fromkeys(JOINT_KEYS, links - sliding)
-        counts |= dict.fromkeys(JOINT_KEYS.values(), sliding)
-        listed = {
+        counts |= dict.fromkeys(JOINT_KEYS, links - prismatic_count)
+        counts |= dict.fromkeys(JOINT_KEYS.values(), prismatic_count)
+        values_by_key = {
             key: [digit[key]] * count
             for key, count in counts.items()
             if isinstance(digit.get(key), int | float)
         }
-        sections["digit"].append(digit | listed)
+        sections["digit"].append(digit | values_by_key)
     for kind in ("tendon", "motor"):
         sections[kind] += [
             _section_with_template(file_content, kind, entry)
@@ -457,7 +458,9 @@ def _resolved_file(file_content: dict[str, Any]) -> dict[str, Any]:
     if node.get("joints") == "all":
         digits = sections["digit"]
         node["joints"] = [
-            f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))
+            f"{digit_table['name']}_j{i + 1}"
+            for digit_table in digits
+            for i in range(len(digit_table["link_length_m"]))
         ]
     return file_content | sections | {"sensor_node": node}
 
@@ -544,26 +547,28 @@ def _make_mesh(link_name: str, file: Path, scale: Any, position: Any, rpy_deg: A
 
 def _parse_digit(digit_section: dict[str, Any]) -> Digit:
     count = len(digit_section["link_length_m"])
-    slides = _are_joints_prismatic(digit_section)
-    sliding = slides.count(True)
+    is_prismatic = _are_joints_prismatic(digit_section)
+    prismatic_count = is_prismatic.count(True)
     expected = dict.fromkeys(
         (*PER_LINK_KEYS, "joint_type", "joint_axis", "joint_rpy_deg", "coupling"), count
     )
-    expected |= dict.fromkeys(JOINT_KEYS, count - sliding)
-    expected |= dict.fromkeys(JOINT_KEYS.values(), sliding)
+    expected |= dict.fromkeys(JOINT_KEYS, count - prismatic_count)
+    expected |= dict.fromkeys(JOINT_KEYS.values(), prismatic_count)
     for key, number in expected.items():
         if key in digit_section and len(digit_section[key]) != number:
-            what = f"digit {digit_section['name']}: {key} has {len(digit_section[key])} values"
+            problem_text = (
+                f"digit {digit_section['name']}: {key} has {len(digit_section[key])} values"
+            )
             right = "link" if number == count else "joint of its type"
-            raise SimulatorError(f"{what}; expected {number}, one per {right}")
-    axes = [(0.0, 1.0, 0.0) if slide else (0.0, 0.0, 1.0) for slide in slides]
+            raise SimulatorError(f"{problem_text}; expected {number}, one per {right}")
+    axes = [(0.0, 1.0, 0.0) if slide else (0.0, 0.0, 1.0) for slide in is_prismatic]
     return Digit(
         name=digit_section["name"],
         carrier=digit_section.get("mount_on", ""),
         position=tuple(digit_section["mount_position_m"]),
         rpy_deg=tuple(digit_section["mount_rpy_deg"]),
         length=tuple(digit_section["link_length_m"]),
-        prismatic=tuple(slides),
+        prismatic=tuple(is_prismatic),
         axis=tuple(map(tuple, digit_section.get("joint_axis", axes))),
         joint_rpy_deg=tuple(
             map(tuple, digit_section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))
@@ -599,13 +604,13 @@ def _joint_values(
     For a hinge, the value comes from ``key``. For a prismatic joint, the value comes from the
     corresponding other key. Without a default, a missing key raises KeyError.
     """
-    slides = _are_joints_prismatic(digit_section)
+    is_prismatic = _are_joints_prismatic(digit_section)
     lists = {}
     for slide, name in ((False, key), (True, JOINT_KEYS[key])):
-        count = slides.count(slide)
-        missing = name not in digit_section and (default is not None or not count)
-        lists[slide] = iter([default or 0.0] * count if missing else digit_section[name])
-    return tuple(next(lists[slide]) for slide in slides)
+        count = is_prismatic.count(slide)
+        is_missing = name not in digit_section and (default is not None or not count)
+        lists[slide] = iter([default or 0.0] * count if is_missing else digit_section[name])
+    return tuple(next(lists[slide]) for slide in is_prismatic)
 
 
 def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
@@ -617,10 +622,10 @@ def _link_inertia(digit_section: dict[str, Any], i: int) -> tuple[float, ...]:
     value = digit_section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
         # For any body, the largest principal moment of inertia is at most the sum of the other two.
-        along = min(
+        axial_inertia = min(
             digit_section["link_mass_kg"][i] * digit_section["link_radius_m"] ** 2 / 2, 2 * value
         )
-        return (along, value, value, 0.0, 0.0, 0.0)
+        return (axial_inertia, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
@@ -651,17 +656,17 @@ def _parse_arm_curve(
         curve_section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
         limits: limits of the joint [rad].
     """
-    powers = curve_section.get("polynomial_m")
-    if powers is None:
-        powers = _fit_polynomial(
+    coefficients = curve_section.get("polynomial_m")
+    if coefficients is None:
+        coefficients = _fit_polynomial(
             [math.radians(angle) for angle in curve_section["angle_deg"]], curve_section["arm_m"]
         )
-    return ArmCurve(*limits, (*powers, *(0.0,) * (POWER_COUNT - len(powers))))
+    return ArmCurve(*limits, (*coefficients, *(0.0,) * (ARM_COEFFICIENT_COUNT - len(coefficients))))
 
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     """Fit a polynomial to a table of moment arms by least squares, and return the coefficients."""
-    count = min(TABLE_POWERS, len(angles))
+    count = min(ARM_TABLE_DEGREE, len(angles))
     rows = [
         [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
         + [math.fsum(arm * angle**i for angle, arm in zip(angles, arms, strict=True))]
@@ -674,7 +679,8 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
             if i != k:
                 factor = rows[i][k]
                 rows[i] = [
-                    value - factor * above for value, above in zip(rows[i], rows[k], strict=True)
+                    value - factor * pivot_value
+                    for value, pivot_value in zip(rows[i], rows[k], strict=True)
                 ]
     return [row[count] for row in rows]
 
@@ -683,22 +689,22 @@ def _parse_tendon(
     tendon_section: dict[str, Any], joint_ranges: dict[str, tuple[float, float]]
 ) -> TendonSpec:
     ratios = tendon_section.get("excursion_ratio", {})
-    given = tendon_section.get("moment_arm_m", {}) | ratios
+    arm_sections = tendon_section.get("moment_arm_m", {}) | ratios
     curves = {
         joint: _parse_arm_curve(arm, joint_ranges.get(joint, (0.0, 1.0)))
-        for joint, arm in given.items()
+        for joint, arm in arm_sections.items()
         if isinstance(arm, dict)
     }
     return TendonSpec(
         name=tendon_section["name"],
         motor=tendon_section["motor"],
-        arms=given | {joint: curve.mean for joint, curve in curves.items()},
-        straight=frozenset(ratios),
+        arms=arm_sections | {joint: curve.mean for joint, curve in curves.items()},
+        straight_joints=frozenset(ratios),
         curves=curves,
         stiffness=tendon_section["stiffness_N_per_m"],
         damping=tendon_section["damping_N_s_per_m"],
         knee=tendon_section["knee_N"],
-        after_knee_ratio=tendon_section["stiffness_beyond_ratio"],
+        stiffness_ratio_above_knee=tendon_section["stiffness_beyond_ratio"],
         knee_width=tendon_section["knee_width_m"],
         friction=tendon_section["friction_coefficient"],
         wrap=tendon_section["wrap_angle_rad"],
@@ -722,7 +728,7 @@ def _parse_motor(motor_section: dict[str, Any]) -> MotorSpec:
         position_range=motor_section["position_range_rad"],
         velocity_range=motor_section["velocity_range_rad_s"],
         direction=motor_section["direction"],
-        zero=motor_section["zero_rad"],
+        zero_angle=motor_section["zero_rad"],
         options=dict(motor_section.get("options", {})),
     )
 
@@ -732,8 +738,8 @@ def _prismatic_joints(file_content: dict[str, Any]) -> frozenset[str]:
     return frozenset(
         f"{digit['name']}_j{i + 1}"
         for digit in file_content["digit"]
-        for i, slides in enumerate(_are_joints_prismatic(digit))
-        if slides
+        for i, is_prismatic in enumerate(_are_joints_prismatic(digit))
+        if is_prismatic
     )
 
 

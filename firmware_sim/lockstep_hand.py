@@ -90,14 +90,14 @@ class LockstepHand:
         if self.wired:
             return to_records(self.wired.step(t_ns, to_frames(frames), end_ns))
         world = self.world
-        world.reach(t_ns)
-        answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
+        world.advance_exactly(t_ns)
+        answer_frames, is_in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
         world.advance(end_ns, self._exchange.wake_ns)
-        unsolicited = world.take_unsolicited_records()
+        unsolicited_records = world.take_unsolicited_records()
         return (
-            answers
-            if in_order and not len(unsolicited)
-            else self._exchange.merged(answers, unsolicited)
+            answer_frames
+            if is_in_order and not len(unsolicited_records)
+            else self._exchange.merge_frames(answer_frames, unsolicited_records)
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
@@ -139,7 +139,7 @@ class LockstepHand:
         if self._truth is not None:
             counts = {
                 "foreign_frames": self.world.foreign,
-                "malformed_frames": self.world.malformed,
+                "malformed_frames": self.world.malformed_frame_count,
             }
             self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
             self._truth = None

@@ -20,9 +20,9 @@ ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
 """Tag of the first XML element of each format."""
 MODEL_SUFFIXES = (".urdf", ".xml")
 """Suffixes of model files that MuJoCo reads."""
-URDF_JOINTS = ("revolute", "continuous", "prismatic", "fixed")
+URDF_JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 """Joint types of URDF that a hand can have."""
-UNSUPPORTED_JOINTS = {
+UNSUPPORTED_JOINT_TYPES = {
     mujoco.mjtJoint.mjJNT_FREE: "a floating joint",
     mujoco.mjtJoint.mjJNT_BALL: "a ball joint",
 }
@@ -80,8 +80,10 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
     folder = Path(path).absolute().parent
     urdf = file_format == "urdf"
-    shown = urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
-    meshes = list(shown)
+    visual_meshes = (
+        urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
+    )
+    meshes = list(visual_meshes)
     links = [_link_values(model, data, roots, body, path) for body in roots]
     for body, link in zip(roots, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
@@ -113,11 +115,11 @@ def _parsed_root(path: str, file_format: str) -> ET.Element:
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
     if root.tag != ROOT_TAGS[file_format]:
-        other = next(
+        other_tag = next(
             (f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), ""
         )
         raise SimulatorError(
-            f"{path}: its first element is <{root.tag}>; expected {_format_name(file_format)}{other}"
+            f"{path}: its first element is <{root.tag}>; expected {_format_name(file_format)}{other_tag}"
         )
     return root
 
@@ -133,13 +135,13 @@ def _check_joint_types(xml_root: ET.Element, path: str) -> None:
     """
     for joint in xml_root.iter("joint"):
         kind = joint.get("type")
-        if kind is not None and kind not in URDF_JOINTS:
-            what = f"joint {joint.get('name')} is {kind}"
-            raise SimulatorError(f"{path}: {what}; expected {', '.join(URDF_JOINTS)}")
+        if kind is not None and kind not in URDF_JOINT_TYPES:
+            problem_text = f"joint {joint.get('name')} is {kind}"
+            raise SimulatorError(f"{path}: {problem_text}; expected {', '.join(URDF_JOINT_TYPES)}")
         if joint.find("mimic") is not None:
-            what = f"joint {joint.get('name')} mimics another"
-            right = "independent joints; the hand file couples them by the key coupling"
-            raise SimulatorError(f"{path}: {what}; expected {right}")
+            problem_text = f"joint {joint.get('name')} mimics another"
+            expected = "independent joints; the hand file couples them by the key coupling"
+            raise SimulatorError(f"{path}: {problem_text}; expected {expected}")
 
 
 def _compiled_model(
@@ -175,9 +177,11 @@ def _name_mesh_files(model_spec: Any, xml_root: ET.Element, folder: Path) -> Non
 
     MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
-    places = {PurePath(name).name: place for name, place in urdf_files(xml_root, folder).items()}
+    path_by_name = {
+        PurePath(name).name: place for name, place in urdf_files(xml_root, folder).items()
+    }
     for mesh in model_spec.meshes:
-        mesh.file = str(places.get(PurePath(mesh.file).name, mesh.file))
+        mesh.file = str(path_by_name.get(PurePath(mesh.file).name, mesh.file))
     model_spec.strippath = False
 
 
@@ -231,21 +235,23 @@ def _check_structure(model: Any, path: str) -> None:
     if model.njnt == 0:
         raise SimulatorError(f"{path}: no joints; expected a hand with hinges or prismatic joints")
     for joint in range(model.njnt):
-        other = UNSUPPORTED_JOINTS.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
-        if other:
+        unsupported_type = UNSUPPORTED_JOINT_TYPES.get(mujoco.mjtJoint(int(model.jnt_type[joint])))
+        if unsupported_type:
             raise SimulatorError(
-                f"{path}: {_joint_name(model, joint)} is {other}; expected hinges or prismatic joints"
+                f"{path}: {_joint_name(model, joint)} is {unsupported_type}; expected hinges or prismatic joints"
             )
     for body in range(model.nbody):
         if model.body_jntnum[body] > 1:
-            what = f"body {model.body(body).name} has {model.body_jntnum[body]} joints"
+            problem_text = f"body {model.body(body).name} has {model.body_jntnum[body]} joints"
             raise SimulatorError(
-                f"{path}: {what}; expected one joint for each body, with a body of some mass between"
+                f"{path}: {problem_text}; expected one joint for each body, with a body of some mass between"
             )
     if model.neq:
-        what = f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
+        problem_text = (
+            f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
+        )
         raise SimulatorError(
-            f"{path}: {what}; expected a tree; the hand file couples joints by the key coupling"
+            f"{path}: {problem_text}; expected a tree; the hand file couples joints by the key coupling"
         )
 
 
@@ -286,11 +292,11 @@ def _link_values(
     dof = int(model.jnt_dofadr[joint])
     origin = model_data.xanchor[joint].copy()
     turn = model_data.xmat[body_id].reshape(3, 3).copy()
-    above = int(model.body_weldid[model.body_parentid[body_id]])
-    parent_origin, parent_turn = np.zeros(3), np.eye(3)
-    if above:
-        parent_origin = model_data.xanchor[model.body_jntadr[above]]
-        parent_turn = model_data.xmat[above].reshape(3, 3)
+    parent_body = int(model.body_weldid[model.body_parentid[body_id]])
+    parent_origin, parent_rotation = np.zeros(3), np.eye(3)
+    if parent_body:
+        parent_origin = model_data.xanchor[model.body_jntadr[parent_body]]
+        parent_rotation = model_data.xmat[parent_body].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
     mass, com, inertia = _link_inertia(
         model, model_data, _fixed_bodies(model, body_id), origin, turn
@@ -303,9 +309,9 @@ def _link_values(
     return {
         "name": model.body(body_id).name,
         "joint": _joint_name(model, joint),
-        "parent": root_bodies.index(above) if above else -1,
-        "position": (parent_turn.T @ (origin - parent_origin)).tolist(),
-        "rotation": (parent_turn.T @ turn).tolist(),
+        "parent": root_bodies.index(parent_body) if parent_body else -1,
+        "position": (parent_rotation.T @ (origin - parent_origin)).tolist(),
+        "rotation": (parent_rotation.T @ turn).tolist(),
         "prismatic": bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE),
         "axis": (turn.T @ model_data.xaxis[joint]).tolist(),
         "range": (model.jnt_range[joint] - zero).tolist() if model.jnt_limited[joint] else None,
@@ -334,19 +340,19 @@ def _mesh_values(
 
     The poses of the meshes are given in the frame of the link.
     """
-    found = []
+    mesh_sections = []
     members = _fixed_bodies(model, root_body)
     for mesh in meshes:
         if mesh.body in members:
             axes = model_data.xmat[mesh.body].reshape(3, 3)
             place = model_data.xpos[mesh.body] + axes @ mesh.position - link_origin
-            found.append({
+            mesh_sections.append({
                 "file": str(mesh.file),
                 "scale": mesh.scale.tolist(),
                 "position": (link_rotation.T @ place).tolist(),
                 "rotation": (link_rotation.T @ axes @ mesh.rotation).tolist(),
             })  # fmt: skip
-    return found
+    return mesh_sections
 
 
 def _link_inertia(
@@ -361,10 +367,13 @@ def _link_inertia(
     total = np.zeros((3, 3))
     for body in body_ids:
         axes = model_data.ximat[body].reshape(3, 3)
-        away = model_data.xipos[body] - centre
+        offset_from_centre = model_data.xipos[body] - centre
         # Steiner's theorem converts the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
-        total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+        total += model.body_mass[body] * (
+            offset_from_centre @ offset_from_centre * np.eye(3)
+            - np.outer(offset_from_centre, offset_from_centre)
+        )
     return (
         mass,
         (link_rotation.T @ (centre - link_origin)).tolist(),
@@ -377,18 +386,20 @@ def _frame_origins(
 ) -> dict[str, list[float]]:
     """Return the origins (3,) of the named bodies and sites of a link, by name, in the frame of the link [m]."""
     members = _fixed_bodies(model, root_body)
-    places = {model.body(body).name: model_data.xpos[body] for body in members if body != root_body}
+    origin_by_body = {
+        model.body(body).name: model_data.xpos[body] for body in members if body != root_body
+    }
     # MuJoCo computes the positions of sites only in its first step. So this function computes these
     # positions.
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
-            places[model.site(site).name] = (
+            origin_by_body[model.site(site).name] = (
                 model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.site_pos[site]
             )
     return {
         name: (link_rotation.T @ (place - link_origin)).tolist()
-        for name, place in places.items()
+        for name, place in origin_by_body.items()
         if name
     }
 
@@ -407,17 +418,17 @@ def _shape_corners(
             mujoco.mjtGeom.mjGEOM_HFIELD,
         ):
             continue
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        centre, half_sizes = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = model_data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
         corners.append(
-            (place + (centre + BOX_CORNERS * half) @ axes.T - link_origin) @ link_rotation
+            (place + (centre + BOX_CORNERS * half_sizes) @ axes.T - link_origin) @ link_rotation
         )
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         width = (
             float(model.geom_size[geom, 0])
             if kind in ROUND_SHAPES
-            else float(np.sort(half)[:2].mean())
+            else float(np.sort(half_sizes)[:2].mean())
         )
         radii[rank] = max(radii.get(rank, 0.0), width)
     if not corners:
@@ -427,11 +438,11 @@ def _shape_corners(
 
 def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
     """Return the tendons that have constant moment arms, each with these moment arms and its motor."""
-    found = []
+    tendon_sections = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
-        first = int(model.tendon_adr[tendon])
-        parts = range(first, first + int(model.tendon_num[tendon]))
+        first_wrap = int(model.tendon_adr[tendon])
+        parts = range(first_wrap, first_wrap + int(model.tendon_num[tendon]))
         if any(model.wrap_type[part] != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
             notes.append(
                 f"tendon {name} is not read: its path is given by points, and its moment arms change"
@@ -447,8 +458,8 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
             if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
             and model.actuator_trnid[actuator, 0] == tendon
         ]
-        found.append({"name": name, "arms": arms, **_pull_direction(model, motors)})
-    return found
+        tendon_sections.append({"name": name, "arms": arms, **_pull_direction(model, motors)})
+    return tendon_sections
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
@@ -456,7 +467,7 @@ def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]
-    by_force = (
+    is_force_driven = (
         model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_NONE
         and model.actuator_ctrllimited[motor]
@@ -465,5 +476,5 @@ def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
     largest = scale * float(model.actuator_ctrlrange[motor, 1])
     return {
         "motor": model.actuator(motor).name or None,
-        "tension_max": largest if by_force else None,
+        "tension_max": largest if is_force_driven else None,
     }

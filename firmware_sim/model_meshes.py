@@ -49,12 +49,14 @@ def _urdf_path(name: str, folder: Path) -> Path:
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(FILE_SCHEME_PREFIX)
     package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
-    places = [
-        above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package
+    possible_paths = [
+        parent_folder.joinpath(*parts)
+        for parent_folder in (folder, *folder.parents)
+        if parent_folder.name == package
     ]
-    places += [above.joinpath(package, *parts) for above in (folder, *folder.parents)]
-    places.append(folder / PurePath(name).name)
-    return next((place for place in places if place.is_file()), folder.joinpath(*parts))
+    possible_paths += [above.joinpath(package, *parts) for above in (folder, *folder.parents)]
+    possible_paths.append(folder / PurePath(name).name)
+    return next((place for place in possible_paths if place.is_file()), folder.joinpath(*parts))
 
 
 def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh]:

@@ -15,15 +15,15 @@ REALTIME_PRIORITY = 50
 
 The controller has the priority 60. Therefore the simulator never delays the controller.
 """
-ORDINARY_PRIORITY_S = 5.0
+ORDINARY_PRIORITY_DURATION_S = 5.0
 """Time without real-time priority after the plant fell behind the clock [s]."""
-MAX_SLIPS = 3
-"""Number of clock slips within ``SLIP_WINDOW_S`` after which the priority is given back."""
-SLIP_WINDOW_S = 1.0
-"""Time span within which ``MAX_SLIPS`` are counted [s]."""
+MAX_CLOCK_SLIPS = 3
+"""Number of clock slips within ``CLOCK_SLIP_WINDOW_S`` after which the priority is given back."""
+CLOCK_SLIP_WINDOW_S = 1.0
+"""Time span within which ``MAX_CLOCK_SLIPS`` are counted [s]."""
 
 
-def take_priority() -> bool:
+def request_realtime_priority() -> bool:
     """Request real-time priority (SCHED_FIFO) for this process.
 
     Returns:
@@ -53,7 +53,7 @@ class RealTimePriority:
     real-time priority as long as it imports modules. A simulator with real-time priority would then
     leave the controller almost no time. The simulator therefore takes the priority only when the
     first frame of a host arrives. If the plant repeatedly falls behind the clock, the simulator
-    gives the priority back for ``ORDINARY_PRIORITY_S``. After a single stop of the machine, the
+    gives the priority back for ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the machine, the
     simulator keeps the priority.
 
     Attributes:
@@ -62,8 +62,8 @@ class RealTimePriority:
 
     def __init__(
         self,
-        take_priority_function: Callable[[], bool] = take_priority,
-        restore: Callable[[], None] = restore_priority,
+        take_priority_function: Callable[[], bool] = request_realtime_priority,
+        restore_function: Callable[[], None] = restore_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start without real-time priority.
@@ -71,32 +71,35 @@ class RealTimePriority:
         Args:
             take_priority_function: function that requests the priority, and returns True if the
                 system has granted it.
-            restore: function that gives the process the ordinary priority again.
+            restore_function: function that gives the process the ordinary priority again.
             now_s: function that returns the present time [s].
         """
         self._take = take_priority_function
-        self._restore = restore
+        self._restore = restore_function
         self._now_s = now_s
         self.active = False
         self._not_before_s = -math.inf
-        self._slips_s: deque[float] = deque(maxlen=MAX_SLIPS)
+        self._slips_s: deque[float] = deque(maxlen=MAX_CLOCK_SLIPS)
 
     def note_host_frames(self) -> None:
         """Take the real-time priority, because the host has sent frames."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
             self._not_before_s = (
-                self._now_s() + ORDINARY_PRIORITY_S
+                self._now_s() + ORDINARY_PRIORITY_DURATION_S
             )  # if the priority has been refused, it is not requested in every turn
 
-    def note_slip(self) -> None:
-        """Count a slip of the clock. After ``MAX_SLIPS`` slips, give the priority back."""
+    def count_clock_slip(self) -> None:
+        """Count a slip of the clock. After ``MAX_CLOCK_SLIPS`` slips, give the priority back."""
         if not self.active:
             return
         now_s = self._now_s()
         self._slips_s.append(now_s)
-        if len(self._slips_s) == MAX_SLIPS and now_s - self._slips_s[0] <= SLIP_WINDOW_S:
+        if (
+            len(self._slips_s) == MAX_CLOCK_SLIPS
+            and now_s - self._slips_s[0] <= CLOCK_SLIP_WINDOW_S
+        ):
             self._restore()
             self.active = False
-            self._not_before_s = now_s + ORDINARY_PRIORITY_S
+            self._not_before_s = now_s + ORDINARY_PRIORITY_DURATION_S
             self._slips_s.clear()

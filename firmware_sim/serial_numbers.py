@@ -13,7 +13,7 @@ SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robs
 
 Drives of other protocols have no serial number.
 """
-EXPECTED_FORM = (
+EXPECTED_FORM_TEXT = (
     "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
 )
 """Part of the error message for a wrong serial number."""
@@ -42,15 +42,17 @@ def with_serial_numbers(hand: Hand, serial_words: Iterable[str]) -> Hand:
         try:
             number = int(text, 0)
         except ValueError:
-            raise SimulatorError(f"--serial {word}: {EXPECTED_FORM}") from None
-        named = [motor for motor in hand.motors if not equals or motor.name == name]
-        serials |= {motor.name: number if equals else number + motor.node_id for motor in named}
+            raise SimulatorError(f"--serial {word}: {EXPECTED_FORM_TEXT}") from None
+        motors = [motor for motor in hand.motors if not equals or motor.name == name]
+        serials |= {motor.name: number if equals else number + motor.node_id for motor in motors}
     for motor in hand.motors:
-        given = serials[motor.name]
-        if given is not None and not 0 <= given < 1 << SERIAL_NUMBER_BITS.get(motor.protocol, 64):
-            highest = (1 << SERIAL_NUMBER_BITS[motor.protocol]) - 1
+        serial_number = serials[motor.name]
+        if serial_number is not None and not 0 <= serial_number < 1 << SERIAL_NUMBER_BITS.get(
+            motor.protocol, 64
+        ):
+            max_serial_number = (1 << SERIAL_NUMBER_BITS[motor.protocol]) - 1
             raise SimulatorError(
-                f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}"
+                f"--serial: {motor.name} would have {serial_number}; expected 0 to {max_serial_number:#x}"
             )
     return replace(
         hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors]

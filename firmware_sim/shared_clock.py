@@ -101,11 +101,11 @@ class SharedClock:
         """Return the number of ticks for which the controller has sent all frames."""
         return self._numbers[SENT_INDEX]
 
-    def note_answered(self, ticks: int) -> None:
+    def publish_answered_ticks(self, ticks: int) -> None:
         """Report the number of ticks whose frames have all been answered."""
         self._numbers[ANSWERED_INDEX] = ticks
 
-    def note_reached(self, t_ns: int) -> None:
+    def publish_reached_time(self, t_ns: int) -> None:
         """Report the time that the plant has reached [ns]."""
         self._numbers[REACHED_INDEX] = int(t_ns / self.scale)
 

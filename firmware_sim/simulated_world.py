@@ -97,7 +97,7 @@ class SimulatedWorld:
         rng = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {
-            motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors
+            motor.name: motor.zero_angle + rng.uniform(-spread, spread) for motor in hand.motors
         }
         self.nodes: list[list[SimulatedNode]] = [[] for _ in hand.buses]
         self.row_of: dict[int, tuple[int, int]] = {}
@@ -235,8 +235,8 @@ class SimulatedWorld:
         Returns:
             The answers. The time of the answers is the present time.
         """
-        answers: list[Frame] = []
-        handled = False
+        answer_frames: list[Frame] = []
+        is_handled = False
         t_ns = self.t_ns
         bus = frame[3]
         faults = self.faults
@@ -254,14 +254,14 @@ class SimulatedWorld:
             if node.ids is not ids:
                 self.refresh_identifiers()
             if replies is not None:
-                handled = True
-                answers += replies
-        if not handled:
+                is_handled = True
+                answer_frames += replies
+        if not is_handled:
             self.foreign += 1
-        for i, (can_id, data, flags, at_bus, at_ns) in enumerate(answers):
-            if at_bus != bus or at_ns != t_ns:
-                answers[i] = Frame(can_id, data, flags, bus, t_ns)
-        return answers
+        for i, (can_id, data, flags, bus_number, send_time_ns) in enumerate(answer_frames):
+            if bus_number != bus or send_time_ns != t_ns:
+                answer_frames[i] = Frame(can_id, data, flags, bus, t_ns)
+        return answer_frames
 
     def has_receiver(self, frame: Frame) -> bool:
         """Return True if a node may answer the frame. The answer would sample the plant."""
@@ -319,7 +319,7 @@ class SimulatedWorld:
                 wake_ns = self._next_wake()
         self.t_ns = now_ns
 
-    def reach(self, t_ns: int) -> None:
+    def advance_exactly(self, t_ns: int) -> None:
         """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
 
         All other steps begin and end at the usual times. The step that contains ``t_ns`` is
@@ -367,13 +367,15 @@ class SimulatedWorld:
             return self.exchange.wake_ns
         for bus, node in self._nodes_by_bus:
             if now_ns >= node.wake_ns:
-                unsolicited = node.wake(now_ns)
-                if unsolicited:
-                    stamped = [frame._replace(bus=bus, t_ns=now_ns) for frame in unsolicited]
+                unsolicited_frames = node.wake(now_ns)
+                if unsolicited_frames:
+                    stamped_frames = [
+                        frame._replace(bus=bus, t_ns=now_ns) for frame in unsolicited_frames
+                    ]
                     self._unsolicited += (
-                        self.faults.unsolicited(node, stamped, now_ns)
+                        self.faults.frames_after_node_faults(node, stamped_frames, now_ns)
                         if self.faults.on
-                        else stamped
+                        else stamped_frames
                     )
         return None
 
@@ -381,13 +383,13 @@ class SimulatedWorld:
         """Queue frames on the bus whose senders are outside of the hand."""
         self._unsolicited += frames
 
-    def take_unsolicited(self) -> list[Frame]:
+    def take_unsolicited_frames(self) -> list[Frame]:
         """Return the unsolicited frames since the last call, sorted by time."""
-        unsolicited = self._unsolicited
+        unsolicited_frames = self._unsolicited
         self._unsolicited = []
-        if self.exchange and len(from_drives := self.exchange.take_sent()):
-            return sorted(to_frames(from_drives) + unsolicited, key=_ARRIVAL_NS)
-        return unsolicited
+        if self.exchange and len(from_drives := self.exchange.take_sent_frames()):
+            return sorted(to_frames(from_drives) + unsolicited_frames, key=_ARRIVAL_NS)
+        return unsolicited_frames
 
     def take_unsolicited_records(self) -> Any:
         """Return the unsolicited frames as an array of ``frame_records.FRAME_DTYPE``.
@@ -396,13 +398,15 @@ class SimulatedWorld:
         """
         assert self.exchange
         return (
-            to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
+            to_records(self.take_unsolicited_frames())
+            if self._unsolicited
+            else self.exchange.take_sent_frames()
         )
 
     @property
-    def malformed(self) -> int:
+    def malformed_frame_count(self) -> int:
         """Return the number of frames that the nodes could not decode."""
-        return sum(node.malformed for _, node in self._nodes_by_bus)
+        return sum(node.malformed_frame_count for _, node in self._nodes_by_bus)
 
     def header(self, clock: str) -> dict[str, object]:
         """Return the header for a truth file of this world.

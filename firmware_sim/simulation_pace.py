@@ -83,7 +83,7 @@ class PaceCounter:
         """
         self._mark = self._start = self._clock_readings(plant_ns)
 
-    def slipped(self, behind_ns: int, plant_ns: int) -> None:
+    def count_slip(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock, after which the lost time is never made up.
 
         If the last report is at least a second old, report the slip.
@@ -94,44 +94,50 @@ class PaceCounter:
         """
         self._slips += 1
         self._lost_ns += behind_ns
-        now = self._clock_readings(plant_ns)
-        if now.wall_s - self._reported_s < REPORT_PERIOD_S:
+        present_readings = self._clock_readings(plant_ns)
+        if present_readings.wall_s - self._reported_s < REPORT_PERIOD_S:
             return
         if self._slips >= SLOW_MACHINE_SLIPS:
-            self._update_advice(now)
-            self._report_line(self._slow_machine_text(now.wall_s - self._mark.wall_s))
+            self._update_advice(present_readings)
+            self._report_line(self._slow_machine_text(present_readings.wall_s - self._mark.wall_s))
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
             self._report_line(
                 f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}"
             )
-        self._reported_s = now.wall_s
-        self._mark = now
+        self._reported_s = present_readings.wall_s
+        self._mark = present_readings
         self._slips = self._lost_ns = 0
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
         """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
-        capacity = _pace_ratio(self._start, self._clock_readings(plant_ns))
+        max_pace = _pace_ratio(self._start, self._clock_readings(plant_ns))
         return {
             "time_scale": self._time_scale,
             "advice": self.advice,
-            "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None,
+            "plant_s_per_cpu_s": max_pace if math.isfinite(max_pace) else None,
         }
 
     def _slow_machine_text(self, seconds: float) -> str:
         """Return the line that tells the user that the machine is too slow."""
-        lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
-        return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
+        slip_text = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
+        return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 
-    def _update_advice(self, now: ClockReadings) -> None:
+    def _update_advice(self, present_readings: ClockReadings) -> None:
         """Update the advised pace from the pace since the last report."""
-        measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
-        advice = ADVISED_FRACTION * min(
-            measured,
-            CORE_FRACTION * _pace_ratio(self._mark, now) * (1 if len(_usable_cores()) == 1 else 2),
+        measured_pace = (present_readings.plant_s - self._mark.plant_s) / (
+            present_readings.wall_s - self._mark.wall_s
+        )
+        advised_scale = ADVISED_FRACTION * min(
+            measured_pace,
+            CORE_FRACTION
+            * _pace_ratio(self._mark, present_readings)
+            * (1 if len(_usable_cores()) == 1 else 2),
         )
         self.advice = (
-            rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
+            rounded_down(advised_scale)
+            if self.advice is None
+            else min(self.advice, rounded_down(advised_scale))
         )
 
     def _clock_readings(self, plant_ns: int) -> ClockReadings:

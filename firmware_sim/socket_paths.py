@@ -23,8 +23,8 @@ def run_dir() -> Path:
         SimulatorError: the directory cannot be created. The error is also raised if the directory,
             or one above it, is a link, belongs to another user, or is open to others.
     """
-    if named := os.environ.get("HANDCTL_RUN_DIR"):
-        folder = Path(named)
+    if run_folder_name := os.environ.get("HANDCTL_RUN_DIR"):
+        folder = Path(run_folder_name)
         path_parts = 1
     elif base := os.environ.get("XDG_RUNTIME_DIR"):
         folder = Path(base, "handctl")

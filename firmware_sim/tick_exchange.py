@@ -93,51 +93,53 @@ class TickExchange:
         """
         world = self._world
         progress = self._progress
-        answers = np.empty(self._capacity, FRAME_DTYPE)
+        answer_frames = np.empty(self._capacity, FRAME_DTYPE)
         if not frames.flags.writeable:
             frames = frames.copy()
         progress[:SENT] = 0
-        one_by_one = world.faults.in_frames
+        is_sequential = world.faults.in_frames
         while True:
-            if one_by_one:
+            if is_sequential:
                 for frame in to_frames(frames):
-                    answers = self._appended(answers, world.receive(frame))
+                    answer_frames = self._append_frames(answer_frames, world.receive(frame))
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
-            self._run_kernel(frames, answers, t_ns, last_ns)
+            self._run_kernel(frames, answer_frames, t_ns, last_ns)
             at = int(progress[NEXT_FRAME])
             if at == len(frames):
-                return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
-            if progress[ANSWERS] + self._max_answers > len(answers):
-                answers = self._enlarged(answers)
+                return answer_frames[: progress[ANSWERS]], bool(progress[IN_ORDER])
+            if progress[ANSWERS] + self._max_answers > len(answer_frames):
+                answer_frames = self._enlarge_buffer(answer_frames)
                 continue
             (frame,) = to_frames(frames[at : at + 1])
-            answers = self._appended(answers, world.receive(frame))
+            answer_frames = self._append_frames(answer_frames, world.receive(frame))
             progress[NEXT_FRAME] = at + 1
             self._drop_stale_table()
 
-    def _run_kernel(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
+    def _run_kernel(self, frames: Any, answer_frames: Any, t_ns: int, last_ns: int) -> None:
         """Run the compiled kernel until a frame comes that a node must answer in Python."""
         if self._table is None:
             self._build_table()
         if self._noise:
             self._noise.draw(self._draws)
-        self._kernels.answer(frames, answers, self._addresses, t_ns, last_ns, self._max_answers)
+        self._kernels.answer(
+            frames, answer_frames, self._addresses, t_ns, last_ns, self._max_answers
+        )
 
-    def _enlarged(self, answers: Any) -> Any:
+    def _enlarge_buffer(self, answer_frames: Any) -> Any:
         """Return the array of answers, copied into an array with twice the capacity."""
-        self._capacity = 2 * len(answers)
-        return np.concatenate((answers, np.empty(len(answers), FRAME_DTYPE)))
+        self._capacity = 2 * len(answer_frames)
+        return np.concatenate((answer_frames, np.empty(len(answer_frames), FRAME_DTYPE)))
 
-    def _appended(self, answers: Any, frames: list[Frame]) -> Any:
+    def _append_frames(self, answer_frames: Any, frames: list[Frame]) -> Any:
         """Return the array of answers with more frames appended."""
         count = int(self._progress[ANSWERS])
-        new = len(frames)
-        while count + new > len(answers):
-            answers = self._enlarged(answers)
-        answers[count : count + new] = to_records(frames)
-        self._progress[ANSWERS] = count + new
-        return answers
+        frame_count = len(frames)
+        while count + frame_count > len(answer_frames):
+            answer_frames = self._enlarge_buffer(answer_frames)
+        answer_frames[count : count + frame_count] = to_records(frames)
+        self._progress[ANSWERS] = count + frame_count
+        return answer_frames
 
     def _build_table(self) -> None:
         """Build the table that gives the nodes which receive each identifier.
@@ -151,21 +153,23 @@ class TickExchange:
         for bus, nodes in enumerate(world.nodes):
             # If a test has replaced the method ``receive`` of a node, Python must handle every
             # frame for this node.
-            by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
+            has_kernel = [
+                id(node) in world.row_of and "receive" not in vars(node) for node in nodes
+            ]
             cyclic_ids = {
                 id(node): node.cyclic_ids if compiled else ()
-                for node, compiled in zip(nodes, by_kernel, strict=True)
+                for node, compiled in zip(nodes, has_kernel, strict=True)
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
-                accepting = [node for node in nodes if _does_node_accept(node, can_id)]
+                accepting_nodes = [node for node in nodes if _does_node_accept(node, can_id)]
                 # A node whose state is not in an array row also accepts this identifier. So Python
                 # must handle frames with this identifier.
-                if not all(can_id in cyclic_ids[id(node)] for node in accepting):
+                if not all(can_id in cyclic_ids[id(node)] for node in accepting_nodes):
                     continue
                 next_receiver = -1
                 # Each entry of the list contains the index of the next receiver. So the list is
                 # built from its end.
-                for node in reversed(accepting):
+                for node in reversed(accepting_nodes):
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
                 table[cyclic_kernels.table_index(bus, can_id)] = next_receiver
@@ -241,7 +245,7 @@ class TickExchange:
             )
         )
 
-    def take_sent(self) -> Any:
+    def take_sent_frames(self) -> Any:
         """Return the unsolicited frames since the last call.
 
         The array is valid until a drive sends the next frame.
@@ -250,11 +254,11 @@ class TickExchange:
         self._progress[SENT] = 0
         return self._sent[:count]
 
-    def merged(self, frames: Any, other_frames: Any) -> Any:
+    def merge_frames(self, frames: Any, other_frames: Any) -> Any:
         """Return the frames of two arrays as one array, sorted by time."""
-        out = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
-        self._kernels.merge(frames, other_frames, out)
-        return out
+        merged_frames = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
+        self._kernels.merge(frames, other_frames, merged_frames)
+        return merged_frames
 
 
 def _does_node_accept(node: Any, can_id: int) -> bool:

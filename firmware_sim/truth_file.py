@@ -21,16 +21,16 @@ from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
 """Time from one row to the next [ns]."""
-_HEAD_SIZE = 8192
+_HEADER_SIZE = 8192
 """Size of the header line [bytes]."""
-_ROWS_BUFFERED = 256
+_BUFFERED_ROW_COUNT = 256
 """Number of rows collected before a write to the file."""
 MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which no more rows are written [bytes].
 
 The run folder may be in memory, and a simulator may run for days.
 """
-MAX_UNNAMED_BYTES = 1 << 30
+MAX_UNNAMED_FILE_BYTES = 1 << 30
 """Largest size of a truth file that no user has named [bytes]. It lasts for about 40 minutes."""
 
 
@@ -55,25 +55,25 @@ class TruthFile(NamedTuple):
 def truth_columns(plant: Plant) -> list[tuple[str, str]]:
     """List the name and the unit of every column of a plant's truth file."""
     hand = plant.hand
-    named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
-    named += [(f"q/{joint}", "rad") for joint in hand.joints]
-    named += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
-    named += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
-    named += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
-    named += [
+    column_names = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
+    column_names += [(f"q/{joint}", "rad") for joint in hand.joints]
+    column_names += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
+    column_names += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
+    column_names += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
+    column_names += [
         (f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"
     ]
-    named += [(f"object/{axis}", "m") for axis in "xyz"]
-    named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
-    named += [("slip", "m/s")]
-    if plant.can_sink:
-        named += [("support", "m")]
+    column_names += [(f"object/{axis}", "m") for axis in "xyz"]
+    column_names += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
+    column_names += [("slip", "m/s")]
+    if plant.can_table_sink:
+        column_names += [("support", "m")]
     if plant.load:
-        named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
-    named += [
+        column_names += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
+    column_names += [
         (f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")
     ]
-    return named
+    return column_names
 
 
 class TruthWriter:
@@ -98,21 +98,21 @@ class TruthWriter:
             header: additional content of the header line.
             max_bytes: largest size of the file [bytes].
         """
-        named = truth_columns(plant)
+        column_names = truth_columns(plant)
         self._header = {
-            "columns": [name for name, _ in named],
-            "units": [unit for _, unit in named],
+            "columns": [name for name, _ in column_names],
+            "units": [unit for _, unit in column_names],
             "period_ns": PERIOD_NS,
             **header,
         }
-        self._row = struct.Struct(f"<q{len(named)}d")
+        self._row = struct.Struct(f"<q{len(column_names)}d")
         self._buffered: list[bytes] = []
         self._motors = list(plant.motors.values())
         self._file = path.open("wb", buffering=0)
         self.due_ns = 0
         self.full = False
         self._max_bytes = max_bytes
-        self._file.write(self._header_line(_HEAD_SIZE))
+        self._file.write(self._header_line(_HEADER_SIZE))
 
     def _header_line(self, size: int) -> bytes:
         """Return the header line, padded with spaces to a given size [bytes]."""
@@ -135,12 +135,12 @@ class TruthWriter:
                 *plant.contact_forces(),
                 *engine.object_pose(),
                 engine.object_speed(),
-                *((plant.table.depth,) if plant.can_sink and plant.table else ()),
-                *plant.measured_grip(),
+                *((plant.table.depth,) if plant.can_table_sink and plant.table else ()),
+                *plant.measured_grip_forces(),
                 *plant.pair_tensions(),
             )
         )
-        if len(self._buffered) >= _ROWS_BUFFERED:
+        if len(self._buffered) >= _BUFFERED_ROW_COUNT:
             self.flush()
 
     def flush(self) -> None:
@@ -148,14 +148,16 @@ class TruthWriter:
         data = b"".join(self._buffered)
         self._buffered.clear()
         disk = os.fstatvfs(self._file.fileno())
-        free = disk.f_bavail * disk.f_frsize
-        fits = self._file.tell() + len(data) <= self._max_bytes and free >= MIN_FREE_DISK_BYTES
+        free_bytes = disk.f_bavail * disk.f_frsize
+        has_space = (
+            self._file.tell() + len(data) <= self._max_bytes and free_bytes >= MIN_FREE_DISK_BYTES
+        )
         try:
             # An unbuffered file writes a part of the data if the disk becomes full meanwhile.
-            complete = not self.full and fits and self._file.write(data) == len(data)
+            is_written = not self.full and has_space and self._file.write(data) == len(data)
         except OSError:  # nothing could be written
-            complete = False
-        self.full = not complete
+            is_written = False
+        self.full = not is_written
 
     def close(self, run_summary: dict[str, object]) -> None:
         """Write the collected rows, complete the header with a summary of the run, and close the file.
@@ -164,10 +166,10 @@ class TruthWriter:
         """
         self.flush()
         self._header.update({**run_summary, "truncated": self.full})
-        head = self._header_line(_HEAD_SIZE)
-        if len(head) == _HEAD_SIZE:
+        header_line = self._header_line(_HEADER_SIZE)
+        if len(header_line) == _HEADER_SIZE:
             self._file.seek(0)
-            self._file.write(head)
+            self._file.write(header_line)
         self._file.close()
 
 
@@ -177,10 +179,10 @@ def read_truth(path: str | Path) -> TruthFile:
     Raises:
         ValueError: the file does not begin with a header.
     """
-    head, newline, body = Path(path).read_bytes().partition(b"\n")
+    header_line, newline, body = Path(path).read_bytes().partition(b"\n")
     if not newline:
         raise ValueError(f"{path}: not a truth file")
-    header = json.loads(head)
+    header = json.loads(header_line)
     row = np.dtype([("t_ns", "<i8"), ("v", "<f8", (len(header["columns"]),))])
     rows = np.frombuffer(body, row, count=len(body) // row.itemsize)
     return TruthFile(header, rows["t_ns"], rows["v"])

@@ -12,7 +12,7 @@ from pathlib import Path
 from fuzz.fuzzed_drives import FUZZED_DRIVES
 
 OUTPUT_FOLDER = Path("build/fuzz")
-DONE_PATTERN = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
+RUN_COUNT_PATTERN = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
 COVERAGE_PATTERN = re.compile(r"cov: (\d+) ft: (\d+)")
 TARGET_NAMES = (*FUZZED_DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
@@ -49,13 +49,15 @@ def parsed_arguments() -> argparse.Namespace:
         help="do not measure which branches an input reaches (faster)",
     )
     args = parser.parse_args()
-    if unknown := set(args.targets) - set(TARGET_NAMES):
-        parser.error(f"no target {sorted(unknown)[0]!r}; expected one of {', '.join(TARGET_NAMES)}")
+    if unknown_targets := set(args.targets) - set(TARGET_NAMES):
+        parser.error(
+            f"no target {sorted(unknown_targets)[0]!r}; expected one of {', '.join(TARGET_NAMES)}"
+        )
     return args
 
 
 def fuzz_target(
-    target_name: str, duration_s: int, run_count: int, without_coverage: bool = False
+    target_name: str, duration_s: int, run_count: int, is_blind: bool = False
 ) -> tuple[str, bool]:
     """Fuzz one target in a separate process.
 
@@ -72,7 +74,7 @@ def fuzz_target(
     ]
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
     command = [sys.executable, "-m", "fuzz.fuzz_with_coverage", target_name, str(corpus), *limits]
-    if without_coverage:
+    if is_blind:
         command = [
             sys.executable,
             "-m",
@@ -84,26 +86,31 @@ def fuzz_target(
             str(run_count),
         ]
         command.append(str(MAX_INPUT_BYTES[target_name]))
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-    (OUTPUT_FOLDER / f"{target_name}.txt").write_text(done.stdout + done.stderr)
-    count = DONE_PATTERN.search(done.stderr)
-    covered = COVERAGE_PATTERN.findall(done.stderr)
-    if done.returncode or not count:
+    process_result = subprocess.run(
+        command, capture_output=True, text=True, errors="replace", check=False
+    )
+    (OUTPUT_FOLDER / f"{target_name}.txt").write_text(process_result.stdout + process_result.stderr)
+    run_match = RUN_COUNT_PATTERN.search(process_result.stderr)
+    coverage_counts = COVERAGE_PATTERN.findall(process_result.stderr)
+    if process_result.returncode or not run_match:
         return (
             f"{target_name:13} FAILED  see {OUTPUT_FOLDER / target_name}.txt and {crashes}/",
             False,
         )
-    number = int(count[1])
-    took = max(1, int(count[2]))
-    if without_coverage and not int(count[3]):
+    number = int(run_match[1])
+    duration_text_s = max(1, int(run_match[2]))
+    if is_blind and not int(run_match[3]):
         return (
             f"{target_name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
             False,
         )
-    edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
-    seen = f"blind, {100 * int(count[3]) / number:.1f} % accepted" if without_coverage else edges
+    edges = f"edges {coverage_counts[-1][0]:>6}" if coverage_counts else "no edges"
+    coverage_text = (
+        f"blind, {100 * int(run_match[3]) / number:.1f} % accepted" if is_blind else edges
+    )
     return (
-        f"{target_name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}",
+        f"{target_name:13} {number:>10,} inputs {duration_text_s:>6} s {number // duration_text_s:>8,}/s   "
+        f"{coverage_text}",
         True,
     )
 
@@ -111,12 +118,12 @@ def fuzz_target(
 def main() -> int:
     """Fuzz all selected targets, and return the exit code."""
     args = parsed_arguments()
-    passed = True
+    all_passed = True
     for name in args.targets or TARGET_NAMES:
-        line, good = fuzz_target(name, args.seconds, args.runs, args.blind)
+        line, has_passed = fuzz_target(name, args.seconds, args.runs, args.blind)
         print(line, flush=True)
-        passed = passed and good
-    return 0 if passed else 1
+        all_passed = all_passed and has_passed
+    return 0 if all_passed else 1
 
 
 if __name__ == "__main__":

@@ -83,15 +83,15 @@ def mutated_content(
         source: bytes that select the changes.
         max_changes: maximum number of changes.
     """
-    made: dict[str, Any] = dict(content)
+    mutated: dict[str, Any] = dict(content)
     for _ in range(max_changes):
         if source.is_empty:
             break
         path = paths[source.take_number(len(paths))]
-        parent = _copied_node(made, path[:-1])
+        parent = _copied_node(mutated, path[:-1])
         if parent is not None:
             _change_entry(parent, path[-1], source)
-    return made
+    return mutated
 
 
 def _copied_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
@@ -115,7 +115,7 @@ def _copied_node(root_table: dict[str, Any], node_path: KeyPath) -> Any:
 
 def _change_entry(parent_node: Any, entry_key: Any, source: ByteSource) -> None:
     try:
-        old = parent_node[entry_key]
+        old_entry = parent_node[entry_key]
     except (LookupError, TypeError):
         return
     operation = source.take_number(OPERATION_COUNT)
@@ -124,8 +124,8 @@ def _change_entry(parent_node: Any, entry_key: Any, source: ByteSource) -> None:
     elif operation == 1 and isinstance(parent_node, dict):
         parent_node[str(entry_key) + chr(97 + source.take_number(26))] = parent_node.pop(entry_key)
     elif operation == 2 and isinstance(parent_node, list):
-        parent_node.insert(entry_key, old)
+        parent_node.insert(entry_key, old_entry)
     elif operation == 3 and isinstance(parent_node, list):
         parent_node.reverse()
     else:
-        parent_node[entry_key] = replacement_value(source, old)
+        parent_node[entry_key] = replacement_value(source, old_entry)

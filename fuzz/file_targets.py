@@ -11,7 +11,7 @@ from typing import Any
 
 from fuzz.document_mutation import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
-from handctl.core.calibration import calibration_from
+from handctl.core.calibration import parse_calibration
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
 from handctl.core.identified_parameters import identified_hand
 from handctl.document import validate_content
@@ -36,7 +36,7 @@ FileContent = Mapping[str, Any]
 TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
-def construct_all(hand: Hand) -> None:
+def construct_hand_parts(hand: Hand) -> None:
     """Construct all objects that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
@@ -54,14 +54,16 @@ def hand_target(folder: Path) -> FuzzTarget:
         source = ByteSource(data)
         i = source.take_number(len(contents))
         content = mutated_content(contents[i], paths[i], source)
-        return _is_accepted(lambda: construct_all(hand_from_content(content, "fuzzed")))
+        return _is_accepted(lambda: construct_hand_parts(hand_from_content(content, "fuzzed")))
 
     return target
 
 
 def hand_text_target(folder: Path) -> FuzzTarget:
     """Return the target that loads arbitrary bytes as a hand file."""
-    return _text_target(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
+    return _text_target(
+        folder / "hand.toml", lambda path: construct_hand_parts(load_hand(str(path)))
+    )
 
 
 def check_one_line(error: Exception) -> None:
@@ -99,14 +101,16 @@ All other inputs are changed documents that need no parsing, because parsing is 
 
 
 def _document_target(
-    file_path: Path, file_contents: list[FileContent], use_content: Callable[[FileContent], object]
+    file_path: Path,
+    file_contents: list[FileContent],
+    process_content: Callable[[FileContent], object],
 ) -> FuzzTarget:
     """Return the target for one kind of TOML file.
 
     Inputs are arbitrary bytes, or a valid document with up to four changes.
     """
     paths = [list(paths_of_values(content)) for content in file_contents]
-    noise = _text_target(file_path, lambda file: use_content(read_toml(file)))
+    noise = _text_target(file_path, lambda file: process_content(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
@@ -117,7 +121,7 @@ def _document_target(
         content = mutated_content(file_contents[i], paths[i], source)
         if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
-        return _is_accepted(lambda: use_content(content))
+        return _is_accepted(lambda: process_content(content))
 
     return target
 
@@ -189,8 +193,8 @@ def calibration_target(folder: Path) -> FuzzTarget:
     }
 
     def use_calibration(content: FileContent) -> None:
-        loaded = calibration_from(content, jamia, "fuzzed")
-        loaded.tare(jamia), loaded.zero(jamia)
-        identified_hand(jamia, loaded.identified)
+        loaded_calibration = parse_calibration(content, jamia, "fuzzed")
+        loaded_calibration.tare(jamia), loaded_calibration.zero(jamia)
+        identified_hand(jamia, loaded_calibration.identified)
 
     return _document_target(folder / "calibration.toml", [content], use_calibration)

@@ -21,12 +21,12 @@ from tests.drives.wired_drives import WiredDrives
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
-SILENCE_BYTE = 240
+SILENCE_MARKER_BYTE = 240
 """If the third byte of a frame header in the input is at least this value, a long silence precedes the frame."""
 IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
-CLEAR_BIT = 0x40
+CLEAR_REQUEST_BIT = 0x40
 """Bit of the third byte in a frame header of the input.
 
 If the bit is set, the target clears the error of the drive.
@@ -46,22 +46,24 @@ def frames_of_input(
     for _ in range(MAX_FRAMES):
         if at + 3 > end:
             return
-        pick, shape, more = data[at : at + 3]
+        id_byte, shape_byte, control_byte = data[at : at + 3]
         can_id = (
-            selectable_ids[pick % len(selectable_ids)] if pick < 240 else (pick << 3 ^ more) & 0x7FF
+            selectable_ids[id_byte % len(selectable_ids)]
+            if id_byte < 240
+            else (id_byte << 3 ^ control_byte) & 0x7FF
         )
-        size = 8 if shape & 3 else more % (MAX_PAYLOAD_BYTES + 1)
+        size = 8 if shape_byte & 3 else control_byte % (MAX_PAYLOAD_BYTES + 1)
         payload = data[at + 3 : at + 3 + size]
-        t_ns += LONG_SILENCE_NS if more >= SILENCE_BYTE else STEP_NS
+        t_ns += LONG_SILENCE_NS if control_byte >= SILENCE_MARKER_BYTE else STEP_NS
         yield (
             Frame(
-                can_id | IDENTIFIER_FLAGS[shape >> 5],
+                can_id | IDENTIFIER_FLAGS[shape_byte >> 5],
                 payload,
                 FDF | BRS if size > 8 else 0,
                 0,
                 t_ns,
             ),
-            more,
+            control_byte,
         )
         at += 3 + size
 
@@ -71,38 +73,44 @@ class RecordedState(NamedTuple):
 
     state: DriveState
     t_ns: int
-    received: tuple[Frame, ...]
+    received_frames: tuple[Frame, ...]
 
 
 def states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
     """Return a drive of ``FUZZED_DRIVES``, and the states of the drive from the first tick until it makes torque."""
-    fuzzed = FUZZED_DRIVES[drive_name]
-    path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
+    fuzzed_drive = FUZZED_DRIVES[drive_name]
+    path = hand_file(folder, [fuzzed_drive.protocol], fuzzed_drive.options)
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join(line for line in lines if not line.startswith(fuzzed.skipped_option)))
+    path.write_text(
+        "".join(line for line in lines if not line.startswith(fuzzed_drive.skipped_option))
+    )
     bench = ProtocolBench(path)
     motor = bench.drives[0]
-    seen = list[RecordedState]()
+    recorded_states = list[RecordedState]()
     while bench.states[0].phase != DrivePhase.ENABLED:
-        received = tuple(frame for frame in bench.received_frames if frame.can_id in motor.node_ids)
-        if received or not seen:
-            seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, received))
-        ready = all(state.phase >= DrivePhase.READY for state in bench.states)
-        bench.tick(DriveTarget.ENABLE if ready else DriveTarget.POLL)
-    seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
+        received_frames = tuple(
+            frame for frame in bench.received_frames if frame.can_id in motor.node_ids
+        )
+        if received_frames or not recorded_states:
+            recorded_states.append(
+                RecordedState(bench.states[0], bench.k * bench.period_ns, received_frames)
+            )
+        are_ready = all(state.phase >= DrivePhase.READY for state in bench.states)
+        bench.tick(DriveTarget.ENABLE if are_ready else DriveTarget.POLL)
+    recorded_states.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
     bench.simulated_hand.close()
-    return motor, seen
+    return motor, recorded_states
 
 
 def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
     """Return the frames that were recorded until the drive makes torque, encoded as inputs of the target."""
-    motor, seen = states_until_torque(drive_name, folder)
-    ours = selectable_identifiers(motor, seen)
+    motor, recorded_states = states_until_torque(drive_name, folder)
+    own_identifiers = selectable_identifiers(motor, recorded_states)
     inputs = []
-    for i, (_, _, received) in enumerate(seen):
+    for i, (_, _, received_frames) in enumerate(recorded_states):
         parts = [
-            bytes((ours.index(one.can_id), *_payload_header(one.data))) + one.data
-            for one in received[:MAX_FRAMES]
+            bytes((own_identifiers.index(frame.can_id), *_payload_header(frame.data))) + frame.data
+            for frame in received_frames[:MAX_FRAMES]
         ]
         inputs.append(bytes((i,)) + b"".join(parts))
     return [data for data in inputs if len(data) > 1]
@@ -113,8 +121,12 @@ def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState
 
     The identifiers of the recorded frames come first.
     """
-    received = {frame.can_id for one in recorded_states for frame in one.received}
-    return [*sorted(received), *sorted(motor.node_ids - received)][:256]
+    received_can_ids = {
+        frame.can_id
+        for recorded_state in recorded_states
+        for frame in recorded_state.received_frames
+    }
+    return [*sorted(received_can_ids), *sorted(motor.node_ids - received_can_ids)][:256]
 
 
 def _payload_header(payload: bytes) -> tuple[int, int]:
@@ -126,10 +138,13 @@ def drive_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
     def make_target(folder: Path) -> FuzzTarget:
-        motor, seen = states_until_torque(drive_name, folder)
-        ours = selectable_identifiers(motor, seen)
+        motor, recorded_states = states_until_torque(drive_name, folder)
+        own_identifiers = selectable_identifiers(motor, recorded_states)
         return lambda data: _feed_drive(
-            motor, seen[data[0] % len(seen)] if data else seen[0], ours, data
+            motor,
+            recorded_states[data[0] % len(recorded_states)] if data else recorded_states[0],
+            own_identifiers,
+            data,
         )
 
     return make_target
@@ -143,25 +158,28 @@ def _feed_drive(
     Return True if any frame changed the state of the drive.
     """
     state = start_state.state
-    taken = False
-    for frame, more in frames_of_input(data, own_identifiers, start_state.t_ns):
-        after = motor.receive(state, frame)
-        taken = taken or after is not state
-        state, sent = _advance_drive(motor, after, frame.t_ns + STEP_NS, more)
-        assert max((len(one.data) for one in sent), default=0) <= MAX_PAYLOAD_BYTES
+    is_accepted = False
+    for frame, control_byte in frames_of_input(data, own_identifiers, start_state.t_ns):
+        state_after = motor.receive(state, frame)
+        is_accepted = is_accepted or state_after is not state
+        state, sent_frames = _advance_drive(motor, state_after, frame.t_ns + STEP_NS, control_byte)
+        assert (
+            max((len(sent_frame.data) for sent_frame in sent_frames), default=0)
+            <= MAX_PAYLOAD_BYTES
+        )
         assert state.phase in DrivePhase
     motor.clear(state)
-    return taken
+    return is_accepted
 
 
 def _advance_drive(
-    motor: Drive, state: DriveState, t_ns: int, further_byte: int
+    motor: Drive, state: DriveState, t_ns: int, control_byte: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == DrivePhase.FAULT:
         motor.fault_cause(state.error)
-        if further_byte & CLEAR_BIT:
+        if control_byte & CLEAR_REQUEST_BIT:
             return motor.clear(state)
-    target = DRIVE_TARGETS[further_byte % len(DRIVE_TARGETS)]
+    target = DRIVE_TARGETS[control_byte % len(DRIVE_TARGETS)]
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
@@ -169,28 +187,33 @@ def sensor_target(folder: Path) -> FuzzTarget:
     """Return the target for the decoder of the sensor node."""
     bench = ProtocolBench(hand_file(folder, ["mit"]))
     bench.simulated_hand.close()
-    wired = WiredDrives((), bench.sensor_node)
-    ours = sorted(bench.sensor_node.node_ids)
-    return lambda data: _feed_sensor_node(wired, wired.block.copy(), ours, data)
+    wired_drives = WiredDrives((), bench.sensor_node)
+    own_node_ids = sorted(bench.sensor_node.node_ids)
+    return lambda data: _feed_sensor_node(
+        wired_drives, wired_drives.block.copy(), own_node_ids, data
+    )
 
 
 def _feed_sensor_node(
-    wired_drives: WiredDrives, start_block: BlockArray, own_identifiers: Sequence[int], data: bytes
+    wired_drives: WiredDrives,
+    initial_block: BlockArray,
+    own_identifiers: Sequence[int],
+    data: bytes,
 ) -> bool:
     """Feed the frames of an input to the decoder of the sensor node.
 
-    The decoder starts in the state ``start_block``.
+    The decoder starts in the state ``initial_block``.
 
     Return True if the decoder used any frame, or found any frame malformed or stale.
     """
-    wired_drives.block[:] = start_block
-    taken = 0
-    for frame, more in frames_of_input(data, own_identifiers, STEP_NS):
-        wired_drives.begin_tick_with_sync(more)
+    wired_drives.block[:] = initial_block
+    accepted_count = 0
+    for frame, control_byte in frames_of_input(data, own_identifiers, STEP_NS):
+        wired_drives.begin_tick_with_sync(control_byte)
         wired_drives.receive([frame]).observe_readings()
-        taken += (
+        accepted_count += (
             int(wired_drives.field_view("group_answered").sum())
             + wired_drives.field_number("stale_now")
             + wired_drives.has_malformed_frame
         )
-    return taken > 0
+    return accepted_count > 0

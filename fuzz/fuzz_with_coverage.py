@@ -33,8 +33,10 @@ def main() -> None:
         include=["handctl", "firmware_sim"], exclude=compiled_modules()
     ):
         from fuzz.targets import TARGET_FACTORIES, seed_inputs
-    shared = Path("/dev/shm")
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
+    shared_path = Path("/dev/shm")
+    folder = Path(
+        tempfile.mkdtemp(prefix="fuzz-", dir=shared_path if shared_path.is_dir() else None)
+    )
     for i, seed in enumerate(seed_inputs(name, folder)):
         (Path(corpus) / f"seed-{i}").write_bytes(seed)
     target = TARGET_FACTORIES[name](folder)

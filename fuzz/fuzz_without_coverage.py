@@ -29,14 +29,14 @@ def changed_inputs(
     A change replaces, removes or inserts bytes, or copies the end of another input. One in sixteen
     inputs is entirely random.
     """
-    pick = random_source.choice
+    choose = random_source.choice
     bits = random_source.getrandbits
     while True:
         kind = bits(4)
         if kind == 0:
             yield random_source.randbytes(bits(16) % max_bytes)
             continue
-        data = bytearray(pick(corpus))
+        data = bytearray(choose(corpus))
         for _ in range(1 + (kind & 3)):
             at = bits(16) % (len(data) + 1)
             operation = bits(3)
@@ -49,7 +49,7 @@ def changed_inputs(
             elif operation == 6:
                 data[at:at] = random_source.randbytes(1 + bits(3))
             else:
-                data[at:] = pick(corpus)[at:]
+                data[at:] = choose(corpus)[at:]
         yield bytes(data[:max_bytes])
 
 
@@ -67,43 +67,45 @@ def feed_inputs(
     Returns:
         The number of inputs, and how many of them the parser accepted.
     """
-    start = reported = time.monotonic()
+    start = reported_time_s = time.monotonic()
     number = 0
-    taken = 0
+    accepted_count = 0
     data = b""
     try:
         while run_count < 0 or number < run_count:
             for data, _ in zip(inputs, range(INPUTS_PER_CLOCK_READ), strict=False):
-                taken += target(data)
+                accepted_count += target(data)
             number += INPUTS_PER_CLOCK_READ
             now = time.monotonic()
             if 0 < duration_s <= now - start:
                 break
-            if now - reported > REPORT_PERIOD_S:
-                reported = now
+            if now - reported_time_s > REPORT_PERIOD_S:
+                reported_time_s = now
                 print(f"{number} runs, {number / (now - start):.0f}/s", file=sys.stderr, flush=True)
     except BaseException:
         (crash_folder / "blind").write_bytes(data)
         raise
-    return number, taken
+    return number, accepted_count
 
 
 def main() -> None:
     """Fuzz one target for the requested time or number of inputs."""
     name, corpus, crashes, seconds, runs, longest = sys.argv[1:]
-    shared = Path("/dev/shm")
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
+    shared_path = Path("/dev/shm")
+    folder = Path(
+        tempfile.mkdtemp(prefix="fuzz-", dir=shared_path if shared_path.is_dir() else None)
+    )
     corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
     corpus_inputs += [seed[: int(longest)] for seed in seed_inputs(name, folder)] or [bytes(8)]
     start = time.monotonic()
     inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
-    number, taken = feed_inputs(
+    number, accepted_count = feed_inputs(
         TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
     )
-    took = round(time.monotonic() - start)
+    run_time_s = round(time.monotonic() - start)
     count = len(corpus_inputs)
     print(
-        f"Done {number} runs in {took} second(s), {taken} inputs accepted, corpus of {count} inputs",
+        f"Done {number} runs in {run_time_s} second(s), {accepted_count} inputs accepted, corpus of {count} inputs",
         file=sys.stderr,
     )
 

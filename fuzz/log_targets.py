@@ -26,7 +26,7 @@ from tests.log import synthetic_run
 
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
-KEPT_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
+FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 """Topics that stay in the fuzzed log. The reader skips /rosout and decodes the other topics."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that a log has after its chunks, one record for each topic."""
@@ -86,18 +86,18 @@ def log_target(folder: Path) -> FuzzTarget:
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        changed = dict[int, list[bytes]]()
+        changed_records = dict[int, list[bytes]]()
         for _ in range(MAX_EDITS):
             if source.is_empty:
                 break
             i = source.take_number(len(parts))
-            records = changed.setdefault(i, parts[i].copy())
+            records = changed_records.setdefault(i, parts[i].copy())
             at = source.take_number(len(records))
             records[at] = _changed_record(records[at], source)
         path.write_bytes(
             b"".join(
                 [
-                    _join_records(i, changed[i]) if i in changed else joined[i]
+                    _join_records(i, changed_records[i]) if i in changed_records else joined[i]
                     for i in range(len(parts))
                 ]
             )
@@ -115,26 +115,26 @@ def _log_parts(path: Path) -> list[list[bytes]]:
     file = LogFile(path)
     result = RecordScan()
     scan_records(file, result)
-    raw = path.read_bytes()
+    raw_bytes = path.read_bytes()
     contents = [bytes(file.chunk_content(place)) for place in result.chunks]
     file.close()
     channels = schemas_and_channels(contents[0]).channels
-    schemas = {number: schema for number, schema, topic, _, _ in channels if topic in KEPT_TOPICS}
+    schemas = {number: schema for number, schema, topic, _, _ in channels if topic in FUZZED_TOPICS}
     chunks = [
-        [record for record in _split_records(content) if _is_of_channels(record, schemas)]
+        [record for record in _split_records(content) if _belongs_to_channels(record, schemas)]
         for content in contents
     ]
-    head = list(_split_records(raw[8 : result.chunks[0].offset]))
-    tail = list(_split_records(raw[result.chunks[-1].end : -8]))
-    named = [
+    first_records = list(_split_records(raw_bytes[8 : result.chunks[0].offset]))
+    tail_records = list(_split_records(raw_bytes[result.chunks[-1].end : -8]))
+    part_names = [
         record
-        for record in tail
-        if record[0] not in PER_TOPIC_RECORDS or _is_of_channels(record, schemas)
+        for record in tail_records
+        if record[0] not in PER_TOPIC_RECORDS or _belongs_to_channels(record, schemas)
     ]
     return [
-        [_without_checksum(record) for record in head],
+        [_without_checksum(record) for record in first_records],
         *chunks,
-        [_without_checksum(record) for record in named],
+        [_without_checksum(record) for record in part_names],
     ]
 
 
@@ -146,7 +146,7 @@ def _split_records(data: bytes) -> Iterator[bytes]:
         at = end
 
 
-def _is_of_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
+def _belongs_to_channels(record: bytes, kept_channels: dict[int, int]) -> bool:
     """Return True if a record belongs to one of the channels in ``kept_channels`` or to its schema."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept_channels.values() if record[0] == Opcode.SCHEMA else kept_channels)
@@ -187,13 +187,13 @@ def _changed_record(record: bytes, source: ByteSource) -> bytes:
     at = source.take_number(1 << 16) % max(
         1, len(body) if source.take_number(2) else min(len(body), NUMERIC_START_BYTES)
     )
-    new = (
+    new_record = (
         UNUSUAL_BYTES[source.take_number(len(UNUSUAL_BYTES))]
         if source.take_number(2)
         else source.take_bytes(1 + source.take_number(8))
     )
-    end = at if kind == 1 else at + source.take_number(64) if kind == 2 else at + len(new)
-    body[at:end] = b"" if kind == 2 else new
+    end = at if kind == 1 else at + source.take_number(64) if kind == 2 else at + len(new_record)
+    body[at:end] = b"" if kind == 2 else new_record
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 
@@ -212,13 +212,13 @@ def log_bytes_target(folder: Path) -> FuzzTarget:
     The bytes go to the reader of logs and to the recovery of incomplete logs.
     """
     path = folder / "bytes.mcap"
-    out = folder / "out.mcap"
+    output_path = folder / "out.mcap"
 
     def target(data: bytes) -> bool:
         path.write_bytes(data)
-        out.unlink(missing_ok=True)
+        output_path.unlink(missing_ok=True)
         with contextlib.suppress(LogError):
-            recover_log(path, out)
+            recover_log(path, output_path)
         return _is_readable(path)
 
     return target

@@ -38,16 +38,16 @@ MiB.
 class MemorySampler:
     """An observer of a run that samples the memory of this process and of its child processes."""
 
-    def __init__(self, until_s: float) -> None:
-        """Create a sampler without samples. The run must end at ``until_s`` [s]."""
+    def __init__(self, end_time_s: float) -> None:
+        """Create a sampler without samples. The run must end at ``end_time_s`` [s]."""
         self.samples: list[MemorySample] = []
-        self.until_s = until_s
+        self.until_s = end_time_s
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return a stop request if the time of the run is over."""
         return (STOP_REQUEST,) if self.samples and self.samples[-1].time_s >= self.until_s else ()
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Take a sample of the memory every ``SAMPLE_PERIOD_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].time_s >= SAMPLE_PERIOD_S:
@@ -72,20 +72,22 @@ def main() -> int:
         task = Path(folder) / "long.toml"
         task.write_text(SOAK_TASK)
         program = TaskProgram(load_task(task))
-        looks = MemorySampler(args.hours * 3600)
+        memory_sampler = MemorySampler(args.hours * 3600)
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
-        outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
-    grows = memory_slope(looks.samples, WARM_UP_S)
+        outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, memory_sampler)
+    growth_slope = memory_slope(memory_sampler.samples, WARM_UP_S)
     print(
         json.dumps(
             {
                 "ticks": outcome.loop_stats.ticks,
                 "failure": outcome.state.failure,
-                "rss_slope_mib_per_h": grows,
+                "rss_slope_mib_per_h": growth_slope,
             }
         )
     )
-    return int(bool(outcome.state.failure) or grows is None or grows > MAX_GROWTH_MIB_PER_H)
+    return int(
+        bool(outcome.state.failure) or growth_slope is None or growth_slope > MAX_GROWTH_MIB_PER_H
+    )
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ def main() -> int:
     of the mutants.
     """
     reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
-    unexplained = list[str]()
-    all_judged = 0
+    unexplained_mutants = list[str]()
+    judged_total = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
@@ -34,24 +34,26 @@ def main() -> int:
             sum(count[code] for code in kind)
             for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
         )
-        judged = len(codes) - not_run
-        if not judged:
+        judged_count = len(codes) - not_run
+        if not judged_count:
             continue
-        all_judged += judged
-        killed = judged - survived - untested
+        judged_total += judged_count
+        killed_count = judged_count - survived - untested
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
         left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
-        print(f"{name:32} {killed:4} of {judged:4} killed {100 * killed / judged:5.1f} %  {left}")
-        unexplained += [
+        print(
+            f"{name:32} {killed_count:4} of {judged_count:4} killed {100 * killed_count / judged_count:5.1f} %  {left}"
+        )
+        unexplained_mutants += [
             key
             for key, code in codes.items()
             if code in SURVIVED_CODES + UNTESTED_CODES and f"`{key}`" not in reasons
         ]
-    for key in unexplained:
+    for key in unexplained_mutants:
         print(f"no reason: {key}   (mutmut show {key})")
-    if not all_judged:
+    if not judged_total:
         print("no mutant was judged")
-    return 1 if unexplained or not all_judged else 0
+    return 1 if unexplained_mutants or not judged_total else 0
 
 
 if __name__ == "__main__":

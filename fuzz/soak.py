@@ -66,12 +66,12 @@ def memory_sample(pid: int, time_s: float) -> MemorySample:
     """
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
-    for one in pids:
-        status = Path(f"/proc/{one}/status").read_text()
+    for process_id in pids:
+        status = Path(f"/proc/{process_id}/status").read_text()
         rss += next(
             (int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0
         )
-        descriptors += len(os.listdir(f"/proc/{one}/fd"))
+        descriptors += len(os.listdir(f"/proc/{process_id}/fd"))
     return MemorySample(time_s, rss / 1024, descriptors)
 
 
@@ -81,14 +81,22 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
     The slope is fitted to the largest value in each window of ``PEAK_WINDOW_S``. Memory that a
     process frees and allocates again thus does not count as growth.
     """
-    warm = [one for one in samples if one.time_s - samples[0].time_s >= warm_up_s]
-    if not warm or warm[-1].time_s - warm[0].time_s < MIN_SLOPE_TIME_S:
+    warm_samples = [sample for sample in samples if sample.time_s - samples[0].time_s >= warm_up_s]
+    if not warm_samples or warm_samples[-1].time_s - warm_samples[0].time_s < MIN_SLOPE_TIME_S:
         return None
-    whole = (warm[-1].time_s - warm[0].time_s) // PEAK_WINDOW_S
-    windows = groupby(warm, lambda one: (one.time_s - warm[0].time_s) // PEAK_WINDOW_S)
-    peaks = [max(part, key=lambda one: one.rss_mib) for number, part in windows if number < whole]
+    window_count = (warm_samples[-1].time_s - warm_samples[0].time_s) // PEAK_WINDOW_S
+    windows = groupby(
+        warm_samples, lambda one: (one.time_s - warm_samples[0].time_s) // PEAK_WINDOW_S
+    )
+    peak_samples = [
+        max(part, key=lambda one: one.rss_mib) for number, part in windows if number < window_count
+    ]
     return float(
-        np.polyfit([one.time_s / 3600 for one in peaks], [one.rss_mib for one in peaks], 1)[0]
+        np.polyfit(
+            [peak.time_s / 3600 for peak in peak_samples],
+            [peak.rss_mib for peak in peak_samples],
+            1,
+        )[0]
     )
 
 
@@ -150,8 +158,8 @@ class SoakTest:
         self.samples_by_process["controller"].append([])
         self.counts["controllers"] += 1
         watcher = StatusWatcher(LOCAL_BUS)
-        until = time.monotonic() + 60.0
-        while time.monotonic() < until and self.controller.poll() is None:
+        deadline_s = time.monotonic() + 60.0
+        while time.monotonic() < deadline_s and self.controller.poll() is None:
             line = watcher.request_status_line(0.2)
             if line is not None and line["phase"] == "stay":
                 watcher.close()
@@ -159,13 +167,13 @@ class SoakTest:
         watcher.close()
         return False
 
-    def end_controller(self) -> None:
+    def stop_controller(self) -> None:
         """Stop a running controller, and check its exit code and log."""
         if self.controller is None:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=600.0)  # includes a check of the log
+        output_text, err = self.controller.communicate(timeout=600.0)  # includes a check of the log
         code = self.controller.returncode
         path = Path(f"{self.run_number}.mcap")
         self.controller = None
@@ -178,7 +186,7 @@ class SoakTest:
                 if log.warning:
                     self.errors.append(f"run {self.run_number}: log {log.warning}")
         elif code == 0:
-            self.errors.append(f"run {self.run_number}: no log; {out[-100:]}")
+            self.errors.append(f"run {self.run_number}: no log; {output_text[-100:]}")
         for left in Path().glob(f"{self.run_number}.*"):
             left.unlink()
 
@@ -189,9 +197,9 @@ class SoakTest:
         """
         if self.controller is not None and self.controller.poll() is None:
             return
-        self.end_controller()
+        self.stop_controller()
         if not self.start_controller():
-            self.end_controller()
+            self.stop_controller()
             self.start_simulator()
             if not self.start_controller():
                 self.errors.append("a new simulator and a new controller did not arm")
@@ -201,17 +209,20 @@ class SoakTest:
         hand = load_simulated("jamia")
         kind = self.chance.choice(
             [
-                one
-                for one in FAULT_KINDS
-                if any(instances_of_component(c, hand, one) for c in FAULT_KINDS[one].components)
+                fault_kind
+                for fault_kind in FAULT_KINDS
+                if any(
+                    instances_of_component(c, hand, fault_kind)
+                    for c in FAULT_KINDS[fault_kind].components
+                )
             ]
         )
-        places = [
+        instances = [
             (component, name)
             for component in FAULT_KINDS[kind].components
             for name in instances_of_component(component, hand, kind)
         ]
-        component, name = self.chance.choice(places)
+        component, name = self.chance.choice(instances)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
         if run_handctl("fault", "inject", text, "--bus", LOCAL_BUS).returncode:
             self.errors.append(f"refused: {text}")
@@ -226,27 +237,34 @@ class SoakTest:
 
     def soak_result(self) -> dict[str, object]:
         """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
-        slopes = {
-            name: [memory_slope(one) for one in lives if one]
+        memory_slopes = {
+            name: [memory_slope(life_samples) for life_samples in lives if life_samples]
             for name, lives in self.samples_by_process.items()
         }
         known_slopes = {
-            name: [one for one in found if one is not None] for name, found in slopes.items()
+            name: [text for text in slope_texts if text is not None]
+            for name, slope_texts in memory_slopes.items()
         }
-        for name, found in known_slopes.items():
+        for name, found_slopes in known_slopes.items():
             self.errors += [
-                f"{name} grows by {one:.2f} MiB/h" for one in found if one > MAX_GROWTH_MIB_PER_H
+                f"{name} grows by {text:.2f} MiB/h"
+                for text in found_slopes
+                if text > MAX_GROWTH_MIB_PER_H
             ]
-        rose = {name: max((one[-1].rss_mib - one[0].rss_mib for one in lives if one), default=0) for name, lives in
+        memory_rise = {name: max((one[-1].rss_mib - one[0].rss_mib for one in lives if one), default=0) for name,
+        lives in
                 self.samples_by_process.items()}  # fmt: skip
         descriptors = {name: sorted({s.descriptors for one in lives for s in one}) for name, lives in
                        self.samples_by_process.items()}  # fmt: skip
-        simulators = [one for one in self.samples_by_process["simulator"] if one]
-        if any(max(s.descriptors for s in one) > one[0].descriptors + 4 for one in simulators):
+        simulators = [sample for sample in self.samples_by_process["simulator"] if sample]
+        if any(
+            max(s.descriptors for s in simulator) > simulator[0].descriptors + 4
+            for simulator in simulators
+        ):
             self.errors.append("the simulator's descriptors grow")
         return {
             "counts": dict(self.counts),
-            "rss_rise_mib": rose,
+            "rss_rise_mib": memory_rise,
             "rss_slope_mib_per_h": known_slopes,
             "descriptors": descriptors,
             "wrong": self.errors,
@@ -284,13 +302,13 @@ def main() -> int:
         start = time.monotonic()
         try:
             soak.start_simulator()
-            while (passed := time.monotonic() - start) < args.hours * 3600:
+            while (elapsed_s := time.monotonic() - start) < args.hours * 3600:
                 soak.ensure_controller()
-                soak.sample_memory(passed)
+                soak.sample_memory(elapsed_s)
                 text = "no fault" if args.calm else soak.inject_random_fault()
-                print(f"{passed:8.0f} s  {text}", file=sys.stderr, flush=True)
+                print(f"{elapsed_s:8.0f} s  {text}", file=sys.stderr, flush=True)
                 time.sleep(args.every)
-            soak.end_controller()
+            soak.stop_controller()
         finally:
             for process in (soak.controller, soak.simulator):
                 if process:

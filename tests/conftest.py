@@ -213,7 +213,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             raise pytest.UsageError(
                 f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source"
             )
-    slow = tests_slower_than(SLOW_TEST_S)
-    if left_out := [item for item in items if item.nodeid in slow]:
+    slow_tests = tests_slower_than(SLOW_TEST_S)
+    if left_out := [item for item in items if item.nodeid in slow_tests]:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item.nodeid not in slow]
+        items[:] = [item for item in items if item.nodeid not in slow_tests]

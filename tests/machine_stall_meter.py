@@ -71,14 +71,14 @@ def _report_stalls(core: int) -> None:
     """
     os.sched_setaffinity(0, {core})
     parent = os.getppid()
-    last = time.monotonic()
+    last_time_s = time.monotonic()
     print("ready", flush=True)
     while os.getppid() == parent:
         time.sleep(SLEEP_PERIOD_S)
         now = time.monotonic()
-        if now - last - SLEEP_PERIOD_S > MIN_STALL_S:
-            print(now, now - last - SLEEP_PERIOD_S, flush=True)
-        last = now
+        if now - last_time_s - SLEEP_PERIOD_S > MIN_STALL_S:
+            print(now, now - last_time_s - SLEEP_PERIOD_S, flush=True)
+        last_time_s = now
 
 
 if __name__ == "__main__":

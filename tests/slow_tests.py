@@ -55,8 +55,8 @@ def listed_costs() -> dict[str, float]:
 
 def processor_time() -> float:
     """Return the processor time of this process and of those of its children that have ended [s]."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in usages)
 
 
 class DurationRecorder:
@@ -89,7 +89,7 @@ class DurationRecorder:
             item.get_closest_marker("realtime") is not None
             or item.get_closest_marker("alone") is not None
         )
-        row = [item.nodeid, *(round(one, 3) for one in times), clock]
+        row = [item.nodeid, *(round(time_s, 3) for time_s in times), clock]
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         return result

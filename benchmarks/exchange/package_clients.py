@@ -103,8 +103,10 @@ class TMotorClient:
         mit_can.CAN_Manager.__del__ = lambda self: None
         mit_can.CAN_Manager._instance = manager
         with contextlib.redirect_stdout(io.StringIO()):
-            make = mit_can.TMotorManager_mit_can
-            self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motor_count + 1)]
+            manager_class = mit_can.TMotorManager_mit_can
+            self.motors = [
+                manager_class(motor_type="AK80-9", motor_ID=i) for i in range(1, motor_count + 1)
+            ]
         self.bus = manager.bus
         self.listeners = listeners
         for motor in self.motors:
@@ -159,7 +161,7 @@ class MoteusClient:
         extended = 0x80000000 if motor_index << 8 > 0x7FF else 0
         return motor_index << 8 | extended, data + b"\x50" * (24 - len(data)), 4 | 1
 
-    async def _cycle(self, torques):
+    async def _exchange_once(self, torques):
         commands = [
             controller.make_position(position=self.nan, feedforward_torque=torque, query=True)
             for controller, torque in zip(self.controllers, torques, strict=True)
@@ -170,7 +172,7 @@ class MoteusClient:
 
     def send(self, torques):
         self.sent = 0
-        self.task = self.loop.create_task(self._cycle(torques))
+        self.task = self.loop.create_task(self._exchange_once(torques))
         self.loop.run_until_complete(self._close_transport())
 
     async def _close_transport(self):

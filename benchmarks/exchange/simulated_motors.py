@@ -37,11 +37,11 @@ class LocalMotors:
         size = 0
         while size < motor_count * FRAME_RECORD_STRUCT.size:
             size += len(self.link.recv(1 << 16))
-        answers = [reply_of(i + 1) for i in range(motor_count)]
+        answer_frames = [reply_of(i + 1) for i in range(motor_count)]
         self.link.sendall(
             b"".join(
                 FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
-                for can_id, data, flags in answers
+                for can_id, data, flags in answer_frames
             )
         )
 
@@ -83,13 +83,13 @@ MOTORS_BY_MEDIUM = {
 
 
 @contextmanager
-def motors_on(bus_kind: str):
+def open_simulated_motors(bus_kind: str):
     """Start simulated motors on a bus.
 
     Yield the motors, and the interface and channel of the bus.
     """
-    made, interface, channel = MOTORS_BY_MEDIUM[bus_kind]
-    motors = made(channel)
+    motors_class, interface, channel = MOTORS_BY_MEDIUM[bus_kind]
+    motors = motors_class(channel)
     try:
         yield motors, interface, channel
     finally:

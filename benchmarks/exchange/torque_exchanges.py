@@ -10,7 +10,7 @@ from pathlib import Path
 TORQUE_RANGE_N_M = 0.8
 POSITION_RANGE_RAD = 12.5
 VELOCITY_RANGE_RAD_S = 50.0
-FEEDBACK_TAIL = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
+FEEDBACK_PAYLOAD_END = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
 MIT_DBC_TEXT = """VERSION ""
 NS_ :
 BS_:
@@ -37,7 +37,7 @@ def feedback_frame(motor_index: int) -> tuple[int, bytes, int]:
 
     The identifier of this frame is the register MST_ID of the motor.
     """
-    return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_TAIL, 0
+    return 0x10 + motor_index, bytes((0x10 | motor_index,)) + FEEDBACK_PAYLOAD_END, 0
 
 
 RATE_HZ = 200.0
@@ -96,9 +96,9 @@ class HandctlExchange:
     def send(self, torques):
         np = self.np
         state = self.state
-        out = np.zeros(self.shape, dtype=np.uint64)
+        frame_words = np.zeros(self.shape, dtype=np.uint64)
         frames = self.controller._write_commands(
-            state, out, 0, self.drive_target, np.array(torques), self.t_ns
+            state, frame_words, 0, self.drive_target, np.array(torques), self.t_ns
         )
         self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
@@ -127,8 +127,8 @@ class ScalarCodecExchange:
         self.bus = can.Bus(channel, interface=interface, ignore_config=True)
 
     def encode(self, torque):
-        raw = int((torque + TORQUE_RANGE_N_M) * 4095 / (2 * TORQUE_RANGE_N_M))
-        return bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, raw >> 8, raw & 0xFF))
+        torque_code = int((torque + TORQUE_RANGE_N_M) * 4095 / (2 * TORQUE_RANGE_N_M))
+        return bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, torque_code >> 8, torque_code & 0xFF))
 
     def decode(self, data):
         position = (data[1] << 8 | data[2]) * 2 * POSITION_RANGE_RAD / 65535 - POSITION_RANGE_RAD

@@ -48,7 +48,9 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
-    wall = WALL_SCENE.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    wall_text = WALL_SCENE.format(
+        x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3)
+    )
     speed = chance.uniform(*SPEED_DEG_S)
     phases = [
         {
@@ -60,7 +62,7 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
     run = simulate_grasp(
-        hand, program_of_phases(phases), wall, seed=seed, last_phase="end", timeout_s=12.0
+        hand, program_of_phases(phases), wall_text, seed=seed, last_phase="end", timeout_s=12.0
     )
     return _detection_latencies(run, hand_model(hand)[0].hand.digit_names)
 
@@ -71,15 +73,15 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
     }
     latencies = []
     for d, name in enumerate(digits):
-        above = np.flatnonzero(run.force[:, d] > CONTACT_N)
+        contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_N)
         if name in contact_times:
-            at = float(run.t[above[0]]) if len(above) else np.inf
-            touched = (
+            at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf
+            first_contact_tick = (
                 run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
                 > TRUE_CONTACT_N
             )
-            latencies += [max(contact_times[name] - at, -1.0)] if touched else []
-        elif len(above):
+            latencies += [max(contact_times[name] - at, -1.0)] if first_contact_tick else []
+        elif len(contact_ticks):
             latencies.append(np.inf)
     return latencies
 
@@ -93,8 +95,8 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
     phases: list[dict[str, Any]] = []
-    planned = 0.0
-    while planned < seconds:
+    planned_duration_s = 0.0
+    while planned_duration_s < seconds:
         speed = chance.uniform(*SPEED_DEG_S)
         limits = {"index": 15, "middle": 8, "ring": 15, "thumb": 3}
         home = {name: chance.uniform(0, limit) for name, limit in limits.items()}
@@ -109,7 +111,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
             {"kind": "move", "angle_deg": home, "duration_s": 0.5},
             {"kind": "close", "angle_deg": goal, "speed_deg_s": speed},
         ]
-        planned += 0.8 + 35.0 / speed * 1.875
+        planned_duration_s += 0.8 + 35.0 / speed * 1.875
     run = simulate_grasp(
         hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )

@@ -53,7 +53,7 @@ class GraspCase:
         """Return a name such as ``cylinder 35 mm, friction 0.5``."""
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
-    def scene_text(self, seed: int, with_stages: bool = True) -> str:
+    def scene_text(self, seed: int, includes_stages: bool = True) -> str:
         """Return the text of the scene file. Seed 0 places the object at its nominal position."""
         chance = random.Random(f"{self} {seed}")
         x, y = (
@@ -80,11 +80,11 @@ class GraspCase:
         ]
         lines += ['drop_when = "grasped"', "drop_hold_s = 1.0", "sink_speed_m_s = 0.1"]
         lines += [f"drop_digits = {digits}", f"drop_opposed = {opposed}"]
-        for down in GRAVITY_DIRECTIONS[self.grasp] if with_stages else ():
-            push = [PUSH_FORCE_N * v for v in down]
+        for gravity_direction in GRAVITY_DIRECTIONS[self.grasp] if includes_stages else ():
+            push = [PUSH_FORCE_N * v for v in gravity_direction]
             lines += [
                 "[[stage]]",
-                f"down = {list(down)}",
+                f"down = {list(gravity_direction)}",
                 f"turn_s = {TURN_DURATION_S}",
                 f"last_s = {STAGE_DURATION_S}",
             ]

@@ -12,7 +12,7 @@ from handctl.output_files import save_figure
 DOCS_FOLDER = Path(__file__).parents[2] / "docs"
 PAGE_FILE = DOCS_FOLDER / "evidence" / "control-grasps.md"
 PICTURE_FILE = DOCS_FOLDER / "figures" / "grasps.png"
-TABLE_MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
+TABLE_COMMENT_TEMPLATES = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 
 
 def tables_text(result: dict[str, Any]) -> str:
@@ -42,70 +42,77 @@ def _grouped_rows(
 def _success_table(rows: list[dict[str, Any]]) -> str:
     hands = list(dict.fromkeys(row["hand"] for row in rows))
     table = []
-    for (grasp, thing), tried in _grouped_rows(rows, "grasp", "object").items():
+    for (grasp, thing), trial_rows in _grouped_rows(rows, "grasp", "object").items():
         cells = []
         for hand in hands:
-            selected = [row for row in tried if row["hand"] == hand]
-            moved = [max(row["motion_mm"]) for row in selected if row["motion_mm"]]
-            worst = f", {min(max(moved), 99.0):.1f} mm" if moved else ""
+            hand_rows = [row for row in trial_rows if row["hand"] == hand]
+            motions_mm = [max(row["motion_mm"]) for row in hand_rows if row["motion_mm"]]
+            largest_motion_text = f", {min(max(motions_mm), 99.0):.1f} mm" if motions_mm else ""
             cells.append(
-                f"{sum(row['ok'] for row in selected)} of {len(selected)}{worst}"
-                if selected
+                f"{sum(row['ok'] for row in hand_rows)} of {len(hand_rows)}{largest_motion_text}"
+                if hand_rows
                 else "-"
             )
         table.append([grasp, thing, *cells])
-    totals = []
+    total_row = []
     for grasp in dict.fromkeys(row["grasp"] for row in rows):
         for hand in hands:
-            selected = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
-            totals.append(
-                f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}"
+            hand_rows = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
+            total_row.append(
+                f"{hand} {grasp} {100 * np.mean([row['ok'] for row in hand_rows]):.0f} % of {len(hand_rows)}"
             )
     failures = []
     for (hand, grasp, thing), failed_rows in _grouped_rows(
         [row for row in rows if row["why"]], "hand", "grasp", "object"
     ).items():
-        by_reason = _grouped_rows(failed_rows, "why")
+        rows_by_reason = _grouped_rows(failed_rows, "why")
         reasons = [
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
-            for (reason,), selected in by_reason.items()
+            for (reason,), selected in rows_by_reason.items()
         ]
         failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(reasons)}")
-    named = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
-    head = ["grasp", "object", *[f"{hand}: objects held, largest motion" for hand in hands]]
-    fractions = f"Fraction of the runs in which the hand held the object: {'; '.join(totals)}."
-    return f"{_markdown_table(head, table)}\n\n{fractions}{named}"
+    failures_text = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
+    column_titles = [
+        "grasp",
+        "object",
+        *[f"{hand}: objects held, largest motion" for hand in hands],
+    ]
+    fractions = f"Fraction of the runs in which the hand held the object: {'; '.join(total_row)}."
+    return f"{_markdown_table(column_titles, table)}\n\n{fractions}{failures_text}"
 
 
 def _payload_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, direction), selected in _grouped_rows(rows, "hand", "direction").items():
-        masses = [row["mass_kg"] for row in selected]
-        normal = np.mean([row["normal_N"] for row in selected], axis=0)
-        over = "" if all(row["slid"] for row in selected) else "over "
+    for (hand, direction), group_rows in _grouped_rows(rows, "hand", "direction").items():
+        masses = [row["mass_kg"] for row in group_rows]
+        normal = np.mean([row["normal_N"] for row in group_rows], axis=0)
+        prefix_text = "" if all(row["slid"] for row in group_rows) else "over "
         table.append([
-            hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(selected)),
-            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in selected]):.2f}",
+            hand, direction, f"{prefix_text}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(group_rows)),
+            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in group_rows]):.2f}",
         ])  # fmt: skip
-    head = ["hand", "load", "smallest payload, kg", "mean payload, kg", "seeds", "normal forces before the load, N",
+    column_titles = ["hand", "load", "smallest payload, kg", "mean payload, kg", "seeds",
+    "normal forces before the load, N",
             "friction x sum of the normal forces, kg"]  # fmt: skip
-    paper = f"The paper states {payload.PAPER_PAYLOAD_KG} kg at 6 N per finger and friction 0.5."
-    return f"{_markdown_table(head, table)}\n\n{paper}"
+    paper_statement = (
+        f"The paper states {payload.PAPER_PAYLOAD_KG} kg at 6 N per finger and friction 0.5."
+    )
+    return f"{_markdown_table(column_titles, table)}\n\n{paper_statement}"
 
 
 def _tip_force_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, digit, command), selected in _grouped_rows(rows, "hand", "digit", "asked").items():
-        true, estimated = (np.array([row[name] for row in selected]) for name in ("felt", "told"))
+    for (hand, digit, command), group_rows in _grouped_rows(rows, "hand", "digit", "asked").items():
+        true, estimated = (np.array([row[name] for row in group_rows]) for name in ("felt", "told"))
         error = estimated - true
         table.append([
             hand, digit, f"{command:g}", f"{true.mean():.2f} ± {true.std():.2f}", f"{estimated.mean():.2f}",
-            f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in selected]):.2f}",
-            str(len(selected)),
+            f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in group_rows]):.2f}",
+            str(len(group_rows)),
         ])  # fmt: skip
-    head = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
+    column_titles = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
             "noise of the estimate, N", "runs"]  # fmt: skip
-    return _markdown_table(head, table)
+    return _markdown_table(column_titles, table)
 
 
 def _contact_table(rows: list[dict[str, Any]]) -> str:
@@ -115,7 +122,7 @@ def _contact_table(rows: list[dict[str, Any]]) -> str:
         for row in rows
         if row["contacts"]
     ]  # fmt: skip
-    head = [
+    column_titles = [
         "hand",
         "contacts",
         "detected at most 20 ms after 1 N",
@@ -125,23 +132,25 @@ def _contact_table(rows: list[dict[str, Any]]) -> str:
         "minutes of free motion",
         "false alarms",
     ]
-    return _markdown_table(head, table)
+    return _markdown_table(column_titles, table)
 
 
 def _slip_table(rows: list[dict[str, Any]]) -> str:
     table = []
-    for (hand, answered), tried in _grouped_rows(rows, "hand", "answered").items():
-        lost = [row["lost_at_N"] for row in tried if row["lost_at_N"] is not None]
-        noticed = [row["first_event_mm"] for row in tried if row["first_event_mm"] is not None]
+    for (hand, has_slip_reaction), trial_rows in _grouped_rows(rows, "hand", "answered").items():
+        loss_forces = [row["lost_at_N"] for row in trial_rows if row["lost_at_N"] is not None]
+        detection_motions_mm = [
+            row["first_event_mm"] for row in trial_rows if row["first_event_mm"] is not None
+        ]
         table.append([
-            hand, f"up to {slip_reaction.SLIP_LIMIT_N:g} N" if answered else "no",
-            f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
-            _range_text([min(row["motion_mm"], 99.0) for row in tried], 1),
-            _range_text(noticed, 2) or "never",
-            _range_text([row["tension_end_N"] for row in tried], 0),
+            hand, f"up to {slip_reaction.SLIP_LIMIT_N:g} N" if has_slip_reaction else "no",
+            f"{len(loss_forces)} of {len(trial_rows)}" + (f", from {min(loss_forces):.1f} N" if loss_forces else ""),
+            _range_text([min(row["motion_mm"], 99.0) for row in trial_rows], 1),
+            _range_text(detection_motions_mm, 2) or "never",
+            _range_text([row["tension_end_N"] for row in trial_rows], 0),
         ])  # fmt: skip
     load = max(row["load_end_N"] for row in rows)
-    head = [
+    column_titles = [
         "hand",
         "tension raised",
         "object lost",
@@ -149,7 +158,7 @@ def _slip_table(rows: list[dict[str, Any]]) -> str:
         "motion at the first slip event, mm",
         "tension at the end, N",
     ]
-    return _markdown_table(head, table)
+    return _markdown_table(column_titles, table)
 
 
 def _range_text(values: list[float], decimals: int) -> str:
@@ -157,8 +166,8 @@ def _range_text(values: list[float], decimals: int) -> str:
 
     If the smallest and the largest value have the same text, return only one of them.
     """
-    ends = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
-    return " to ".join(dict.fromkeys(ends))
+    limit_texts = [f"{end:.{decimals}f}" for end in (min(values), max(values))] if values else []
+    return " to ".join(dict.fromkeys(limit_texts))
 
 
 TABLE_FUNCTIONS = {
@@ -179,11 +188,11 @@ def write_page(result: dict[str, Any]) -> None:
     page = PAGE_FILE.read_text("utf-8")
     for key, table in TABLE_FUNCTIONS.items():
         if result.get(key):
-            start = TABLE_MARKS[0].format(key)
-            end = TABLE_MARKS[1].format(key)
-            before, _, rest = page.partition(start)
-            _, _, after = rest.partition(end)
-            page = f"{before}{start}\n{table(result[key])}\n{end}{after}"
+            start = TABLE_COMMENT_TEMPLATES[0].format(key)
+            end = TABLE_COMMENT_TEMPLATES[1].format(key)
+            page_start, _, page_rest = page.partition(start)
+            _, _, page_end = page_rest.partition(end)
+            page = f"{page_start}{start}\n{table(result[key])}\n{end}{page_end}"
     PAGE_FILE.write_text(page, "utf-8")
     if result.get("success"):
         draw_picture(result)
@@ -199,7 +208,7 @@ def draw_picture(result: dict[str, Any]) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, (left, right) = plt.subplots(
+    figure, (left_axes, right_axes) = plt.subplots(
         1, 2, figsize=(11, 5), width_ratios=(3, 2), layout="constrained"
     )
     names = list(dict.fromkeys(f"{row['grasp']}: {row['object']}" for row in result["success"]))
@@ -207,26 +216,33 @@ def draw_picture(result: dict[str, Any]) -> None:
         rows = [row for row in result["success"] if row["hand"] == hand and row["motion_mm"]]
         x = [min(max(row["motion_mm"]), 50.0) for row in rows]
         y = [names.index(f"{row['grasp']}: {row['object']}") + shift for row in rows]
-        left.scatter(x, y, marker=marker, s=22, label=hand, alpha=0.8)
-        bad = [i for i, row in enumerate(rows) if not row["ok"]]
-        left.scatter(
-            [x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3
+        left_axes.scatter(x, y, marker=marker, s=22, label=hand, alpha=0.8)
+        failed_rows = [i for i, row in enumerate(rows) if not row["ok"]]
+        left_axes.scatter(
+            [x[i] for i in failed_rows],
+            [y[i] for i in failed_rows],
+            marker="x",
+            color="black",
+            s=40,
+            zorder=3,
         )
-    left.axvline(1e3 * MAX_OBJECT_MOTION_M, color="grey", ls="--")
-    left.set(
+    left_axes.axvline(1e3 * MAX_OBJECT_MOTION_M, color="grey", ls="--")
+    left_axes.set(
         xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]"
     )
-    left.set_yticks(range(len(names)), names, fontsize=8)
-    left.invert_yaxis()
-    left.legend(title="x: no success", loc="upper right", fontsize=8)
+    left_axes.set_yticks(range(len(names)), names, fontsize=8)
+    left_axes.invert_yaxis()
+    left_axes.legend(title="x: no success", loc="upper right", fontsize=8)
     for row in result.get("slip", ()):
         if row["seed"] == 0:
             style = "-" if row["answered"] else ":"
             color = "C0" if row["hand"] == "jamia" else "C1"
             label = f"{row['hand']}, {'force raised on slip' if row['answered'] else 'no answer'}"
-            right.plot(*row["curve"], style, color=color, label=label)
-    right.set(xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12))
-    right.legend(fontsize=8, loc="upper left")
+            right_axes.plot(*row["curve"], style, color=color, label=label)
+    right_axes.set(
+        xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12)
+    )
+    right_axes.legend(fontsize=8, loc="upper left")
     PICTURE_FILE.parent.mkdir(exist_ok=True)
     save_figure(figure, PICTURE_FILE)
     plt.close(figure)

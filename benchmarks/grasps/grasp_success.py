@@ -42,7 +42,7 @@ def measure_grasp(job: tuple[str, int, int]) -> dict[str, Any]:
         case.scene_text(seed),
         seed=seed,
         last_phase="release",
-        give_up_s=GRASP_TIMEOUT_S,
+        retry_timeout_s=GRASP_TIMEOUT_S,
     )
     motion = [round(1e3 * value, 2) for value in stage_motions(run)]
     reason = failure_reason(run, case, motion)

@@ -31,9 +31,9 @@ def hand_model(hand_name: str, gains: Gains = DEFAULT_GAINS) -> tuple[HandModel,
 
     A process computes the model of each hand only once.
     """
-    described = load_hand(hand_name)
-    rate = default_control_rate(described)
-    return HandModel.from_hand(described, gains, rate), rate
+    hand = load_hand(hand_name)
+    rate = default_control_rate(hand)
+    return HandModel.from_hand(hand, gains, rate), rate
 
 
 @dataclass
@@ -102,7 +102,7 @@ def simulate_grasp(
     last_phase: str = "",
     gains: Gains = DEFAULT_GAINS,
     timeout_s: float = TIMEOUT_S,
-    give_up_s: float = TIMEOUT_S,
+    retry_timeout_s: float = TIMEOUT_S,
 ) -> GraspRun:
     """Run a program on a simulated hand whose motor zeros are known.
 
@@ -114,7 +114,7 @@ def simulate_grasp(
         plant_factors: factors that multiply parameters of the simulated hand.
         last_phase: the run ends when this phase begins.
         timeout_s: the run ends at this time [s].
-        give_up_s: the run ends after this time if the table has not begun to sink [s].
+        retry_timeout_s: the run ends after this time if the table has not begun to sink [s].
     """
     model, rate = hand_model(hand_name, gains)
     controller = homed_controller(model, program)
@@ -127,26 +127,26 @@ def simulate_grasp(
     ) as simulation:
         plant = simulation.simulated_hand.world.plant
         simulation.are_ticks_recorded = False
-        for entry, out in simulation.run_ticks(timeout_s):
+        for entry, tick_output in simulation.run_ticks(timeout_s):
             k = entry.k
             state = simulation.state
             states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose = plant.engine.object_pose()
-            numbers = out.telemetry
+            numbers = tick_output.telemetry
             rows.append(
                 (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
                  states, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
             )  # fmt: skip
-            phases.append(out.phase)
+            phases.append(tick_output.phase)
             stages.append(plant.stage)
-            events += [(k, event) for event in out.events]
-            if state.mode == HandMode.RELAX or (last_phase and out.phase == last_phase):
+            events += [(k, event) for event in tick_output.events]
+            if state.mode == HandMode.RELAX or (last_phase and tick_output.phase == last_phase):
                 break
             if (
-                _is_over(plant)
+                _has_program_finished(plant)
                 or _is_lost(plant)
-                or (k / rate > give_up_s and plant.table and plant.table.dropped_at is None)
+                or (k / rate > retry_timeout_s and plant.table and plant.table.dropped_at is None)
             ):
                 break
     columns = [np.array(column) for column in zip(*rows, strict=True)]
@@ -156,13 +156,13 @@ def simulate_grasp(
     )  # fmt: skip
 
 
-def _is_over(plant: Plant) -> bool:
+def _has_program_finished(plant: Plant) -> bool:
     """Return True if all stages of the scene are over."""
-    dropped = plant.table.dropped_at if plant.table else None
+    drop_time = plant.table.dropped_at if plant.table else None
     return (
         bool(plant.stages)
-        and dropped is not None
-        and plant.steps * STEP_S - dropped > plant.stages.duration
+        and drop_time is not None
+        and plant.steps * STEP_S - drop_time > plant.stages.duration
     )
 
 

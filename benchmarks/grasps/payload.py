@@ -45,25 +45,27 @@ def measure_payload(job: tuple[str, str, int]) -> dict[str, Any]:
     run = simulate_grasp(
         hand,
         _grasp_at_tension(hand, GRASP_TENSION_N[hand]),
-        case.scene_text(seed, with_stages=False) + load,
+        case.scene_text(seed, includes_stages=False) + load,
         seed=seed,
         timeout_s=RUN_DURATION_S,
     )
-    before = run.t < LOAD_START_S
-    settled = run.t > LOAD_START_S - 0.5
-    normal = run.contact_normal[before & settled].mean(axis=0)
+    is_before_load = run.t < LOAD_START_S
+    settled_mask = run.t > LOAD_START_S - 0.5
+    normal = run.contact_normal[is_before_load & settled_mask].mean(axis=0)
     window = max(1, int(0.2 / (run.t[1] - run.t[0])))
     speed = np.linalg.norm(run.object_position[window:] - run.object_position[:-window], axis=1) / (
         run.t[window] - run.t[0]
     )
-    sliding = np.flatnonzero((speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S))
-    slid_at = float(run.t[window + sliding[0]]) if len(sliding) else float(run.t[-1])
-    newtons = LOAD_RATE_N_PER_S * (slid_at - LOAD_START_S) + (
+    sliding_ticks = np.flatnonzero((speed > SLIDING_SPEED_M_S) & (run.t[window:] > LOAD_START_S))
+    slip_time_s = (
+        float(run.t[window + sliding_ticks[0]]) if len(sliding_ticks) else float(run.t[-1])
+    )
+    slip_force = LOAD_RATE_N_PER_S * (slip_time_s - LOAD_START_S) + (
         case.mass * 9.81 if direction == "along the hinges" else 0.0
     )
     return {
         "hand": hand, "direction": direction, "seed": seed,
-        "mass_kg": round(newtons / 9.81, 3), "slid": bool(len(sliding)),
+        "mass_kg": round(slip_force / 9.81, 3), "slid": bool(len(sliding_ticks)),
         "normal_N": np.round(normal, 2).tolist(), "coulomb_kg": round(float(case.friction * normal.sum() / 9.81), 3),
     }  # fmt: skip
 

@@ -27,33 +27,38 @@ def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
 
     The job consists of the hand, whether it reacts to slip, and the seed.
     """
-    hand, answered, seed = job
+    hand, has_slip_reaction, seed = job
     scene = (
         GRASP_CASES[1]
-        .scene_text(seed, with_stages=False)
+        .scene_text(seed, includes_stages=False)
         .replace("friction = 0.5", f"friction = {CYLINDER_FRICTION[hand]}")
     )
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {LOAD_START_S}\nrate_N_per_s = {LOAD_RATE_N_PER_S}\n"
     program = task_program("grasp", hand, hold_s=60.0)
-    change = {"tension_N": GRASP_TENSION_N, "slip_limit_N": SLIP_LIMIT_N if answered else None}
+    change = {
+        "tension_N": GRASP_TENSION_N,
+        "slip_limit_N": SLIP_LIMIT_N if has_slip_reaction else None,
+    }
     phases = [
         phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase
         for phase in program.task.phase
     ]
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
     run = simulate_grasp(hand, program, scene, seed=seed, timeout_s=RUN_DURATION_S)
-    after = np.flatnonzero(run.t >= LOAD_START_S)
-    motion = np.linalg.norm(run.object_position[after] - run.object_position[after[0]], axis=1)
-    load = LOAD_RATE_N_PER_S * (run.t[after] - LOAD_START_S)
-    lost = np.flatnonzero(motion > LOST_MOTION_M)
-    every = slice(None, None, 10)
+    load_ticks = np.flatnonzero(run.t >= LOAD_START_S)
+    motion = np.linalg.norm(
+        run.object_position[load_ticks] - run.object_position[load_ticks[0]], axis=1
+    )
+    load = LOAD_RATE_N_PER_S * (run.t[load_ticks] - LOAD_START_S)
+    lost_ticks = np.flatnonzero(motion > LOST_MOTION_M)
+    every_tenth = slice(None, None, 10)
     return {
-        "hand": hand, "answered": answered, "seed": seed,
-        "lost_at_N": round(float(load[lost[0]]), 1) if len(lost) else None,
+        "hand": hand, "answered": has_slip_reaction, "seed": seed,
+        "lost_at_N": round(float(load[lost_ticks[0]]), 1) if len(lost_ticks) else None,
         "motion_mm": round(1e3 * float(motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
         "tension_end_N": round(float(run.tension[-1].max()), 1),
-        "first_event_mm": _motion_at_first_slip(run, motion, after),
-        "curve": np.round([load[every], 1e3 * np.minimum(motion[every], 0.05)], 3).tolist(),
+        "first_event_mm": _motion_at_first_slip(run, motion, load_ticks),
+        "curve": np.round([load[every_tenth], 1e3 * np.minimum(motion[every_tenth], 0.05)], 3).tolist(),
     }  # fmt: skip
 
 

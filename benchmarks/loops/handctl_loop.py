@@ -33,7 +33,7 @@ class StayProgram:
     def initial_progress(self, model):
         return ProgramProgress.initial(len(model.digits), "start")
 
-    def advance(self, model, progress, estimate, measured, t):
+    def advance(self, model, progress, estimate, measurements, t):
         if progress.phase == "start":
             goals = tuple(
                 goal_to_move_to_angle(digit, estimate, 0.0, 1.0, t) for digit in model.digits
@@ -90,16 +90,16 @@ def run_loop(
     priority = request_priority()
     if rate_hz:
         clock.busy_wait = priority.is_realtime
-    described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
+    attachments = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
     recorder = Recorder.start(
-        log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=described)
+        log_path, RunHeader.from_hand(hand.to_toml(), plan.period_ns, attachments=attachments)
     )
     tick_times_ns: list[int] = []
     counter = ActiveTickCounter(duration_s, tick_times_ns)
-    cut = controller.cut_frames()
+    cut_frames = controller.torque_cut_frames()
 
-    def record(entry, out):
-        recorder.send_record(pack_tick_record(entry, out))
+    def record(entry, tick_output):
+        recorder.send_record(pack_tick_record(entry, tick_output))
 
     # To measure the time of a tick takes a few microseconds. A measurement of the rate without
     # deadlines must not include these microseconds.
@@ -109,7 +109,7 @@ def run_loop(
         else controller.begin_tick
     )
     loop = ControlLoop(
-        clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.take_events()), record,
+        clock, plan.period_ns, [bus], begin, cut_frames, counter.requests, lambda: list(recorder.take_events()), record,
         counter, tick_priority=keep_processors_awake,
     )  # fmt: skip
     state = loop.run(controller.initial_state())
@@ -118,9 +118,15 @@ def run_loop(
     log_path.unlink()
     if not counter.ticks:
         raise RuntimeError(f"never active: {state.failure}")
-    span = (counter.last_ns - counter.first_ns) / 1e9
-    missed = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
-    return counter.ticks / span, missed, counter.late, counter.tick_times_ns, counter.cpu_s / span
+    run_time_s = (counter.last_ns - counter.first_ns) / 1e9
+    missed_fraction = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
+    return (
+        counter.ticks / run_time_s,
+        missed_fraction,
+        counter.late,
+        counter.tick_times_ns,
+        counter.cpu_s / run_time_s,
+    )
 
 
 class TimedTick:
@@ -131,20 +137,20 @@ class TimedTick:
     """
 
     def __init__(self, controller, state, entry, tick_times_ns) -> None:
-        began = _now_ns()
+        start_time_ns = _now_ns()
         self.step = controller.begin_tick(state, entry)
         self.tick_times_ns = tick_times_ns
-        self.spent_ns = _now_ns() - began
+        self.spent_ns = _now_ns() - start_time_ns
 
     def decide(self, requests):
-        began = _now_ns()
+        start_time_ns = _now_ns()
         self.step.decide(requests)
-        self.spent_ns += _now_ns() - began
+        self.spent_ns += _now_ns() - start_time_ns
 
     def command(self, targets):
-        began = _now_ns()
+        start_time_ns = _now_ns()
         frames = self.step.command(targets)
-        self.spent_ns += _now_ns() - began
+        self.spent_ns += _now_ns() - start_time_ns
         return frames
 
     @property
@@ -152,9 +158,9 @@ class TimedTick:
         return self.step.state
 
     def conclude(self):
-        began = _now_ns()
+        start_time_ns = _now_ns()
         result = self.step.conclude()
-        self.tick_times_ns.append(self.spent_ns + _now_ns() - began)
+        self.tick_times_ns.append(self.spent_ns + _now_ns() - start_time_ns)
         return result
 
 
@@ -181,8 +187,8 @@ class ActiveTickCounter:
         self.cpu_s = self.first_cpu_s = 0.0
         self.stopped = False
 
-    def __call__(self, entry, out) -> None:
-        if out.mode != HandMode.ACTIVE or self.stopped:
+    def __call__(self, entry, tick_output) -> None:
+        if tick_output.mode != HandMode.ACTIVE or self.stopped:
             return
         if not self.first_ns:
             self.first_cpu_s = time.process_time()

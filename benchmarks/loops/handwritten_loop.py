@@ -24,18 +24,18 @@ DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
 
 def tendon_filter(period_s: float) -> KalmanFilter:
     """Return a Kalman filter whose states are the tension and the rate of change of the tension."""
-    one = KalmanFilter(dim_x=2, dim_z=1)
-    one.F = np.array([[1.0, period_s], [0.0, 1.0]])
-    one.H = np.array([[1.0, 0.0]])
-    one.Q = np.diag([1e-3, 1e-1])
-    one.R = np.array([[0.25]])
-    return one
+    kalman_filter = KalmanFilter(dim_x=2, dim_z=1)
+    kalman_filter.F = np.array([[1.0, period_s], [0.0, 1.0]])
+    kalman_filter.H = np.array([[1.0, 0.0]])
+    kalman_filter.Q = np.diag([1e-3, 1e-1])
+    kalman_filter.R = np.array([[0.25]])
+    return kalman_filter
 
 
 def torque_payload(torque: float) -> bytes:
     """Encode a torque in the MIT frame of a Damiao motor (range 0.8 N m), with zero position, speed and gains."""
-    raw = round((torque + 0.8) / 1.6 * 4095)
-    return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
+    torque_code = round((torque + 0.8) / 1.6 * 4095)
+    return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, torque_code >> 8, torque_code & 0xFF))
 
 
 class BaselineLoop:
@@ -70,11 +70,11 @@ class BaselineLoop:
         )
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
-        for node, one in zip(self.nodes, self.filters, strict=True):
+        for node, kalman_filter in zip(self.nodes, self.filters, strict=True):
             # The loop computes torques only because the computation takes time. The torques are
             # multiplied by 0, so that no motor moves.
             data = torque_payload(
-                0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
+                0.005 * min(max(float(kalman_filter.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0
             )
             self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
         row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
@@ -97,15 +97,15 @@ class BaselineLoop:
         """Decode one reply and add its values to the row of the log."""
         if self.sensor_base_id <= message.arbitration_id < self.sensor_base_id + 0x10:
             bits = int.from_bytes(message.data, "little")
-            first = 5 * (message.arbitration_id - self.sensor_base_id)
-            for i in range(first, min(first + 5, len(self.filters))):
-                tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
+            first_cell = 5 * (message.arbitration_id - self.sensor_base_id)
+            for i in range(first_cell, min(first_cell + 5, len(self.filters))):
+                tension = (bits >> (4 + 12 * (i - first_cell)) & 0xFFF) * 0.0625 - 6.0
                 self.filters[i].predict()
                 self.filters[i].update(tension)
                 log_row["tension"].append(float(self.filters[i].x[0, 0]))
         elif len(message.data) == 8:
-            raw = struct.unpack_from(">H", message.data, 1)[0]
-            log_row["position"].append(raw / 65535 * 25.0 - 12.5)
+            position_code = struct.unpack_from(">H", message.data, 1)[0]
+            log_row["position"].append(position_code / 65535 * 25.0 - 12.5)
 
     def close(self) -> None:
         self.send_all(DISABLE_PAYLOAD)
@@ -126,20 +126,20 @@ def run_loop(
     loop.send_all(ENABLE_PAYLOAD)
     start = time.monotonic()
     ticks = 0
-    missed = 0
-    late = []
+    missed_ticks = 0
+    lateness_ns = []
     deadline = start
     while time.monotonic() - start < duration_s:
         if rate_hz:
             deadline += 1.0 / rate_hz
             time.sleep(max(0.0, deadline - time.monotonic()))
-            behind = time.monotonic() - deadline
-            late.append(int(behind * 1e9))
-            skipped = int(behind * rate_hz)
-            missed += skipped
-            deadline += skipped / rate_hz
+            lateness_s = time.monotonic() - deadline
+            lateness_ns.append(int(lateness_s * 1e9))
+            skipped_ticks = int(lateness_s * rate_hz)
+            missed_ticks += skipped_ticks
+            deadline += skipped_ticks / rate_hz
         loop.run_tick()
         ticks += 1
-    span = time.monotonic() - start
+    run_time_s = time.monotonic() - start
     loop.close()
-    return ticks / span, missed / ticks, late
+    return ticks / run_time_s, missed_ticks / ticks, lateness_ns

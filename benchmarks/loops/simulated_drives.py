@@ -10,7 +10,7 @@ import sys
 from firmware_sim.bus.frame import Frame, pack_record
 from firmware_sim.bus.local_ports import HubPort
 from firmware_sim.lockstep_hand import LockstepHand
-from firmware_sim.realtime_priority import take_priority
+from firmware_sim.realtime_priority import request_realtime_priority
 
 SPECIAL_COMMAND_HEAD = b"\xff" * 7
 ENABLED_STATE = 1
@@ -37,9 +37,11 @@ class CachedReplies:
         key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
         if key in self.replies:
             return self.replies[key]
-        answers = self.rig.world.receive(frame)
-        records = b"".join(map(pack_record, answers))
-        if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED_STATE):
+        answer_frames = self.rig.world.receive(frame)
+        records = b"".join(map(pack_record, answer_frames))
+        if frame.can_id == self.sync or (
+            answer_frames and answer_frames[0].data[0] >> 4 == ENABLED_STATE
+        ):
             self.replies[key] = records
         return records
 
@@ -48,11 +50,11 @@ def main(hand_name: str, bus_name: str) -> None:
     """Reply to frames on the bus until the process is killed."""
     echo = CachedReplies(hand_name)
     port = HubPort(bus_name, 0)
-    take_priority()
+    request_realtime_priority()
     print("ready", flush=True)
     while True:
-        ready, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
-        records = b"".join(map(echo.replies_to, port.receive(ready)))
+        ready_sockets, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
+        records = b"".join(map(echo.replies_to, port.receive(ready_sockets)))
         if records:
             port._hub.send(records)
 

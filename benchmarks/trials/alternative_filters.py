@@ -19,12 +19,14 @@ The benchmark uses the candidate with the smallest true error.
 
 def exponential_average(raw_tension: FloatArray, sample_weight: float) -> FloatArray:
     """Return the exponential average of the samples (ticks, N) [N]. Missing samples are skipped."""
-    smooth = np.empty_like(raw_tension)
-    last = np.nan_to_num(raw_tension[0])
+    smoothed_tension = np.empty_like(raw_tension)
+    last_tension = np.nan_to_num(raw_tension[0])
     for k, sample in enumerate(raw_tension):
-        last = last + sample_weight * np.where(np.isnan(sample), 0.0, sample - last)
-        smooth[k] = last
-    return smooth
+        last_tension = last_tension + sample_weight * np.where(
+            np.isnan(sample), 0.0, sample - last_tension
+        )
+        smoothed_tension[k] = last_tension
+    return smoothed_tension
 
 
 def cell_only_estimate(
@@ -48,11 +50,11 @@ def cell_only_estimate(
     gain = P[:, 0] / (P[0, 0] + cell_noise**2)
     f = np.nan_to_num(raw_tension[0])
     df = np.zeros(raw_tension.shape[1])
-    out = np.empty_like(raw_tension)
+    tension_estimate = np.empty_like(raw_tension)
     for k, sample in enumerate(raw_tension):
         innovation = np.where(np.isnan(sample), 0.0, sample - f)
         f = f + gain[0] * innovation
         df = df + gain[1] * innovation
         f = f + period_s * df
-        out[k] = f
-    return out
+        tension_estimate[k] = f
+    return tension_estimate

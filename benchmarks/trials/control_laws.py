@@ -54,7 +54,7 @@ def torque_without_gravity(
         spring_torque(digit, q),
         strict=True,
     )
-    return tuple(whole - static + spring for whole, static, spring in parts)
+    return tuple(full_torque - static + spring for full_torque, static, spring in parts)
 
 
 def misprinted_torque(
@@ -74,19 +74,21 @@ def misprinted_torque(
             total += float(values[i]) if i < digit.joint_count else 0.0
             names[f"{order}th{i + 1}"] = total
     for i in range(3):
-        here = i < digit.joint_count
-        names[f"L{i + 1}"] = digit.lengths[i] if here else 0.0
-        names[f"d{i + 1}"] = float(digit.centres_of_mass[i, 0]) if here else 0.0
-        names[f"m{i + 1}"] = digit.masses[i] if here else 0.0
-        names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
+        is_own_joint = i < digit.joint_count
+        names[f"L{i + 1}"] = digit.lengths[i] if is_own_joint else 0.0
+        names[f"d{i + 1}"] = float(digit.centres_of_mass[i, 0]) if is_own_joint else 0.0
+        names[f"m{i + 1}"] = digit.masses[i] if is_own_joint else 0.0
+        names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if is_own_joint else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
-    printed = [
+    printed_torque = [
         sum(float(term.readings[0].evaluate(names)) for term in equation_terms)
         for equation_terms in equations.TORQUE_TERMS
     ]
-    joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]
-    passive = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
-    return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
+    joint = (sum(printed_torque), printed_torque[1] + printed_torque[2], printed_torque[2])[
+        : digit.joint_count
+    ]
+    passive_torques = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
+    return tuple(tau + sum(parts) for tau, parts in zip(joint, passive_torques, strict=True))
 
 
 MOTION_FORCE_WEIGHT_N = 20.0
@@ -111,9 +113,9 @@ class RawTensionController(Controller):
     __slots__ = ()
 
     def _process_frames(
-        self, before: ControllerState, state: ControllerState, entry: TickIn, frames: Frames
+        self, last_state: ControllerState, state: ControllerState, entry: TickIn, frames: Frames
     ) -> tuple[str, ...]:
-        signs = super()._process_frames(before, state, entry, frames)
+        signs = super()._process_frames(last_state, state, entry, frames)
         cell = state.tendon[s.MEASURED_TENSION]
         state.tendon[s.TENSION] = np.where(np.isnan(cell), state.tendon[s.TENSION], cell)
         return signs
@@ -150,33 +152,35 @@ class AblationLaw:
         This module defines all other gains, so they do not depend on the packaged gains.
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
-        fixed = {
+        fixed_gains = {
             "force_N": MOTION_FORCE_WEIGHT_N * force_scale(rate_hz),
             "disturbance_rejection": 1.0,
             "tension_feedback": 0.3,
         }
-        return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion_gains}))
+        return Gains(motion=MotionGains(**{**fixed_gains, **weights, **self.motion_gains}))
 
     @property
     def change_controller(self) -> partial[Controller]:
         """Return a function that makes a controller use this control law."""
         return partial(
-            _with_law,
+            _replace_control_law,
             inverse_dynamics=self.inverse_dynamics,
             with_raw_tension=self.with_raw_tension,
         )
 
 
-def _with_law(
+def _replace_control_law(
     controller: Controller, inverse_dynamics: InverseDynamics, with_raw_tension: bool
 ) -> Controller:
-    other = replace(controller, model=replace(controller.model, inverse_dynamics=inverse_dynamics))
-    return controller_on_raw_tension(other) if with_raw_tension else other
+    other_controller = replace(
+        controller, model=replace(controller.model, inverse_dynamics=inverse_dynamics)
+    )
+    return controller_on_raw_tension(other_controller) if with_raw_tension else other_controller
 
 
 NO_INERTIA_GAINS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
 NO_FRICTION_GAINS = {"friction_share": 0.0, **NO_FORCE_LOOP}
-GRAVITY_LAWS = {
+GRAVITY_LAW_BY_NAME = {
     "PD and springs": AblationLaw(springs_without_gravity, NO_INERTIA_GAINS),
     "PD and springs, + gravity": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
     "computed torque without gravity": AblationLaw(torque_without_gravity, NO_FORCE_LOOP),
@@ -186,7 +190,7 @@ GRAVITY_LAWS = {
 
 The laws of a pair differ only in gravity compensation.
 """
-ABLATION_LAWS = {
+ABLATION_LAW_BY_NAME = {
     "PD alone": AblationLaw(zero_torque, NO_INERTIA_GAINS),
     "+ gravity and springs": AblationLaw(gravity_and_spring_torque, NO_INERTIA_GAINS),
     "+ motor inertia": AblationLaw(gravity_and_spring_torque, NO_FRICTION_GAINS),

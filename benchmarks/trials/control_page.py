@@ -25,10 +25,10 @@ def write_part(part_name: str, part_text: str) -> None:
     """
     parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
     parts[part_name] = part_text.strip()
-    ordered = sorted(
+    ordered_parts = sorted(
         parts, key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER)
     )
-    blocks = [f"<!-- {name} -->\n{parts[name]}\n<!-- end of {name} -->\n" for name in ordered]
+    blocks = [f"<!-- {name} -->\n{parts[name]}\n<!-- end of {name} -->\n" for name in ordered_parts]
     PAGE_FILE.write_text("\n".join([PAGE_HEAD, *blocks]), "utf-8")
 
 

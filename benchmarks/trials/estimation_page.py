@@ -34,9 +34,13 @@ NIS_RANGE = (0.8, 1.3)
 def page_section(result: dict) -> str:
     """Return the Markdown section of a result of ``estimation.measure_estimators``."""
     parts = ["## The tension estimate", ""]
-    few = min(result["seeds"].values())
-    many = max(result["seeds"].values())
-    seeds = many if few == many else f"{few} to {many}"
+    min_seed_count = min(result["seeds"].values())
+    max_seed_count = max(result["seeds"].values())
+    seeds = (
+        max_seed_count
+        if min_seed_count == max_seed_count
+        else f"{min_seed_count} to {max_seed_count}"
+    )
     parts += [
         "`python benchmarks/estimation.py --page` writes this section. The error is the estimated "
         "minus the true tension at the load cell. All numbers are root mean square "
@@ -67,8 +71,8 @@ def page_section(result: dict) -> str:
             for regime, row in plants["as known"].items()
         ]
         parts += ["", markdown_table([hand, *KEY_BY_COLUMN], rows)]
-        others = [plant for plant in plants if plant != "as known"]
-        if others:
+        other_plants = [plant for plant in plants if plant != "as known"]
+        if other_plants:
             regimes = [
                 r
                 for r in ("free", "reversal", "impact", "hold", "slack")
@@ -78,11 +82,12 @@ def page_section(result: dict) -> str:
                 f"{regime}: error at present, ratios at the sample and at present"
                 for regime in regimes
             ]
-            head = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
+            column_titles = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
             parts += [
                 "",
                 markdown_table(
-                    head, [_wrong_plant_row(plant, plants[plant], regimes) for plant in others]
+                    column_titles,
+                    [_wrong_plant_row(plant, plants[plant], regimes) for plant in other_plants],
                 ),
             ]
     parts += [
@@ -111,34 +116,36 @@ def _wrong_plant_row(plant_name: str, regimes_table: dict, regimes: list[str]) -
 
 def _conclusion(result: dict) -> str:
     """Return the conclusion of the section, derived from the numbers."""
-    met = []
-    missed = []
-    strict = []
+    met_texts = []
+    missed_texts = []
+    strict_texts = []
     for hand, plants in result["hands"].items():
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
             row = plants["as known"][regime]
             ratio = row["filtered / limit"]
             nis = row["nis"]
-            good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
-            (met if good else missed).append(
+            is_good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
+            (met_texts if is_good else missed_texts).append(
                 f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
             )
-            strict.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
+            strict_texts.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
     text = (
         f"At the sample, the error of the filter must be at most {MAX_RATIO} times the reference, and NIS must "
         f"be between "
         f"{NIS_RANGE[0]} and {NIS_RANGE[1]}. "
     )
-    text += f"Cases that meet both requirements: {'; '.join(met) or 'none'}. "
-    text += f"Cases that miss one of them: {'; '.join(missed)}. " if missed else ""
+    text += f"Cases that meet both requirements: {'; '.join(met_texts) or 'none'}. "
+    text += f"Cases that miss one of them: {'; '.join(missed_texts)}. " if missed_texts else ""
     text += (
         "\n\nA stricter comparison divides the error of the prediction for the present by the reference at the "
         "sample, "
-        f"although the two belong to different instants. The ratios are: {', '.join(strict)}. "
+        f"although the two belong to different instants. The ratios are: {', '.join(strict_texts)}. "
     )
-    raw = "\n".join(f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in RATIO_INSTANT_TEXTS)
+    raw_text = "\n".join(
+        f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in RATIO_INSTANT_TEXTS
+    )
     heading = "Comparison of the filter with the load cell alone:"
-    parts = (text.strip(), heading, raw, _otherwise_wrong(result), *EXPLANATION_TEXTS)
+    parts = (text.strip(), heading, raw_text, _wrong_plant_text(result), *EXPLANATION_TEXTS)
     return "\n\n".join(part for part in parts if part)
 
 
@@ -177,45 +184,46 @@ def _regimes_worse_than_raw(result: dict, ratio_name: str) -> str:
     rows = [
         (row[ratio_name], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
-        for plant, worse in plants.items()
+        for plant, rows_by_regime in plants.items()
         if plant == "as known" or plant.startswith("stiffness")
-        for regime, row in worse.items()
+        for regime, row in rows_by_regime.items()
     ]
-    above = [f"{name} ({value:.2f})" for value, name in rows if value > 1.0]
-    worst, name = max(rows)
-    if not above:
+    texts_above_one = [f"{name} ({value:.2f})" for value, name in rows if value > 1.0]
+    worst_ratio, name = max(rows)
+    if not texts_above_one:
         return (
             f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is never worse than the load cell, even if the "
             f"stiffness in the hand file is wrong "
-            f"by 50 %. The largest ratio of the errors is {worst:.2f} ({name})."
+            f"by 50 %. The largest ratio of the errors is {worst_ratio:.2f} ({name})."
         )
     return (
         f"{RATIO_INSTANT_TEXTS[ratio_name]} the filter is worse than the load cell"
         " in these cases (ratio of the errors): "
-        f"{'; '.join(above)}."
+        f"{'; '.join(texts_above_one)}."
     )
 
 
-def _otherwise_wrong(result: dict) -> str:
+def _wrong_plant_text(result: dict) -> str:
     """List the tendon regimes in which the raw load cell is better, for hands with other wrong parameters."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
-        for plant, worse in plants.items()
+        for plant, rows_by_regime in plants.items()
         if plant != "as known" and not plant.startswith("stiffness")
-        for regime, row in worse.items()
+        for regime, row in rows_by_regime.items()
     ]
     if not rows:
         return ""
-    above = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
+    texts_above_one = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
     nis, name = max((nis, name) for _, nis, name in rows)
-    if not above:
+    if not texts_above_one:
         return (
             "With a wrong mass, a wrong friction or a bias of the load cell, the filter at present is never "
             "worse than the load cell."
         )
     return (
-        f"With other wrong parameters, the filter at present is worse than the load cell in: {'; '.join(above)}. "
+        "With other wrong parameters, the filter at present is worse than the load cell in: "
+        f"{'; '.join(texts_above_one)}. "
         f"The innovations show this (the largest NIS is {nis:.2f}, {name}), and `handctl identify` measures "
         f"the friction "
         "within some per cent."
@@ -233,7 +241,7 @@ def draw_picture(result: dict) -> None:
     figure, axes = plt.subplots(
         1, len(hands), figsize=(4.6 * len(hands), 3.4), sharey=True, squeeze=False
     )
-    ways = {
+    value_by_filter = {
         "raw": "#dddddd",
         "filtered": "#88aadd",
         "raw now": "#bbbbbb",
@@ -243,17 +251,22 @@ def draw_picture(result: dict) -> None:
     }
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         regimes_table = plants["as known"]
-        places = np.arange(len(regimes_table))
-        for i, (estimator, colour) in enumerate(ways.items()):
+        bar_positions = np.arange(len(regimes_table))
+        for i, (estimator, colour) in enumerate(value_by_filter.items()):
             values = [row[estimator] for row in regimes_table.values()]
-            axis.bar(places + 0.14 * (i - 2.5), values, 0.14, color=colour, label=estimator)
-        for key, style, where in (("limit", "-", -0.28), ("limit now", ":", 0.14)):
+            axis.bar(bar_positions + 0.14 * (i - 2.5), values, 0.14, color=colour, label=estimator)
+        for key, style, bar_offset in (("limit", "-", -0.28), ("limit now", ":", 0.14)):
             limits = [row[key] for row in regimes_table.values()]
             name = key.replace("limit", "reference")
             axis.hlines(
-                limits, places + where - 0.16, places + where + 0.3, "#222222", style, label=name
+                limits,
+                bar_positions + bar_offset - 0.16,
+                bar_positions + bar_offset + 0.3,
+                "#222222",
+                style,
+                label=name,
             )
-        axis.set_xticks(places, list(regimes_table), rotation=20)
+        axis.set_xticks(bar_positions, list(regimes_table), rotation=20)
         axis.set_title(hand)
     axes[0][0].set_ylabel("RMSE of tension [N]")
     axes[0][-1].legend(fontsize=8, loc="upper left", ncols=2)

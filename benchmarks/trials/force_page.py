@@ -29,17 +29,17 @@ def page_section(result: dict[str, Any]) -> str:
     for hand, plants in result["hands"].items():
         rows = [_loop_row(law, row) for law, row in plants.get("as known", {}).items()]
         parts += ["", markdown_table([hand, *COLUMN_BY_FIGURE.values(), "seeds"], rows)]
-        others = [plant for plant in plants if plant != "as known"]
-        if others:
+        other_plants = [plant for plant in plants if plant != "as known"]
+        if other_plants:
             laws = list(plants["as known"])
-            head = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
+            column_titles = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
             parts += [
                 "",
                 markdown_table(
-                    head,
+                    column_titles,
                     [
                         [plant, *[_rmse_cell(plants[plant].get(law)) for law in laws]]
-                        for plant in others
+                        for plant in other_plants
                     ],
                 ),
             ]
@@ -64,9 +64,9 @@ def _conclusion(result: dict[str, Any]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():
-        without_estimate, raw, estimate = plants["as known"].values()
-        margin = raw["rmse_N"] - estimate["rmse_N"]
-        spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
+        without_estimate, raw_row, estimate_row = plants["as known"].values()
+        margin = raw_row["rmse_N"] - estimate_row["rmse_N"]
+        spread = max(raw_row["rmse_spread_N"], estimate_row["rmse_spread_N"])
         word = (
             "better than"
             if margin > 2 * spread
@@ -76,16 +76,16 @@ def _conclusion(result: dict[str, Any]) -> str:
         )
         texts.append(
             f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
-            f"{estimate['rmse_N']:.2f} and "
-            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
-            f"{without_estimate['rmse_N'] / estimate['rmse_N']:.1f} "
+            f"{estimate_row['rmse_N']:.2f} and "
+            f"{raw_row['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
+            f"{without_estimate['rmse_N'] / estimate_row['rmse_N']:.1f} "
             f"times smaller than without a loop. The loop on the estimate overshoots the step of 25 N by "
-            f"{estimate['overshoot_N']:.1f} N, "
-            f"and its steady error is {estimate['steady_N']:.2f} N. The ripple of this loop is "
-            f"{estimate['ripple_N']:.2f} N, "
-            f"compared with {raw['ripple_N']:.2f} N of the loop on the raw sensor."
+            f"{estimate_row['overshoot_N']:.1f} N, "
+            f"and its steady error is {estimate_row['steady_N']:.2f} N. The ripple of this loop is "
+            f"{estimate_row['ripple_N']:.2f} N, "
+            f"compared with {raw_row['ripple_N']:.2f} N of the loop on the raw sensor."
         )
-    whys = sorted(
+    end_reasons = sorted(
         {
             w
             for plants in result["hands"].values()
@@ -94,7 +94,7 @@ def _conclusion(result: dict[str, Any]) -> str:
             for w in r["why"]
         }
     )
-    texts += [f"These faults ended runs early: {'; '.join(whys)}."] if whys else []
+    texts += [f"These faults ended runs early: {'; '.join(end_reasons)}."] if end_reasons else []
     texts.append(
         "A bias of the load cell is an error of the true tension as well, and no loop can remove this error."
     )

@@ -48,7 +48,9 @@ FORCE_TASK = {
     ],
 }  # fmt: skip
 FORCE_PLANTS = {
-    plant: wrong for plant, wrong in simulated_plants.PLANT_FACTORS.items() if "mass" not in wrong
+    plant: wrong_factors
+    for plant, wrong_factors in simulated_plants.PLANT_FACTORS.items()
+    if "mass" not in wrong_factors
 }
 """Simulated hands of the force step.
 
@@ -88,14 +90,14 @@ FORCE_LOOPS = {
 def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> LockstepTrial:
     """Return the force-step trial of a hand, for a force loop, a seed and a set of simulated parameters."""
     loop = FORCE_LOOPS[loop_name]
-    fixed = {
+    fixed_gains = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand_name]),
         "integral_per_s": INTEGRAL_PER_S,
         "tension_error_N": WEIGHT_N,
     }
     motion = {"disturbance_rejection": 1.0} | loop.motion_gains
     gains = Gains(
-        motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension_gains))
+        motion=MotionGains(**motion), tension=TensionGains(**(fixed_gains | loop.tension_gains))
     )
     program = TaskProgram(validate_content(FORCE_TASK, Task, "benchmark"))
     return LockstepTrial(
@@ -117,7 +119,7 @@ def force_figures(record: TrialRecord) -> dict[str, float]:
     The results are overshoot [N], settling time [s], steady error [N], ripple [N], and RMSE [N].
     """
     tension = record.tension()
-    in_contact = record.of_tendons(record.telemetry["contact"] > 0)
+    in_contact = record.expand_to_tendons(record.telemetry["contact"] > 0)
     rows: dict[str, list[float]] = {
         name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")
     }
@@ -126,11 +128,11 @@ def force_figures(record: TrialRecord) -> dict[str, float]:
         t = record.times[mask] - record.times[mask].min(initial=np.inf)
         for i in np.flatnonzero(in_contact[mask].all(axis=0)) if mask.any() else ():
             error = tension[mask, i] - goal
-            last = error[t > HOLD_DURATION_S - STEADY_S]
+            steady_error = error[t > HOLD_DURATION_S - STEADY_S]
             rows["overshoot_N"].append(float((change * error).max()))
             rows["settling_s"].append(float(t[np.abs(error) > BAND_N].max(initial=0.0)))
-            rows["steady_N"].append(float(abs(last.mean())))
-            rows["ripple_N"].append(float(last.std()))
+            rows["steady_N"].append(float(abs(steady_error.mean())))
+            rows["ripple_N"].append(float(steady_error.std()))
             rows["mse"].append(float((error**2).mean()))
     result = {
         name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()
@@ -176,22 +178,22 @@ def measure_force(
             row for job, row in results.items() if (job[0], job[1], job[3]) == (hand, law, plant)
         ]
         if rows:
-            result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _over_seeds(rows)
+            result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _mean_over_seeds(rows)
     return result
 
 
-def _over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    good = [row for row in rows if not row["why"] and np.isfinite(row["rmse_N"])]
+def _mean_over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    good_rows = [row for row in rows if not row["why"] and np.isfinite(row["rmse_N"])]
     names = [name for name in rows[0] if name != "why"]
     mean = {
-        name: float(np.mean([row[name] for row in good])) if good else float("nan")
+        name: float(np.mean([row[name] for row in good_rows])) if good_rows else float("nan")
         for name in names
     }
-    spread = float(np.std([row["rmse_N"] for row in good])) if good else float("nan")
-    whys = sorted({row["why"] for row in rows if row["why"]})
+    spread = float(np.std([row["rmse_N"] for row in good_rows])) if good_rows else float("nan")
+    end_reasons = sorted({row["why"] for row in rows if row["why"]})
     return mean | {
         "rmse_spread_N": spread,
         "seeds": len(rows),
-        "ended": len(rows) - len(good),
-        "why": whys,
+        "ended": len(rows) - len(good_rows),
+        "why": end_reasons,
     }

@@ -46,23 +46,29 @@ def collect_results(run_job: JobFunction, jobs: list[Any], plan: JobPlan) -> dic
         plan: see ``JobPlan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    done = {
-        job: stored for job in jobs if (stored := _stored_result(run_job, job, plan)) is not None
+    result_by_job = {
+        job: stored_result
+        for job in jobs
+        if (stored_result := _stored_result(run_job, job, plan)) is not None
     }
-    missing = [job for job in jobs if job not in done]
-    until = time.monotonic() + 60.0 * plan.max_minutes
+    missing_jobs = [job for job in jobs if job not in result_by_job]
+    deadline_s = time.monotonic() + 60.0 * plan.max_minutes
     for job, results in _run_jobs(
-        run_job, missing, plan.worker_count or os.cpu_count() or 1, until
+        run_job, missing_jobs, plan.worker_count or os.cpu_count() or 1, deadline_s
     ):
-        done[job] = _through_json(results)
-        _store_result(run_job, job, done[job], plan)
-        print(f"{len(done)}/{len(jobs)} {run_job.__name__} {job}", file=sys.stderr, flush=True)
-    if len(done) < len(jobs):
+        result_by_job[job] = _json_round_trip(results)
+        _store_result(run_job, job, result_by_job[job], plan)
         print(
-            f"{len(jobs) - len(done)} of {len(jobs)} not run: continue with the same --keep",
+            f"{len(result_by_job)}/{len(jobs)} {run_job.__name__} {job}",
+            file=sys.stderr,
+            flush=True,
+        )
+    if len(result_by_job) < len(jobs):
+        print(
+            f"{len(jobs) - len(result_by_job)} of {len(jobs)} not run: continue with the same --keep",
             file=sys.stderr,
         )
-    return {job: done[job] for job in jobs if job in done}
+    return {job: result_by_job[job] for job in jobs if job in result_by_job}
 
 
 def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time_s: float) -> Any:
@@ -72,19 +78,19 @@ def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time
             if time.monotonic() < end_time_s:
                 yield job, run_job(job)
         return
-    waiting: dict[Future[Any], Any] = {}
+    job_by_future: dict[Future[Any], Any] = {}
     left = iter(jobs)
     with ProcessPoolExecutor(worker_count) as pool:
         while True:
-            while len(waiting) < worker_count and time.monotonic() < end_time_s:
+            while len(job_by_future) < worker_count and time.monotonic() < end_time_s:
                 job = next(left, None)
                 if job is None:
                     break
-                waiting[pool.submit(run_job, job)] = job
-            if not waiting:
+                job_by_future[pool.submit(run_job, job)] = job
+            if not job_by_future:
                 return
-            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-                yield waiting.pop(future), future.result()
+            for future in wait(job_by_future, return_when=FIRST_COMPLETED).done:
+                yield job_by_future.pop(future), future.result()
 
 
 def _result_path(run_job: JobFunction, job: Any, results_folder: Path) -> Path:
@@ -113,7 +119,7 @@ def _store_result(run_job: JobFunction, job: Any, result: Any, plan: JobPlan) ->
     path.with_suffix(".part").replace(path)
 
 
-def _through_json(result: Any) -> Any:
+def _json_round_trip(result: Any) -> Any:
     """Convert a result to JSON and back.
 
     This conversion makes lists of the tuples in the result.

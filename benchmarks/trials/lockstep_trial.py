@@ -122,7 +122,7 @@ class TrialRecord:
         ]
         return np.sqrt(sum(axis**2 for axis in axes))
 
-    def of_tendons(self, values_by_digit: NDArray[Any]) -> NDArray[Any]:
+    def expand_to_tendons(self, values_by_digit: NDArray[Any]) -> NDArray[Any]:
         """Convert values per digit (ticks, D) to values per tendon (ticks, N)."""
         slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
         index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
@@ -139,14 +139,14 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
         file = hand_file_of(trial.hand, Path(folder))
-        twin = SimulatorSettings(
+        simulator_settings = SimulatorSettings(
             file, trial.scene, trial.seed, dict(trial.plant_factors or {}), homed=True, truth=path
         )
         rows: list[TickRow] = []
-        with twin.begin_run(controller) as run:
+        with simulator_settings.begin_run(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
-            for entry, out in run.run_ticks(trial.time_limit_s):
-                rows.append((entry, out, inputs, run.state))
+            for entry, tick_output in run.run_ticks(trial.time_limit_s):
+                rows.append((entry, tick_output, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
         return _trial_record(hand, controller, rows, read_truth(path), run.state)
 
@@ -187,7 +187,11 @@ def _trial_record(
 ) -> TrialRecord:
     active = [row for row in rows if row[1].mode == HandMode.ACTIVE]
     fields = TELEMETRY_FIELDS
-    events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]
+    events = [
+        (entry.t_ns / 1e9, *event[1:])
+        for entry, tick_output, *_ in rows
+        for event in tick_output.events
+    ]
     design = controller.model.filter
     return TrialRecord(
         hand,
@@ -199,7 +203,9 @@ def _trial_record(
             for name in fields
         },
         np.array([inputs[:, 0] for *_, inputs, _ in active]),
-        np.array([_filtered_tension(design, inputs, after) for *_, inputs, after in active]),
+        np.array(
+            [_filtered_tension(design, inputs, state_after) for *_, inputs, state_after in active]
+        ),
         truth_record,
         state.failure,
         tuple(events),

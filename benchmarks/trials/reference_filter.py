@@ -35,7 +35,7 @@ STATE_SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def reference_sigma(
-    model: HandModel, tendon_index: int, is_held: bool, with_joint_encoder: bool = True
+    model: HandModel, tendon_index: int, is_digit_held: bool, with_joint_encoder: bool = True
 ) -> tuple[float, float]:
     """Return the standard deviations of tendon i's tension at the last load-cell reading and at present [N].
 
@@ -45,13 +45,13 @@ def reference_sigma(
     Args:
         model: hand and control rate.
         tendon_index: index of the tendon.
-        is_held: True if the digit presses on an object.
+        is_digit_held: True if the digit presses on an object.
         with_joint_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
             the filter uses only the load cell.
     """
     space = model.space
     arm = float(np.abs(model.hand.moment_arms[tendon_index]).sum())
-    spring = CONTACT_N_M_PER_RAD / arm**2 if is_held else space.load_stiffness[tendon_index]
+    spring = CONTACT_N_M_PER_RAD / arm**2 if is_digit_held else space.load_stiffness[tendon_index]
     k = space.stiffness[tendon_index]
     c = space.damping[tendon_index]
     m = space.motor_mass[tendon_index]
@@ -76,8 +76,8 @@ def reference_sigma(
     ]
     A = A * STATE_SCALE / STATE_SCALE[:, None]
     Q = np.diag(noise) / np.outer(STATE_SCALE, STATE_SCALE)
-    loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
-    F = loan[7:, 7:].T
+    van_loan_matrix = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
+    F = van_loan_matrix[7:, 7:].T
     H = np.vstack((np.eye(7)[0], tension)) * STATE_SCALE
     R = np.diag(
         [
@@ -87,8 +87,16 @@ def reference_sigma(
     )
     rows = [0, 1] if with_joint_encoder else [1]
     spread = np.sqrt(np.diag(R)[rows])
-    P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
-    seen = H[rows] / spread[:, None]
+    P = solve_discrete_are(
+        F.T, (H[rows] / spread[:, None]).T, F @ van_loan_matrix[:7, 7:], np.eye(len(rows))
+    )
+    measurement_rows = H[rows] / spread[:, None]
     row = tension * STATE_SCALE
-    gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
-    return float(np.sqrt(row @ (P - gain @ seen @ P) @ row)), float(np.sqrt(row @ P @ row))
+    gain = (
+        P
+        @ measurement_rows.T
+        @ np.linalg.inv(measurement_rows @ P @ measurement_rows.T + np.eye(len(rows)))
+    )
+    return float(np.sqrt(row @ (P - gain @ measurement_rows @ P) @ row)), float(
+        np.sqrt(row @ P @ row)
+    )

@@ -19,19 +19,19 @@ class ScriptStep:
 
     Attributes:
         name: name of the phase in the log.
-        lasts_s: time until the next step [s].
-        angle_deg: target angle of a move that lasts ``move_s`` [deg], or None for a step without a
+        step_duration_s: time until the next step [s].
+        angle_deg: target angle of a move that lasts ``move_duration_s`` [deg], or None for a step without a
             move.
-        move_s: duration of the move [s].
+        move_duration_s: duration of the move [s].
         tension_N: tension of a hold, which replaces the move [N], or None for a step without a
             hold.
         rate_N_per_s: rate of change of the target tension [N/s].
     """
 
     name: str
-    lasts_s: float
+    step_duration_s: float
     angle_deg: float | None = None
-    move_s: float = 1.0
+    move_duration_s: float = 1.0
     tension_N: float | None = None
     rate_N_per_s: float = 100.0
 
@@ -51,14 +51,14 @@ class ScriptProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
         """Advance to the step of the present time, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
-            progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+            progress, events = LiveProgram().advance(model, progress, estimate, measurements, t)
             return (
                 (replace(progress, step=-1), events)
                 if progress.phase == "live"
@@ -66,7 +66,7 @@ class ScriptProgram:
             )
         if (
             progress.step >= 0
-            and t - progress.since < self.steps[progress.step].lasts_s - 0.5 * model.period
+            and t - progress.since < self.steps[progress.step].step_duration_s - 0.5 * model.period
         ):
             return progress, ()
         if progress.step + 1 >= len(self.steps):
@@ -89,7 +89,11 @@ def _digit_goal(
 ) -> DigitGoal:
     if step.angle_deg is not None:
         return goal_to_move_to_angle(
-            model.digits[digit_index], estimate, math.radians(step.angle_deg), step.move_s, t
+            model.digits[digit_index],
+            estimate,
+            math.radians(step.angle_deg),
+            step.move_duration_s,
+            t,
         )
     if step.tension_N is None:
         return previous_goal

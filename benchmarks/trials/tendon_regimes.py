@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from trials.lockstep_trial import FloatArray, TrialRecord
 
-REVERSAL_S = 0.05
+REVERSAL_HALF_WINDOW_S = 0.05
 """Half width of the time window around a reversal of the winding direction [s]."""
-IMPACT_S = 0.1
-SETTLED_S = 0.3
+IMPACT_DURATION_S = 0.1
+SETTLING_TIME_S = 0.3
 """Time after the start of a contact until the tension has settled [s]."""
 TAUT_TENSION_N = 0.5
 TOUCH_FORCE_N = 0.05
-SLACK_S = 0.05
-TURNING_RAD_S = 0.2
+SLACK_WINDOW_S = 0.05
+MIN_TURNING_SPEED_RAD_S = 0.2
 """A spool that is slower than this counts as having no direction [rad/s]."""
 KNEE_TENSION_N = 200.0
 REGIME_NAMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
@@ -27,38 +27,42 @@ def regime_masks(record: TrialRecord) -> dict[str, MaskArray]:
     """Return a mask (ticks, N) for each regime. At each tick, a tendon is in at most one regime."""
     tension = record.tension()
     t = record.times
-    touched = record.of_tendons(record.contact_force() > TOUCH_FORCE_N)
-    ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
-    taut = tension > TAUT_TENSION_N
-    since = _since_rise(touched, t)
-    turning = _near_mask(_reversal_mask(record), t, REVERSAL_S) & ~touched
-    hold = ready & taut & touched & (since > SETTLED_S)
+    is_touched = record.expand_to_tendons(record.contact_force() > TOUCH_FORCE_N)
+    is_ready = ~np.isin(record.phase, ("start", "tighten", "live"))[:, None]
+    is_taut = tension > TAUT_TENSION_N
+    contact_time = _time_since_rise(is_touched, t)
+    is_reversing = _widened_mask(_reversal_mask(record), t, REVERSAL_HALF_WINDOW_S) & ~is_touched
+    hold = is_ready & is_taut & is_touched & (contact_time > SETTLING_TIME_S)
     return {
-        "free": ready & taut & ~touched & ~turning,
-        "reversal": ready & taut & turning,
-        "impact": ready & taut & touched & (since <= IMPACT_S),
+        "free": is_ready & is_taut & ~is_touched & ~is_reversing,
+        "reversal": is_ready & is_taut & is_reversing,
+        "impact": is_ready & is_taut & is_touched & (contact_time <= IMPACT_DURATION_S),
         "hold": hold & (tension <= KNEE_TENSION_N),
         "beyond 200 N": hold & (tension > KNEE_TENSION_N),
-        "slack": ready & ~_near_mask(taut, t, SLACK_S),
+        "slack": is_ready & ~_widened_mask(is_taut, t, SLACK_WINDOW_S),
     }
 
 
-def _since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
+def _time_since_rise(signals: MaskArray, times: FloatArray) -> FloatArray:
     """Return the time since each signal last became true (ticks, N) [s].
 
-    Pauses of a signal that are shorter than ``SETTLED_S`` are ignored.
+    Pauses of a signal that are shorter than ``SETTLING_TIME_S`` are ignored.
     """
-    since = np.full(signals.shape, np.inf)
+    time_since_rise = np.full(signals.shape, np.inf)
     for i in range(signals.shape[1]):
         rise = -np.inf
-        fall = -np.inf
+        last_true_time = -np.inf
         for k, value in enumerate(signals[:, i]):
-            if value and not (k and signals[k - 1, i]) and times[k] - fall > SETTLED_S:
+            if (
+                value
+                and not (k and signals[k - 1, i])
+                and times[k] - last_true_time > SETTLING_TIME_S
+            ):
                 rise = times[k]
             if value:
-                fall = times[k]
-            since[k, i] = times[k] - rise
-    return since
+                last_true_time = times[k]
+            time_since_rise[k, i] = times[k] - rise
+    return time_since_rise
 
 
 def _reversal_mask(record: TrialRecord) -> MaskArray:
@@ -69,21 +73,21 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
         for delay in (0, period)
     ]
     speed = (angle[0] - angle[1]) / (period * 1e-9)
-    direction = np.where(np.abs(speed) > TURNING_RAD_S, np.sign(speed), 0.0)
-    turned = np.zeros(direction.shape, dtype=bool)
+    direction = np.where(np.abs(speed) > MIN_TURNING_SPEED_RAD_S, np.sign(speed), 0.0)
+    has_reversed = np.zeros(direction.shape, dtype=bool)
     for i in range(direction.shape[1]):
         moving = np.flatnonzero(direction[:, i])
-        turned[moving[1:], i] = direction[moving[1:], i] != direction[moving[:-1], i]
-    return turned
+        has_reversed[moving[1:], i] = direction[moving[1:], i] != direction[moving[:-1], i]
+    return has_reversed
 
 
-def _near_mask(signals: MaskArray, times: FloatArray, time_distance: float) -> MaskArray:
+def _widened_mask(signals: MaskArray, times: FloatArray, time_distance: float) -> MaskArray:
     """Return a mask (ticks, N) of the ticks near a tick whose signal is true.
 
     The time between the two ticks is at most ``time_distance`` [s].
     """
-    reach = round(time_distance / (times[1] - times[0]))
-    kernel = np.ones(2 * reach + 1)
+    tick_distance = round(time_distance / (times[1] - times[0]))
+    kernel = np.ones(2 * tick_distance + 1)
     return np.column_stack(
         [np.convolve(column, kernel, "same") > 0.5 for column in signals.T.astype(float)]
     )

@@ -31,7 +31,7 @@ from handctl.tune.loops.linear_models import LoopKind
 from handctl.tune.search.ensemble import sample_ensemble
 from trials import control_page, force_page, force_step, tracking_page
 from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
-from trials.control_laws import ABLATION_LAWS
+from trials.control_laws import ABLATION_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.script_program import ScriptProgram, ScriptStep
@@ -70,10 +70,12 @@ reach its end. The file also states whether the motion loop keeps its stability 
 pair. Each run consists of a slow, a medium and a fast motion, because the best weights for a single
 motion may cause a fault in a run with all three motions.
 """
-PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [list(ABLATION_LAWS)[i] for i in (0, 1, -2, -1)]
+PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW = [
+    list(ABLATION_LAW_BY_NAME)[i] for i in (0, 1, -2, -1)
+]
 COMPARED_LAWS = (PD_LAW, SPRINGS_LAW, BEST_LAW)
 """Control laws that are also tried on simulated hands whose parameters differ from the hand file."""
-MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAWS)[-4], BEST_LAW)
+MARGIN_LAWS = (PD_LAW, SPRINGS_LAW, list(ABLATION_LAW_BY_NAME)[-4], BEST_LAW)
 """Control laws that are also tried with the best LQR weights that keep the stability margins."""
 DRAWN_PLANT_COUNT = 8
 """Number of random hands on which LQR weights must keep the stability margins."""
@@ -88,7 +90,7 @@ def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
                 f"home {speed}",
                 RETURN_DURATION_S + REST_DURATION_S,
                 angle_deg=0.0,
-                move_s=RETURN_DURATION_S,
+                move_duration_s=RETURN_DURATION_S,
             )
         )
         steps.append(
@@ -96,7 +98,7 @@ def motion_script(speeds: tuple[str, ...]) -> ScriptProgram:
                 speed,
                 MOTION_TIMES_S[speed] + SETTLING_TIME_S,
                 angle_deg=MOTION_ANGLE_DEG,
-                move_s=MOTION_TIMES_S[speed],
+                move_duration_s=MOTION_TIMES_S[speed],
             )
         )
     return ScriptProgram(tuple(steps))
@@ -111,7 +113,7 @@ def tracking_trial(
     speeds: tuple[str, ...],
 ) -> LockstepTrial:
     """Return the tracking trial of a control law with two given LQR weights."""
-    config = ABLATION_LAWS[law_name]
+    config = ABLATION_LAW_BY_NAME[law_name]
     return LockstepTrial(
         hand_name + SPREAD_DIGITS_SUFFIX,
         motion_script(speeds),
@@ -145,13 +147,17 @@ def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, 
         t = record.times[mask] - record.times[mask][0]
         e = error[mask]
         moving = t <= MOTION_TIMES_S[speed] + MOTION_TAIL_S
-        after = t - MOTION_TIMES_S[speed]
-        late = np.where(np.abs(e) > SETTLED_BAND_DEG, np.maximum(after, 0.0)[:, None], 0.0)
+        time_after_motion = t - MOTION_TIMES_S[speed]
+        unsettled_times = np.where(
+            np.abs(e) > SETTLED_BAND_DEG, np.maximum(time_after_motion, 0.0)[:, None], 0.0
+        )
         result[speed] = {
             "rmse_deg": float(np.sqrt((e[moving] ** 2).mean())),
             "peak_deg": float(np.abs(e[moving]).max()),
-            "steady_deg": float(np.abs(e[after > SETTLING_TIME_S - 0.15].mean(axis=0)).max()),
-            "settling_s": float(late.max()),
+            "steady_deg": float(
+                np.abs(e[time_after_motion > SETTLING_TIME_S - 0.15].mean(axis=0)).max()
+            ),
+            "settling_s": float(unsettled_times.max()),
         }
     return result
 
@@ -164,8 +170,8 @@ def run_tracking_trial(job: tuple) -> dict[str, dict[str, float | str]]:
     record = run_trial(tracking_trial(*job))
     result: dict = tracking_figures(record, job[-1])
     for speed in job[-1] if record.failure else ():
-        lasted = (record.phase == speed).sum() * record.controller.model.period
-        if lasted < MOTION_TIMES_S[speed] + SETTLING_TIME_S - 0.01:
+        phase_duration_s = (record.phase == speed).sum() * record.controller.model.period
+        if phase_duration_s < MOTION_TIMES_S[speed] + SETTLING_TIME_S - 0.01:
             result[speed] = dict.fromkeys(result[speed], float("inf")) | {"why": record.failure}
     return result
 
@@ -179,37 +185,40 @@ def tune_weights(plan: JobPlan) -> None:
     jobs = [
         (h, law, w, TUNING_SEED, "as known", tuple(MOTION_TIMES_S))
         for h in MEASURED_HANDS
-        for law in ABLATION_LAWS
+        for law in ABLATION_LAW_BY_NAME
         for w in WEIGHT_CANDIDATES
     ]
     results = collect_results(run_tracking_trial, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in results.items():
         error = rows["fast"]["rmse_deg"]
-        keeps = keeps_margins(hand, law, weights)
+        has_margins = has_required_margins(hand, law, weights)
         reason = rows["fast"].get("why", "")
         print(
-            f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {reason}"
+            f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if has_margins else ''} {reason}"
         )
         table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
             round(error, 4) if np.isfinite(error) else None
         )
-        table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(keeps)
+        table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(has_margins)
     if len(results) == len(jobs):
         TUNED_WEIGHTS_FILE.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
-def keeps_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
+def has_required_margins(hand_name: str, law_name: str, lqr_weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has margins of 6 dB and 45 degrees.
 
     The loops are tested with random hands near the hand file.
     """
     model = HandModel.from_hand(
         hand_by_name(hand_name),
-        ABLATION_LAWS[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
+        ABLATION_LAW_BY_NAME[law_name].gains(*lqr_weights, RATES_HZ[hand_name]),
         RATES_HZ[hand_name],
     )
-    plants = tuple(linear_factors(one) for one in sample_ensemble(DRAWN_PLANT_COUNT, 0))
+    plants = tuple(
+        linear_factors(parameter_factors)
+        for parameter_factors in sample_ensemble(DRAWN_PLANT_COUNT, 0)
+    )
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
 
@@ -221,15 +230,15 @@ def tuned_weights(hand_name: str, law_name: str, with_margins: bool = False) -> 
     """
     table = json.loads(TUNED_WEIGHTS_FILE.read_text("utf-8"))
     errors = table["rmse_deg"][hand_name][law_name]
-    selected = table["keeps_margins"][hand_name][law_name]
-    usable = [
+    margins_kept = table["keeps_margins"][hand_name][law_name]
+    usable_weights = [
         i
         for i, error in enumerate(errors)
-        if error is not None and (selected[i] or not with_margins)
+        if error is not None and (margins_kept[i] or not with_margins)
     ]
     return WEIGHT_CANDIDATES[
         min(
-            usable,
+            usable_weights,
             key=errors.__getitem__,
             default=len(WEIGHT_CANDIDATES) - 1 if with_margins else 0,
         )
@@ -247,15 +256,15 @@ def measure_tracking(
 
     Return their mean and their range over the seeds.
     """
-    cases = [(hand, law, "as known", False) for hand in hand_names for law in ABLATION_LAWS]
+    cases = [(hand, law, "as known", False) for hand in hand_names for law in ABLATION_LAW_BY_NAME]
     cases += [(hand, law, "as known", True) for hand in hand_names for law in MARGIN_LAWS]
     for plant in list(PLANT_FACTORS)[1:] if wrong_plant_seed_count else []:
         cases += [(hand, law, plant, True) for hand in hand_names for law in COMPARED_LAWS]
     counts = [seed_count if case[2] == "as known" else wrong_plant_seed_count for case in cases]
 
     def job(case: tuple[str, str, str, bool], seed: int) -> tuple:
-        hand, law, plant, careful = case
-        return hand, law, tuned_weights(hand, law, careful), seed, plant, speeds
+        hand, law, plant, keeps_margins = case
+        return hand, law, tuned_weights(hand, law, keeps_margins), seed, plant, speeds
 
     jobs = [
         job(case, k)
@@ -266,7 +275,8 @@ def measure_tracking(
     results = collect_results(run_tracking_trial, list(dict.fromkeys(jobs)), plan)
     result: dict = {
         "weights": {
-            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAWS} for hand in hand_names
+            hand: {law: tuned_weights(hand, law) for law in ABLATION_LAW_BY_NAME}
+            for hand in hand_names
         },
         "careful weights": {
             hand: {law: tuned_weights(hand, law, True) for law in MARGIN_LAWS}
@@ -276,34 +286,42 @@ def measure_tracking(
         "careful": {},
     }
     for case, n in zip(cases, counts, strict=True):
-        hand, law, plant, careful = case
+        hand, law, plant, keeps_margins = case
         rows = [results[job(case, k)] for k in range(n) if job(case, k) in results]
         if rows:
-            of_hand = (
-                result["careful" if careful else "hands"].setdefault(hand, {}).setdefault(plant, {})
+            hand_rows = (
+                result["careful" if keeps_margins else "hands"]
+                .setdefault(hand, {})
+                .setdefault(plant, {})
             )
-            of_hand[law] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
+            hand_rows[law] = {
+                speed: _mean_over_seeds([row[speed] for row in rows]) for speed in rows[0]
+            }
     return result
 
 
-def _over_seeds(run_rows: list[dict]) -> dict:
+def _mean_over_seeds(run_rows: list[dict]) -> dict:
     """Return the mean of each error and the range of the RMSE, over the runs that reached their end.
 
     The returned dictionary also contains how many runs ended early, and for which reasons.
     """
-    whys = sorted({row["why"] for row in run_rows if "why" in row})
-    good = [row for row in run_rows if np.isfinite(row["rmse_deg"])]
+    end_reasons = sorted({row["why"] for row in run_rows if "why" in row})
+    good_run_rows = [row for row in run_rows if np.isfinite(row["rmse_deg"])]
     names = [name for name in run_rows[0] if name != "why"]
     mean = {
-        name: float(np.mean([row[name] for row in good])) if good else float("inf")
+        name: float(np.mean([row[name] for row in good_run_rows]))
+        if good_run_rows
+        else float("inf")
         for name in names
     }
-    spread = float(np.std([row["rmse_deg"] for row in good])) if good else float("nan")
+    spread = (
+        float(np.std([row["rmse_deg"] for row in good_run_rows])) if good_run_rows else float("nan")
+    )
     return mean | {
         "rmse_spread_deg": spread,
         "seeds": len(run_rows),
-        "ended": len(run_rows) - len(good),
-        "why": whys,
+        "ended": len(run_rows) - len(good_run_rows),
+        "why": end_reasons,
     }
 
 
@@ -316,17 +334,20 @@ def print_results(result: dict) -> None:
     print(
         "tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]"
     )
-    shown = [
+    shown_rows = [
         (hand, *item)
         for hand, plants in result["tracking"]["hands"].items()
         for item in plants.items()
     ]
-    careful = [
+    rows_with_margins = [
         (hand, *item)
         for hand, plants in result["tracking"]["careful"].items()
         for item in plants.items()
     ]
-    for weights, rows in (("best weights", shown), ("weights that keep their margins", careful)):
+    for weights, rows in (
+        ("best weights", shown_rows),
+        ("weights that keep their margins", rows_with_margins),
+    ):
         for hand, plant, laws in rows:
             print(f"\n{hand}, plant {plant}, {weights}")
             for law, speeds in laws.items():
@@ -335,8 +356,8 @@ def print_results(result: dict) -> None:
                     f"{r['steady_deg']:.2f}, {r['settling_s']:.2f}"
                     for speed, r in speeds.items()
                 ]
-                whys = sorted({reason for r in speeds.values() for reason in r["why"]})
-                print(f"  {law:<32}" + "   ".join(texts + whys))
+                end_reasons = sorted({reason for r in speeds.values() for reason in r["why"]})
+                print(f"  {law:<32}" + "   ".join(texts + end_reasons))
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 from handctl.output_files import save_figure
 from trials.control_page import FIGURES_FOLDER, markdown_table
 
-ENDED_TEXT = "ended"
+RUN_ENDED_TEXT = "ended"
 FAULT_TEXTS = {
     "N04": "with such soft weights, friction may stop a motor while its setpoint moves, which looks like a "
     "stuck encoder",
@@ -57,9 +57,9 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
         parts += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
-        careful = result["careful"].get(hand, {})
-        if "as known" in careful:
-            nominal = careful["as known"]
+        rows_with_margins = result["careful"].get(hand, {})
+        if "as known" in rows_with_margins:
+            nominal = rows_with_margins["as known"]
             heading = f"{hand}, weights that keep their margins"
             parts += [
                 "",
@@ -67,8 +67,8 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
                 "",
                 _comparison_of_laws(nominal, compared_laws) + ".",
             ]
-        if len(careful) > 1:
-            parts += ["", _wrong_plants_table(hand, careful, compared_laws)]
+        if len(rows_with_margins) > 1:
+            parts += ["", _wrong_plants_table(hand, rows_with_margins, compared_laws)]
     parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
     return "\n".join(parts)
 
@@ -76,7 +76,7 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
 def _laws_table(title: str, laws: dict) -> str:
     """Return a Markdown table with a row for each law."""
     speeds = list(next(iter(laws.values())))
-    head = [
+    column_titles = [
         title,
         *[f"{speed} [deg]" for speed in speeds],
         "peak [deg]",
@@ -86,29 +86,30 @@ def _laws_table(title: str, laws: dict) -> str:
     ]
     rows = []
     for law, row in laws.items():
-        fast = row["fast"]
+        fast_row = row["fast"]
         cells = [_rmse_cell(row[speed]) for speed in speeds]
-        numbers = [_number_text(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
-        rows.append([law, *cells, *numbers, str(fast["seeds"])])
-    return markdown_table(head, rows)
+        numbers = [_number_text(fast_row[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
+        rows.append([law, *cells, *numbers, str(fast_row["seeds"])])
+    return markdown_table(column_titles, rows)
 
 
 def _number_text(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else ENDED_TEXT
+    return f"{value:.2f}" if np.isfinite(value) else RUN_ENDED_TEXT
 
 
 def _rmse_cell(row: dict[str, float]) -> str:
-    finite = np.isfinite(row["rmse_deg"])
+    is_finite = np.isfinite(row["rmse_deg"])
     spread = f" ± {row['rmse_spread_deg']:.3f}" if row["seeds"] > 1 else ""
-    some = f" ({row['ended']} of {row['seeds']} ended)" if row["ended"] else ""
-    return f"{row['rmse_deg']:.3f}{spread}{some}" if finite else ENDED_TEXT
+    ended_text = f" ({row['ended']} of {row['seeds']} ended)" if row["ended"] else ""
+    return f"{row['rmse_deg']:.3f}{spread}{ended_text}" if is_finite else RUN_ENDED_TEXT
 
 
 def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
-    best, printed = (laws[name]["fast"] for name in compared_laws[2:])
+    best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (
-        f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed, best)}\n\nEach entry is the error of "
+        f"{_comparison_of_laws(laws, compared_laws)}. {_misprint_effect(printed_row, best_row)}\n\nEach entry is the "
+        "error of "
         f"the row before minus the error of this row, at the fast motion, with the spread of the "
         f"difference:\n\n{_gain_by_law(laws)}"
     )
@@ -116,17 +117,17 @@ def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
 
 def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Describe the error of the complete control law, compared with PD, and with springs and gravity alone."""
-    plain, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
-    ratio = plain["rmse_deg"] / best["rmse_deg"]
-    gain = springs["rmse_deg"] - best["rmse_deg"]
-    spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
-    gained = (
+    pd_row, springs_row, best = (laws[name]["fast"] for name in compared_laws[:3])
+    ratio = pd_row["rmse_deg"] / best["rmse_deg"]
+    gain = springs_row["rmse_deg"] - best["rmse_deg"]
+    spread = max(best["rmse_spread_deg"], springs_row["rmse_spread_deg"])
+    accuracy_gain = (
         f"The error of the whole control law is {gain:.3f} deg smaller than with springs and gravity alone"
         + _gain_per_spread(gain, spread, best["seeds"])
     )
     if not np.isfinite(gain):
-        gained = "With springs and gravity alone, no run completes the motions"
-    return f"{_comparison_with_pd(ratio)}. {gained}"
+        accuracy_gain = "With springs and gravity alone, no run completes the motions"
+    return f"{_comparison_with_pd(ratio)}. {accuracy_gain}"
 
 
 def _comparison_with_pd(ratio: float) -> str:
@@ -157,32 +158,32 @@ def _gain_by_law(laws: dict) -> str:
     Compare this gain with twice its range over the seeds.
     """
     texts = []
-    old = laws[next(iter(laws))]["fast"]
+    old_row = laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
-        new = laws[law]["fast"]
-        if not np.isfinite(new["rmse_deg"]):
+        new_row = laws[law]["fast"]
+        if not np.isfinite(new_row["rmse_deg"]):
             texts.append(
-                f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})"
+                f"'{law}': a fault ends {new_row['ended']} of {new_row['seeds']} runs ({'; '.join(new_row['why'])})"
             )
             continue
-        ended = f", a fault ended {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})"
-        some = ended if new["ended"] else ""
-        if not np.isfinite(old["rmse_deg"]):
-            error = f"an error of {new['rmse_deg']:.3f} deg"
-            texts.append(f"'{law}': {error}. All runs of the rows before ended early{some}")
-            old = new
+        ended_text = f", a fault ended {new_row['ended']} of {new_row['seeds']} runs ({'; '.join(new_row['why'])})"
+        shown_text = ended_text if new_row["ended"] else ""
+        if not np.isfinite(old_row["rmse_deg"]):
+            error = f"an error of {new_row['rmse_deg']:.3f} deg"
+            texts.append(f"'{law}': {error}. All runs of the rows before ended early{shown_text}")
+            old_row = new_row
             continue
-        gain = old["rmse_deg"] - new["rmse_deg"]
-        spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
-        weak = (
+        gain = old_row["rmse_deg"] - new_row["rmse_deg"]
+        spread = float(np.hypot(old_row["rmse_spread_deg"], new_row["rmse_spread_deg"]))
+        weak_text = (
             ""
             if gain > 2 * spread
             else " (worse)"
             if gain < -2 * spread
             else " (within the spread)"
         )
-        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
-        old = new
+        texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak_text}{shown_text}")
+        old_row = new_row
     return "\n".join(f"- {line}" for line in texts)
 
 
@@ -206,12 +207,12 @@ def _wrong_plants_table(
 ) -> str:
     """Describe the tracking of simulated hands that differ from the model."""
     speeds = list(plants["as known"][compared_laws[2]])
-    other = [f"{compared_laws[2]}, {speed}" for speed in speeds]
-    head = [
+    speed_columns = [f"{compared_laws[2]}, {speed}" for speed in speeds]
+    column_titles = [
         f"{hand_name}, RMSE [deg]",
         f"{compared_laws[0]}, fast",
         f"{compared_laws[1]}, fast",
-        *other,
+        *speed_columns,
         "PD / whole control law",
         "seeds",
     ]
@@ -219,15 +220,15 @@ def _wrong_plants_table(
     for plant, laws in plants.items():
         if not all(name in laws for name in compared_laws[:3]):
             continue
-        plain, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
-        whole = [_rmse_cell(laws[compared_laws[2]][speed]) for speed in speeds]
-        ratio = _number_text(plain["rmse_deg"] / best["rmse_deg"])
+        pd_row, springs, best = (laws[name]["fast"] for name in compared_laws[:3])
+        rmse_cells = [_rmse_cell(laws[compared_laws[2]][speed]) for speed in speeds]
+        ratio = _number_text(pd_row["rmse_deg"] / best["rmse_deg"])
         rows.append(
-            [plant, _rmse_cell(plain), _rmse_cell(springs), *whole, ratio, str(best["seeds"])]
+            [plant, _rmse_cell(pd_row), _rmse_cell(springs), *rmse_cells, ratio, str(best["seeds"])]
         )
     return "\n".join(
         (
-            markdown_table(head, rows),
+            markdown_table(column_titles, rows),
             "",
             _error_rises(plants, compared_laws[2]),
             _end_reasons(plants),
@@ -241,13 +242,16 @@ def _error_rises(plants: dict, law_name: str) -> str:
     The error is that of the fast motion. The largest rise comes first.
     """
     nominal = plants["as known"][law_name]["fast"]["rmse_deg"]
-    more = {
+    error_rise_by_plant = {
         plant: laws[law_name]["fast"]["rmse_deg"] - nominal
         for plant, laws in plants.items()
         if law_name in laws
     }
-    dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
-    costs = ", ".join(f"{plant} {more[plant]:+.2f} deg" for plant in dear)
+    costly_plants = sorted(
+        (plant for plant in error_rise_by_plant if plant != "as known"),
+        key=lambda plant: -error_rise_by_plant[plant],
+    )
+    costs = ", ".join(f"{plant} {error_rise_by_plant[plant]:+.2f} deg" for plant in costly_plants)
     return f"Additional error of the whole control law at the fast motion, compared with the plant *as known*: {costs}."
 
 
@@ -284,27 +288,33 @@ def draw_picture(result: dict) -> None:
     )
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         laws = plants["as known"]
-        careful = result["careful"].get(hand, {}).get("as known", {})
-        places = np.arange(len(laws))
+        rows_with_margins = result["careful"].get(hand, {}).get("as known", {})
+        bar_positions = np.arange(len(laws))
         for rows, shift, colour, label in (
             (laws, -0.2, "#4477aa", "best weights"),
-            (careful, 0.2, "#cc6677", "best weights that keep margins"),
+            (rows_with_margins, 0.2, "#cc6677", "best weights that keep margins"),
         ):
             values = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
-            good = [(place, row) for place, row in values if np.isfinite(row["rmse_deg"])]
+            finite_rows = [(place, row) for place, row in values if np.isfinite(row["rmse_deg"])]
             mean, spread = (
-                [row[key] for _, row in good] for key in ("rmse_deg", "rmse_spread_deg")
+                [row[key] for _, row in finite_rows] for key in ("rmse_deg", "rmse_spread_deg")
             )
             axis.barh(
-                [p for p, _ in good], mean, 0.38, xerr=spread, color=colour, label=label, capsize=2
+                [p for p, _ in finite_rows],
+                mean,
+                0.38,
+                xerr=spread,
+                color=colour,
+                label=label,
+                capsize=2,
             )
             for place, row in values:
                 value = row["rmse_deg"]
-                text = f"{value:.2f}" if np.isfinite(value) else ENDED_TEXT
+                text = f"{value:.2f}" if np.isfinite(value) else RUN_ENDED_TEXT
                 end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_SHOWN_ERROR_DEG
                 axis.annotate(text, (end, place), (4, -3),
                               textcoords="offset points", fontsize=8)  # fmt: skip
-        axis.set_yticks(places, list(laws))
+        axis.set_yticks(bar_positions, list(laws))
         axis.set_xscale("log")
         axis.set_xlim(MIN_SHOWN_ERROR_DEG, 30.0)
         axis.set_xlabel("RMSE, 0 to 60 deg in 0.15 s [deg]")

@@ -36,17 +36,25 @@ def mcap_ros2_writer(path: Path) -> LibraryWriter:
     writer = Ros2Writer(file)
     schemas = {}
 
-    def write(one: LogMessage) -> None:
-        if one.type_name not in schemas:
-            schemas[one.type_name] = writer.register_msgdef(one.type_name, one.type_definition)
-        writer.write_message(one.topic, schemas[one.type_name], one.content, one.t_ns, one.t_ns)
+    def write(log_message: LogMessage) -> None:
+        if log_message.type_name not in schemas:
+            schemas[log_message.type_name] = writer.register_msgdef(
+                log_message.type_name, log_message.type_definition
+            )
+        writer.write_message(
+            log_message.topic,
+            schemas[log_message.type_name],
+            log_message.content,
+            log_message.t_ns,
+            log_message.t_ns,
+        )
 
     def close() -> None:
         writer.finish()
         file.close()
 
     return LibraryWriter(
-        write, close, lambda: (one.ros_msg for one in read_ros2_messages(str(path)))
+        write, close, lambda: (message.ros_msg for message in read_ros2_messages(str(path)))
     )
 
 
@@ -65,20 +73,24 @@ def rosbags_writer(path: Path) -> LibraryWriter:
     bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
     bag.open()
 
-    def write(one: LogMessage) -> None:
-        if one.topic not in connections:
-            types = get_types_from_msg(one.type_definition, one.type_name)
+    def write(log_message: LogMessage) -> None:
+        if log_message.topic not in connections:
+            types = get_types_from_msg(log_message.type_definition, log_message.type_name)
             store.register(
                 {name: kind for name, kind in types.items() if name not in store.fielddefs}
             )
-            connections[one.topic] = bag.add_connection(one.topic, one.type_name, typestore=store)
-        data = store.serialize_cdr(_typed_object(store, one.type_name, one.content), one.type_name)
-        bag.write(connections[one.topic], one.t_ns, bytes(data))
+            connections[log_message.topic] = bag.add_connection(
+                log_message.topic, log_message.type_name, typestore=store
+            )
+        data = store.serialize_cdr(
+            _typed_object(store, log_message.type_name, log_message.content), log_message.type_name
+        )
+        bag.write(connections[log_message.topic], log_message.t_ns, bytes(data))
 
     def read() -> Iterator[Any]:
         with AnyReader([path]) as reader:
-            for connection, _, raw in reader.messages():
-                yield reader.deserialize(raw, connection.msgtype)
+            for connection, _, raw_bytes in reader.messages():
+                yield reader.deserialize(raw_bytes, connection.msgtype)
 
     return LibraryWriter(write, bag.close, read)
 
@@ -95,7 +107,9 @@ def _typed_object(type_store: Any, type_name: str, content: dict[str, Any]) -> A
         elif node.name == "BASE":
             fields[name] = value
         elif inner_definition[0][0].name == "NAME":
-            fields[name] = [_typed_object(type_store, inner_definition[0][1], one) for one in value]
+            fields[name] = [
+                _typed_object(type_store, inner_definition[0][1], element) for element in value
+            ]
         else:
             word = inner_definition[0][1][0]
             fields[name] = (
@@ -114,12 +128,17 @@ def json_mcap_writer(path: Path) -> LibraryWriter:
     channels = {}
     writer.start("", "benchmark")
 
-    def write(one: LogMessage) -> None:
-        if one.topic not in channels:
-            schema = writer.register_schema(one.type_name, "jsonschema", b'{"type": "object"}')
-            channels[one.topic] = writer.register_channel(one.topic, "json", schema)
+    def write(log_message: LogMessage) -> None:
+        if log_message.topic not in channels:
+            schema = writer.register_schema(
+                log_message.type_name, "jsonschema", b'{"type": "object"}'
+            )
+            channels[log_message.topic] = writer.register_channel(log_message.topic, "json", schema)
         writer.add_message(
-            channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns
+            channels[log_message.topic],
+            log_message.t_ns,
+            json.dumps(log_message.content).encode(),
+            log_message.t_ns,
         )
 
     def close() -> None:
@@ -127,9 +146,9 @@ def json_mcap_writer(path: Path) -> LibraryWriter:
         file.close()
 
     def read() -> Iterator[Any]:
-        with path.open("rb") as opened:
-            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
-                yield json.loads(one.data)
+        with path.open("rb") as log_file:
+            for _, _, log_message in make_reader(log_file).iter_messages(log_time_order=False):
+                yield json.loads(log_message.data)
 
     return LibraryWriter(write, close, read)
 
@@ -146,20 +165,22 @@ def foxglove_writer(path: Path) -> LibraryWriter:
     channels = {}
     file = sdk.open_mcap(path, context=context)
 
-    def write(one: LogMessage) -> None:
-        if one.topic not in channels:
-            channels[one.topic] = sdk.Channel(one.topic, schema={"type": "object"}, context=context)
-        channels[one.topic].log(one.content, log_time=one.t_ns)
+    def write(log_message: LogMessage) -> None:
+        if log_message.topic not in channels:
+            channels[log_message.topic] = sdk.Channel(
+                log_message.topic, schema={"type": "object"}, context=context
+            )
+        channels[log_message.topic].log(log_message.content, log_time=log_message.t_ns)
 
     def read() -> Iterator[Any]:
-        with path.open("rb") as opened:
-            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
-                yield json.loads(one.data)
+        with path.open("rb") as log_file:
+            for _, _, log_message in make_reader(log_file).iter_messages(log_time_order=False):
+                yield json.loads(log_message.data)
 
     return LibraryWriter(write, file.close, read)
 
 
-LIBRARY_WRITERS = {
+WRITER_BY_LIBRARY = {
     "mcap-ros2-support": mcap_ros2_writer,
     "rosbags": rosbags_writer,
     "JSON": json_mcap_writer,

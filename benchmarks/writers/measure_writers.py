@@ -17,7 +17,7 @@ import synthetic_run
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from benchmarks.writers.library_writers import LIBRARY_WRITERS, LogMessage
+from benchmarks.writers.library_writers import WRITER_BY_LIBRARY, LogMessage
 from benchmarks.writers.sustained_recording import measure_sustained, packed_tick
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
@@ -26,9 +26,9 @@ from handctl.log.write.recorder import Recorder
 from handctl.replay.controller_rebuild import rebuild_controller
 
 RATE_HZ = 1000
-EXECUTED_LOG = Path(__file__).resolve().parents[2] / "logs" / "golden" / "jamia11-grasp.mcap"
+EXECUTED_LOG_PATH = Path(__file__).resolve().parents[2] / "logs" / "golden" / "jamia11-grasp.mcap"
 """Log of a run with eleven motors whose ticks are recorded again."""
-EXECUTIONS = 5
+EXECUTION_COUNT = 5
 """Number of times that the run of this log is executed."""
 
 
@@ -57,9 +57,11 @@ def measure_all_writers(
     ticks = [packed_tick(*tick) for tick in synthetic_run.SyntheticRunTicks(run, duration_s)]
     writers = {"handctl": measure_handctl(log_folder / "ours.mcap", run, ticks)}
     messages = decode_messages(log_folder / "ours.mcap")
-    for name, make in LIBRARY_WRITERS.items():
+    for name, make_writer in WRITER_BY_LIBRARY.items():
         try:
-            writers[name] = measure_library(log_folder / f"{name}.mcap", make, messages, len(ticks))
+            writers[name] = measure_library(
+                log_folder / f"{name}.mcap", make_writer, messages, len(ticks)
+            )
         except ImportError as error:
             writers[name] = {"skipped": f"{error.name} is not installed: make bench installs it"}
     return {
@@ -67,38 +69,40 @@ def measure_all_writers(
         "rate_hz": RATE_HZ,
         "ticks": len(ticks),
         "messages": len(messages),
-        "frames": sum(len(tick_in.frames) + len(out.frames) for tick_in, out in ticks),
+        "frames": sum(
+            len(tick_in.frames) + len(tick_output.frames) for tick_in, tick_output in ticks
+        ),
         "writers": writers,
-        "after_tick_us": 1e6 * cost_after_tick(log_folder),
+        "after_tick_us": 1e6 * conversion_cpu_s(log_folder),
         "sustained": measure_sustained(log_folder / "sustained.mcap", sustained_duration_s),
     }
 
 
-def cost_after_tick(log_folder: Path) -> float:
+def conversion_cpu_s(log_folder: Path) -> float:
     """Return the mean time to record a tick that the controller has just computed [s].
 
     The controller executes the run of a log again. Its outputs are still in the caches of the
     processor when they are recorded, as in a control loop. The run is repeated, and the shortest
     time of each tick is used.
     """
-    took = list[list[float]]()
-    with RunLog(EXECUTED_LOG) as log:
+    durations = list[list[float]]()
+    with RunLog(EXECUTED_LOG_PATH) as log:
         controller = rebuild_controller(log)
         inputs = [tick.tick_in for tick in log.ticks()]
         gc.disable()  # In a run, the control loop also disables the garbage collector.
-        for i in range(EXECUTIONS):
+        for i in range(EXECUTION_COUNT):
             recorder = Recorder.start(log_folder / f"executed-{i}.mcap", log.header)
             state = controller.initial_state()
-            took.append([])
+            durations.append([])
             for tick_in in inputs:
-                state, out = controller.tick(state, tick_in)
+                state, tick_output = controller.tick(state, tick_in)
                 start = time.perf_counter()
-                recorder.send_record(pack_tick_record(tick_in, out))
+                recorder.send_record(pack_tick_record(tick_in, tick_output))
                 recorder.take_events()
-                took[-1].append(time.perf_counter() - start)
+                durations[-1].append(time.perf_counter() - start)
             recorder.close("finished")
         gc.enable()
-    return sum(map(min, zip(*took, strict=True))) / len(inputs)
+    return sum(map(min, zip(*durations, strict=True))) / len(inputs)
 
 
 def _cpu_s(measured_work: Callable[[], object]) -> float:
@@ -111,9 +115,9 @@ def _cpu_s(measured_work: Callable[[], object]) -> float:
 def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[str, float]:
     """Measure handctl's work in the control loop (pack and send records), and its log writer in the same process."""
     records: list[bytes] = []
-    packing = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
+    packing_cpu_s = _cpu_s(lambda: records.extend(pack_tick_record(*tick) for tick in ticks))
     recorder = Recorder.start(log_path.with_suffix(".pipe.mcap"), run_header)
-    handing = _cpu_s(
+    handover_cpu_s = _cpu_s(
         lambda: [(recorder.send_record(record), recorder.take_events()) for record in records]
     )
     recorder.close("finished")
@@ -124,15 +128,15 @@ def measure_handctl(log_path: Path, run_header: Any, ticks: list[Any]) -> dict[s
             writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
         writer.finish("finished", 0)
 
-    writing = _cpu_s(write)
+    writing_cpu_s = _cpu_s(write)
 
     def read() -> None:
         with RunLog(log_path) as log:
             assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
 
     return _cost_row(
-        packing + handing,
-        packing + handing + writing,
+        packing_cpu_s + handover_cpu_s,
+        packing_cpu_s + handover_cpu_s + writing_cpu_s,
         log_path.stat().st_size,
         _cpu_s(read),
         len(ticks),
@@ -146,21 +150,27 @@ def measure_library(
     writer = make_writer(log_path)
 
     def write() -> None:
-        for one in messages:
-            writer.write(one)
+        for message in messages:
+            writer.write(message)
         writer.close()
 
-    spent = _cpu_s(write)
+    spent_cpu_s = _cpu_s(write)
     count = 0
 
     def read() -> None:
         nonlocal count
         count = sum(1 for _ in writer.read())
 
-    reading = _cpu_s(read)
+    reading_cpu_s = _cpu_s(read)
     assert count == len(messages), f"{log_path}: {count} of {len(messages)} messages came back"
     files = log_path.rglob("*") if log_path.is_dir() else [log_path]
-    return _cost_row(spent, spent, sum(file.stat().st_size for file in files), reading, tick_count)
+    return _cost_row(
+        spent_cpu_s,
+        spent_cpu_s,
+        sum(file.stat().st_size for file in files),
+        reading_cpu_s,
+        tick_count,
+    )
 
 
 def _cost_row(
@@ -179,11 +189,13 @@ def decode_messages(path: Path) -> list[LogMessage]:
     messages = []
     factory = DecoderFactory()
     with path.open("rb") as file:
-        for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
+        for schema, channel, log_message in make_reader(file).iter_messages(log_time_order=False):
             decode = factory.decoder_for(channel.message_encoding, schema)
-            content = _plain_value(decode(one.data))
+            content = _plain_value(decode(log_message.data))
             messages.append(
-                LogMessage(channel.topic, schema.name, schema.data.decode(), one.log_time, content)
+                LogMessage(
+                    channel.topic, schema.name, schema.data.decode(), log_message.log_time, content
+                )
             )
     return messages
 
@@ -193,7 +205,9 @@ def _plain_value(value: Any) -> Any:
         return {name: _plain_value(getattr(value, name)) for name in value.__slots__}
     if isinstance(value, bytes):
         return list(value)
-    return [_plain_value(one) for one in value] if isinstance(value, (list, tuple)) else value
+    return (
+        [_plain_value(element) for element in value] if isinstance(value, (list, tuple)) else value
+    )
 
 
 def print_results(result: dict[str, Any]) -> None:
@@ -221,10 +235,10 @@ def print_results(result: dict[str, Any]) -> None:
                 f"{'':<18} {ratios[0]:8.1f} times    {ratios[1]:8.1f} times    {ratios[2]:8.2f} times"
             )
     print(f"handctl, right after each tick of a controller: {result['after_tick_us']:.1f} us/tick")
-    _show_sustained(result["sustained"])
+    _print_sustained_result(result["sustained"])
 
 
-def _show_sustained(sustained_result: dict[str, Any]) -> None:
+def _print_sustained_result(sustained_result: dict[str, Any]) -> None:
     print(
         f"in real time for {sustained_result['seconds']:.0f} s: {sustained_result['ticks']} ticks, "
         f"{sustained_result['frames_in_log']} frames, "
@@ -235,9 +249,9 @@ def _show_sustained(sustained_result: dict[str, Any]) -> None:
         f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}"
     )
     for name in ("without", "with"):
-        *late, missed = sustained_result[f"{name}_us"].values()
+        *lateness_us, missed_fraction = sustained_result[f"{name}_us"].values()
         print(
             f"  {name + ' recorder':<26}"
-            + "".join(f"{one:8.0f}" for one in late)
-            + f"{100 * missed:8.2f} %"
+            + "".join(f"{percentile_us:8.0f}" for percentile_us in lateness_us)
+            + f"{100 * missed_fraction:8.2f} %"
         )

@@ -40,7 +40,7 @@ from handctl.runtime.loop import ControlLoop, LoopStats
 
 HAND_NAME = "jamia11"
 RATE_HZ = 1000
-PREPARED_RUN_S = 0.5
+PREPARED_RUN_DURATION_S = 0.5
 PERIOD_NS = 10**9 // RATE_HZ
 LATENESS_PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
 
@@ -62,51 +62,60 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     ticks = [
         packed_tick(*tick)
         for tick in synthetic_run.SyntheticRunTicks(
-            synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_S
+            synthetic_run.synthetic_header(HAND_NAME, RATE_HZ), PREPARED_RUN_DURATION_S
         )
     ]
     recorder = Recorder.start(
         log_path, synthetic_run.synthetic_header(HAND_NAME, RATE_HZ, deterministic=False)
     )
-    with _on_separate_cores(recorder._child.pid) as granted:
-        before = _run_loop(duration_s / 2, granted, ticks, lambda entry, out: None, list)
-        spent = _processor_s(recorder._child.pid)
+    with _on_separate_cores(recorder._child.pid) as uses_separate_cores:
+        stats_before = _run_loop(
+            duration_s / 2, uses_separate_cores, ticks, lambda entry, out: None, list
+        )
+        spent_processor_s = _processor_s(recorder._child.pid)
         start = time.perf_counter()
-        logged = _run_loop(
+        stats_with_log = _run_loop(
             duration_s,
-            granted,
+            uses_separate_cores,
             ticks,
-            _record_function(recorder),
+            _tick_recorder_of(recorder),
             lambda: list(recorder.take_events()),
         )
-        fraction = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - start)
-        after = _run_loop(duration_s / 2, granted, ticks, lambda entry, out: None, list)
+        fraction = (_processor_s(recorder._child.pid) - spent_processor_s) / (
+            time.perf_counter() - start
+        )
+        stats_after = _run_loop(
+            duration_s / 2, uses_separate_cores, ticks, lambda entry, out: None, list
+        )
     summary = recorder.close("finished")
     with RunLog(log_path) as log:
         frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
-        result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
+        result = {"ticks": stats_with_log.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
-    late = {"without_us": _lateness_figures(before, after), "with_us": _lateness_figures(logged)}
+    lateness_figures = {
+        "without_us": _lateness_figures(stats_before, stats_after),
+        "with_us": _lateness_figures(stats_with_log),
+    }
     return {
         "seconds": duration_s,
-        "real_time": granted,
+        "real_time": uses_separate_cores,
         **result,
         **numbers,
         "recorder_core_share": fraction,
-        **late,
+        **lateness_figures,
     }
 
 
-def packed_tick(tick_in: TickIn, out: TickOut) -> TickInputAndOutput:
+def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
     """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
-    places = TelemetryPlaces()
+    telemetry_places = TelemetryPlaces()
     at = 0
-    for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
-        places[name] = slice(at, at + len(values))
+    for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):
+        telemetry_places[name] = slice(at, at + len(values))
         at += len(values)
-    telemetry = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
-    return tick_in._replace(frames=frames_as_records(tick_in.frames)), out._replace(
-        frames=frames_as_records(out.frames), telemetry=telemetry
+    telemetry = PackedTelemetry(np.concatenate(tuple(tick_output.telemetry)), telemetry_places)
+    return tick_in._replace(frames=frames_as_records(tick_in.frames)), tick_output._replace(
+        frames=frames_as_records(tick_output.frames), telemetry=telemetry
     )
 
 
@@ -178,12 +187,13 @@ def _run_loop(
     take_events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
     """Run the controller's loop for a time with prepared ticks, and return its statistics."""
-    last = int(duration_s * RATE_HZ)
+    last_tick = int(duration_s * RATE_HZ)
 
     def begin(state: int, entry: TickIn) -> _PreparedTick:
-        out = ticks[state % len(ticks)][1]
+        tick_output = ticks[state % len(ticks)][1]
         return _PreparedTick(
-            state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out
+            state + 1,
+            tick_output._replace(mode=HandMode.DONE) if entry.k >= last_tick else tick_output,
         )
 
     clock = RealClock(PERIOD_NS, busy_wait=busy_wait)
@@ -202,27 +212,30 @@ def _run_loop(
     return loop.stats
 
 
-def _record_function(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
+def _tick_recorder_of(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
     """Return a function that packs a tick and passes it to the recorder."""
 
-    def record(entry: TickIn, out: TickOut) -> None:
-        recorder.send_record(pack_tick_record(entry, out))
+    def record(entry: TickIn, tick_output: TickOut) -> None:
+        recorder.send_record(pack_tick_record(entry, tick_output))
 
     return record
 
 
 def _processor_s(pid: int) -> float:
     """Return the processor time of the recorder and of its sync process [s]."""
-    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
-    return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
+    processes = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    return float(
+        sum(process.cpu_times().user + process.cpu_times().system for process in processes)
+    )
 
 
 def _lateness_figures(*loop_stats: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
     us = np.concatenate([np.array(part.tick_lateness_ns) for part in loop_stats]) / 1e3
-    missed = sum(part.missed_ticks for part in loop_stats) / sum(
+    missed_fraction = sum(part.missed_ticks for part in loop_stats) / sum(
         part.ticks + part.missed_ticks for part in loop_stats
     )
-    return {name: float(np.percentile(us, mark)) for name, mark in LATENESS_PERCENTILES.items()} | {
-        "missed_share": missed
-    }
+    return {
+        name: float(np.percentile(us, percentile))
+        for name, percentile in LATENESS_PERCENTILES.items()
+    } | {"missed_share": missed_fraction}

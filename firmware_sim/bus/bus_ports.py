@@ -24,13 +24,13 @@ class BusPort(Protocol):
     """The connection of the simulator to one bus of the hand. No method of a port blocks.
 
     Attributes:
-        lost: number of frames that could not be sent or read.
+        lost_frame_count: number of frames that could not be sent or read.
         due_ns: time when the port must be served even if no socket is ready [ns]. The time is
             ``medium.NEVER_NS`` if the port must be served only when a socket is ready.
     """
 
     @property
-    def lost(self) -> int:
+    def lost_frame_count(self) -> int:
         """Return the number of frames that could not be sent or read."""
         ...
 
@@ -95,7 +95,7 @@ def open_port(
     raise SimulatorError(f"bus {spec!r}: expected local:NAME, join:NAME or socketcan:INTERFACE")
 
 
-def is_on_this_machine(spec: str) -> bool:
+def is_local_bus(spec: str) -> bool:
     """Return True if all frames of a bus stay on this machine.
 
     The clock of such a bus may pause, because no other machine sends or receives its frames.
@@ -131,6 +131,6 @@ def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
             problem = "given twice" if name in specs_by_bus else "unknown"
             raise SimulatorError(f"bus {name}: {problem}; this hand has {', '.join(buses)}")
         specs_by_bus[name] = spec
-    if missing := [name for name in buses if name not in specs_by_bus]:
-        raise SimulatorError(f"no --bus for {', '.join(missing)}")
+    if missing_names := [name for name in buses if name not in specs_by_bus]:
+        raise SimulatorError(f"no --bus for {', '.join(missing_names)}")
     return [specs_by_bus[name] for name in buses]

@@ -41,7 +41,7 @@ class HubConnection:
 
     Attributes:
         socket: non-blocking stream socket of the connection.
-        dropped: number of records dropped because the kernel's send buffer was full.
+        dropped_record_count: number of records dropped because the kernel's send buffer was full.
         closed: True once the other end has closed the connection.
         unsent: bytes of a partly sent record that must still be sent.
     """
@@ -53,7 +53,7 @@ class HubConnection:
             client_socket: connected stream socket.
         """
         self.socket = client_socket
-        self.dropped = 0
+        self.dropped_record_count = 0
         self.closed = False
         self.unsent = b""
         self._partial = b""
@@ -68,13 +68,13 @@ class HubConnection:
         arrive.
         """
         try:
-            piece = self.socket.recv(_MAX_READ_BYTES)
+            received_bytes = self.socket.recv(_MAX_READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError:
-            piece = b""
-        self.closed = self.closed or not piece
-        data = self._partial + piece if self._partial else piece
+            received_bytes = b""
+        self.closed = self.closed or not received_bytes
+        data = self._partial + received_bytes if self._partial else received_bytes
         end = len(data) - len(data) % RECORD_SIZE
         self._partial = data[end:]
         return data[:end]
@@ -86,18 +86,18 @@ class HubConnection:
         """
         count = len(records) // RECORD_SIZE
         if not self.flush():
-            self.dropped += count
+            self.dropped_record_count += count
             return
-        stamped = bytearray(records)
+        stamped_records = bytearray(records)
         # This statement writes bytes 6 and 7 of all records at once. The step of the slice is the
         # size of one record.
-        stamped[6::RECORD_SIZE] = bytes((self.dropped & 0xFF,)) * count
-        stamped[7::RECORD_SIZE] = bytes((self.dropped >> 8 & 0xFF,)) * count
-        sent = self._send(stamped)
+        stamped_records[6::RECORD_SIZE] = bytes((self.dropped_record_count & 0xFF,)) * count
+        stamped_records[7::RECORD_SIZE] = bytes((self.dropped_record_count >> 8 & 0xFF,)) * count
+        sent_size = self._send(stamped_records)
         # The number of records is rounded up, because a partly sent record must be completed later.
-        started = -(-sent // RECORD_SIZE)
-        self.unsent = bytes(stamped[sent : started * RECORD_SIZE])
-        self.dropped += count - started
+        record_count_started = -(-sent_size // RECORD_SIZE)
+        self.unsent = bytes(stamped_records[sent_size : record_count_started * RECORD_SIZE])
+        self.dropped_record_count += count - record_count_started
 
     def flush(self) -> bool:
         """Send the rest of a partly sent record.
@@ -143,9 +143,9 @@ class BusHub:
         self._closed_dropped = 0
 
     @property
-    def dropped(self) -> int:
+    def dropped_record_count(self) -> int:
         """Return the number of records dropped for all present and past clients together."""
-        return self._closed_dropped + sum(link.dropped for link in self._links)
+        return self._closed_dropped + sum(link.dropped_record_count for link in self._links)
 
     @property
     def clients(self) -> int:
@@ -174,11 +174,11 @@ class BusHub:
         Returns:
             The records that all clients have sent, for the owner of the hub.
         """
-        received = self.poll(ready_sockets)
-        for link, records in received:
+        received_records = self.poll(ready_sockets)
+        for link, records in received_records:
             self._forward_records(records, link)
         self.drop_closed()
-        return b"".join(records for _, records in received)
+        return b"".join(records for _, records in received_records)
 
     def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
         """Accept new clients, and read the records of all clients without forwarding them.
@@ -191,13 +191,13 @@ class BusHub:
         """
         if self._listener in ready_sockets:
             self._accept_clients()
-        received = []
+        received_records = []
         for link in self._links:
             if link.unsent:
                 link.flush()
             if link.socket in ready_sockets and (records := link.receive()):
-                received.append((link, records))
-        return received
+                received_records.append((link, records))
+        return received_records
 
     def send(self, records: bytes) -> None:
         """Send records of the hub's owner to every client."""
@@ -223,7 +223,7 @@ class BusHub:
             return
         for link in self._links:
             if link.closed:
-                self._closed_dropped += link.dropped
+                self._closed_dropped += link.dropped_record_count
                 link.socket.close()
         self._links = [link for link in self._links if not link.closed]
 
@@ -249,9 +249,11 @@ def _is_foreign(client_socket: socket.socket) -> bool:
     """
     if not sys.platform.startswith("linux"):
         return False
-    raw = client_socket.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size)
+    raw_bytes = client_socket.getsockopt(
+        socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER_CREDENTIALS.size
+    )
     # Field 1 of the credentials is the user id. Root may join the bus for diagnosis.
-    return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
+    return _PEER_CREDENTIALS.unpack(raw_bytes)[1] not in (0, os.geteuid())
 
 
 def _listening_socket(path: Path, name: str) -> socket.socket:

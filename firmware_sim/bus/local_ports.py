@@ -30,9 +30,9 @@ class HubPort:
         self._unreadable = 0
 
     @property
-    def lost(self) -> int:
+    def lost_frame_count(self) -> int:
         """Return the number of frames dropped because a client was slow, plus the number of invalid records."""
-        return self._hub.dropped + self._unreadable
+        return self._hub.dropped_record_count + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
         """See ``bus_ports.BusPort.read_sockets``."""
@@ -87,9 +87,9 @@ class JoinedPort:
             raise SimulatorError(f"join:{name}: {error.strerror}; {expected}") from error
 
     @property
-    def lost(self) -> int:
+    def lost_frame_count(self) -> int:
         """Return the number of frames that the hub did not accept, plus the number of invalid records."""
-        return self._link.dropped + self._unreadable
+        return self._link.dropped_record_count + self._unreadable
 
     def read_sockets(self) -> list[socket.socket]:
         """See ``bus_ports.BusPort.read_sockets``."""
@@ -132,7 +132,7 @@ def split_records(records: bytes, bus: int) -> tuple[list[Frame], int]:
     Returns:
         The frames, and the number of records that contain no valid frame.
     """
-    starts = range(0, len(records), RECORD_SIZE)
-    read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in starts]
+    start_indices = range(0, len(records), RECORD_SIZE)
+    read = [unpack_record(records[start : start + RECORD_SIZE], bus) for start in start_indices]
     frames = [frame for frame in read if frame is not None]
     return frames, len(read) - len(frames)

@@ -42,7 +42,7 @@ class SocketCanPort:
             SimulatorError: the operating system has no SocketCAN, or the interface does not exist.
         """
         self._bus = bus
-        self.lost = 0
+        self.lost_frame_count = 0
         if not hasattr(socket, "CAN_RAW_FD_FRAMES"):
             raise SimulatorError(
                 f"socketcan:{interface}: this system has no SocketCAN; use local:NAME"
@@ -85,7 +85,8 @@ class SocketCanPort:
         except OSError as error:
             if error.errno != errno.ENETDOWN:
                 raise
-            self.lost += 1  # The CAN interface is down. Reading succeeds again after the interface has been set up.
+            # The CAN interface is down. Reading succeeds again after the interface has been set up.
+            self.lost_frame_count += 1
         return frames
 
     def _frame_from_bytes(self, struct_bytes: bytes) -> Frame:
@@ -101,17 +102,17 @@ class SocketCanPort:
         """See ``bus_ports.BusPort.send``."""
         for frame in frames:
             fd = frame.flags & FDF
-            raw = (
+            raw_bytes = (
                 _CANFD_FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.flags, frame.data)
                 if fd
                 else _CAN_FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.data)
             )
             try:
-                self._socket.send(raw)
+                self._socket.send(raw_bytes)
             except (
                 OSError
             ):  # frame lost: the queue is full (ENOBUFS), or the interface is down or has no CAN FD
-                self.lost += 1
+                self.lost_frame_count += 1
 
     def close(self) -> None:
         """See ``bus_ports.BusPort.close``."""

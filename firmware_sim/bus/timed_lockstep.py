@@ -33,12 +33,12 @@ class TimedLockstep:
         self._arrived: list[Frame] = []
         self._received: list[Frame] = []
         self._latencies = [spec.latency(bus) for bus in range(len(self.wires))]
-        self._hosts = [wire.add(self._to_host(bus)) for bus, wire in enumerate(self.wires)]
+        self._hosts = [wire.add(self._delivery_to_host(bus)) for bus, wire in enumerate(self.wires)]
         for bus, wire in enumerate(self.wires):
-            wire.add(self._to_nodes(bus))
+            wire.add(self._delivery_to_nodes(bus))
         self._nodes: dict[tuple[int, int], CanController] = {}
 
-    def _to_host(self, bus: int) -> Callable[[Frame, int], None]:
+    def _delivery_to_host(self, bus: int) -> Callable[[Frame, int], None]:
         latency = self._latencies[bus]
 
         def receive(frame: Frame, t_ns: int) -> None:
@@ -47,7 +47,7 @@ class TimedLockstep:
 
         return receive
 
-    def _to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
+    def _delivery_to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
         def receive(frame: Frame, t_ns: int) -> None:
             can_id, data, flags, _, _ = frame
             if not can_id & ERROR_FLAG:
@@ -67,32 +67,32 @@ class TimedLockstep:
             The frames that have reached the host before ``end_ns``, in the order of arrival.
         """
         for frame in frames:
-            self._hosts[frame.bus].offer(frame, self._latencies[frame.bus].send(t_ns))
+            self._hosts[frame.bus].queue_frame(frame, self._latencies[frame.bus].send(t_ns))
         while True:
-            at_ns = min([wire.next_ns() for wire in self.wires])
-            self._world.advance(min(at_ns, end_ns))
+            event_time_ns = min([wire.next_ns() for wire in self.wires])
+            self._world.advance(min(event_time_ns, end_ns))
             # Nodes may just have queued frames for a time before at_ns. So each wire must determine
             # its next event again.
-            if self._queue_node_frames(self._world.take_unsolicited()):
+            if self._queue_node_frames(self._world.take_unsolicited_frames()):
                 continue
-            if at_ns >= end_ns:
+            if event_time_ns >= end_ns:
                 break
             for wire in self.wires:
-                wire.advance(at_ns)
+                wire.advance(event_time_ns)
             # The answer of a node contains readings of the plant. Therefore the plant first
             # advances to the time at which the wire has carried the whole request.
             if any(map(self._world.has_receiver, self._received)):
-                self._world.reach(at_ns)
+                self._world.advance_exactly(event_time_ns)
             self._answer_received_frames()
-        arrived = sorted(self._arrived, key=_arrival_ns)
-        ready = bisect_left(arrived, end_ns, key=_arrival_ns)
-        self._arrived = arrived[ready:]
-        return arrived[:ready]
+        arrived_frames = sorted(self._arrived, key=_arrival_ns)
+        ready_count = bisect_left(arrived_frames, end_ns, key=_arrival_ns)
+        self._arrived = arrived_frames[ready_count:]
+        return arrived_frames[:ready_count]
 
     def _answer_received_frames(self) -> None:
-        received = self._received
+        received_frames = self._received
         self._received = []
-        for frame in received:
+        for frame in received_frames:
             for can_id, data, flags, bus, _ in self._world.receive(frame):
                 self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
@@ -114,7 +114,7 @@ class TimedLockstep:
         key = frame.bus, frame.can_id
         if key not in self._nodes:
             self._nodes[key] = self.wires[frame.bus].add()
-        self.refused += not self._nodes[key].offer(frame, frame.t_ns)
+        self.refused += not self._nodes[key].queue_frame(frame, frame.t_ns)
 
 
 def _arrival_ns(frame: Frame) -> int:

@@ -95,13 +95,13 @@ class TimedPort:
             self.wire.add(self._receive_on_nodes)
 
     @property
-    def lost(self) -> int:
+    def lost_frame_count(self) -> int:
         """Return the number of frames that were lost on this bus.
 
         The number includes frames dropped because a client was slow, frames refused because a
         node's queue was full, and invalid records.
         """
-        return self._hub.dropped + self._unreadable + self._refused
+        return self._hub.dropped_record_count + self._unreadable + self._refused
 
     @property
     def due_ns(self) -> int:
@@ -148,10 +148,10 @@ class TimedPort:
         With the level, the client can refuse at once to send into a full queue.
         """
         for link, controller in self._clients.items():
-            arrived, reported = self._queues[link]
-            left = arrived - len(controller.queue)
-            if left != reported:
-                dropped = link.dropped
+            arrival_count, reported_count = self._queues[link]
+            left = arrival_count - len(controller.queue)
+            if left != reported_count:
+                dropped_count = link.dropped_record_count
                 link.deliver(
                     pack_record(
                         Frame(
@@ -160,7 +160,10 @@ class TimedPort:
                         )
                     )
                 )
-                self._queues[link] = arrived, left if link.dropped == dropped else -1
+                self._queues[link] = (
+                    arrival_count,
+                    left if link.dropped_record_count == dropped_count else -1,
+                )
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
         """Read frames from the clients, and queue them for sending at the present time.
@@ -169,20 +172,20 @@ class TimedPort:
             ready_sockets: sockets that are ready for reading.
             now_ns: present time of the wire [ns].
         """
-        received = self._hub.poll(ready_sockets)
+        received_records = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
                 self._clients[link] = self.wire.add(self._delivery_function(link))
                 self._queues[link] = 0, -1
                 self._latencies[link] = self._latency(len(self._latencies))
-        for link, records in received:
-            arrived, reported = self._queues[link]
-            self._queues[link] = arrived + len(records) // RECORD_SIZE, reported
+        for link, records in received_records:
+            arrival_count, reported_count = self._queues[link]
+            self._queues[link] = arrival_count + len(records) // RECORD_SIZE, reported_count
             frames, unreadable = split_records(records, self._bus)
             self._unreadable += unreadable
             for frame in frames:
                 if not frame.can_id & ERROR_FLAG:
-                    self._clients[link].offer(frame, self._latencies[link].send(now_ns))
+                    self._clients[link].queue_frame(frame, self._latencies[link].send(now_ns))
         self._drop_closed()
 
     def _drop_closed(self) -> None:
@@ -195,12 +198,12 @@ class TimedPort:
         """Return the function that passes frames from the wire to a client, delayed by the client's CAN adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:
-            at_ns = self._latencies[link].receive(t_ns)
-            if at_ns <= t_ns:
+            delivery_time_ns = self._latencies[link].receive(t_ns)
+            if delivery_time_ns <= t_ns:
                 link.deliver(pack_record(frame))
                 return
             self._delayed += 1
-            heappush(self._late, (at_ns, self._delayed, link, pack_record(frame)))
+            heappush(self._late, (delivery_time_ns, self._delayed, link, pack_record(frame)))
 
         return deliver
 
@@ -218,7 +221,7 @@ class TimedPort:
             controller = self._nodes.get(frame.can_id)
             if controller is None:
                 controller = self._nodes[frame.can_id] = self.wire.add()
-            self._refused += not controller.offer(frame, self._at_ns)
+            self._refused += not controller.queue_frame(frame, self._at_ns)
 
     def close(self) -> None:
         """See ``bus_ports.BusPort.close``."""

@@ -26,11 +26,11 @@ GENERATION_PERIOD_NS = 1_000_000
 """Period of the frames that a flood or an unknown identifier generates [ns]."""
 SECOND_HOST_PERIOD_NS = 10_000_000
 """Period at which a simulated second host sends commands [ns]."""
-FLOOD_ID = 0x000
+FLOOD_CAN_ID = 0x000
 """Identifier of the frames of a flood: the one with the highest priority."""
-UNKNOWN_ID = 0x7E5
+UNKNOWN_CAN_ID = 0x7E5
 """Identifier that belongs to no node."""
-GENERATING_KINDS = ("flood", "unknown", "foreign")
+FRAME_SOURCE_KINDS = ("flood", "unknown", "foreign")
 """Kinds of fault that send frames of their own periodically."""
 
 
@@ -110,17 +110,17 @@ class ActiveFaults:
 
     def states(self) -> list[dict[str, object]]:
         """List each fault injected so far, with state and number of effects."""
-        acting = [active for active, _ in self._acting]
+        active_now = [active for active, _ in self._acting]
         return [
             {
                 "fault": active.fault.text,
                 "state": "waiting"
                 if active in self._waiting
                 else "acting"
-                if active in acting
+                if active in active_now
                 else "over",
                 "start_ns": active.fault.start_ns,
-                "felt": active.effects,
+                "felt": active.effect_count,
                 "first_ns": active.first_ns,
             }
             for active in self.injected
@@ -139,16 +139,16 @@ class ActiveFaults:
             self._waiting.remove(active)
             self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
             self._index_faults_by_node()
-        for active, undo in [
+        for active, undo_fault in [
             (a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns
         ]:
-            undo()
-            self._acting.remove((active, undo))
+            undo_fault()
+            self._acting.remove((active, undo_fault))
             self._index_faults_by_node()
         frames = [
             frame
             for bus, active in self._all_wire
-            for frame in wire_faults.due_frames([active], t_ns)
+            for frame in wire_faults.released_frames([active], t_ns)
         ]
         if not self._turn_ns or (
             t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
@@ -162,15 +162,15 @@ class ActiveFaults:
 
     def due_ns(self) -> int:
         """Return the time of the next event [ns]: a fault starts or ends, or a delayed or generated frame is sent."""
-        due = [active.fault.start_ns for active in self._waiting]
+        due_times = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
-            due += [
+            due_times += [
                 active.fault.start_ns + active.fault.duration_ns,
-                *(at_ns for at_ns, _ in active.delayed),
+                *(release_ns for release_ns, _ in active.delayed_frames),
             ]
-            if active.fault.kind in GENERATING_KINDS:
-                due.append(self._turn_ns)
-        return min(due, default=FOREVER_NS)
+            if active.fault.kind in FRAME_SOURCE_KINDS:
+                due_times.append(self._turn_ns)
+        return min(due_times, default=FOREVER_NS)
 
     def _index_faults_by_node(self) -> None:
         """Update the index of faults by node. A node may have another identifier after a reset."""
@@ -200,7 +200,7 @@ class ActiveFaults:
             else [world.node_of(fault.instance)]
         )
         return [
-            (node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus))
+            (node, next(bus for bus, bus_nodes in enumerate(world.nodes) if node in bus_nodes))
             for node in nodes
         ]
 
@@ -216,22 +216,22 @@ class ActiveFaults:
             The answers that reach the host, or None if the node does not receive or does not handle
             the request.
         """
-        actives = self.wire_faults_of.get(id(node))
-        if not actives:
-            answers: list[Frame] | None = node.receive(frame, t_ns)
-            return answers
-        if wire_faults.loses_request(actives, t_ns):
+        node_faults = self.wire_faults_of.get(id(node))
+        if not node_faults:
+            answer_frames: list[Frame] | None = node.receive(frame, t_ns)
+            return answer_frames
+        if wire_faults.is_request_lost(node_faults, t_ns):
             return None
-        answers = node.receive(frame, t_ns)
-        if not answers:
-            return answers
-        stamped = [answer._replace(bus=frame.bus, t_ns=t_ns) for answer in answers]
-        return wire_faults.transmitted_frames(actives, stamped, t_ns)
+        answer_frames = node.receive(frame, t_ns)
+        if not answer_frames:
+            return answer_frames
+        stamped_answers = [answer._replace(bus=frame.bus, t_ns=t_ns) for answer in answer_frames]
+        return wire_faults.frames_after_faults(node_faults, stamped_answers, t_ns)
 
-    def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
+    def frames_after_node_faults(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
         """Apply faults of the wire to unsolicited frames of a node."""
-        actives = self.wire_faults_of.get(id(node))
-        return wire_faults.transmitted_frames(actives, frames, t_ns) if actives else frames
+        node_faults = self.wire_faults_of.get(id(node))
+        return wire_faults.frames_after_faults(node_faults, frames, t_ns) if node_faults else frames
 
     def _generated_frames(self, t_ns: int) -> list[Frame]:
         """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
@@ -240,11 +240,11 @@ class ActiveFaults:
             fault = active.fault
             if fault.kind in ("flood", "unknown"):
                 bus = self._world.hand.buses.index(fault.instance)
-                can_id = FLOOD_ID if fault.kind == "flood" else UNKNOWN_ID
+                can_id = FLOOD_CAN_ID if fault.kind == "flood" else UNKNOWN_CAN_ID
                 frames += [Frame(can_id, bytes(8), 0, bus, t_ns)] * int(fault.size)
-                active.note_effect(t_ns)
+                active.count_effect(t_ns)
             elif fault.kind == "foreign" and t_ns >= self._foreign_ns:
                 self._foreign_ns = t_ns + SECOND_HOST_PERIOD_NS
                 frames.append(self._world.host_frame(fault.instance)._replace(t_ns=t_ns))
-                active.note_effect(t_ns)
+                active.count_effect(t_ns)
         return frames

@@ -18,7 +18,7 @@ MAX_REQUEST_BYTES = 4096
 """Maximum length of a request to the fault socket [bytes]."""
 
 
-def is_served(path: Path) -> bool:
+def is_socket_served(path: Path) -> bool:
     """Return True if a running simulator listens on the fault socket at this path."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:

@@ -159,18 +159,18 @@ def parse_fault(fault_line: str, hand: Hand, now_ns: int = 0) -> Fault:
         raise SimulatorError(
             f"fault {fault_line!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}"
         )
-    given = {}
+    option_values = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
-        if not equals or not value or key in given:
+        if not equals or not value or key in option_values:
             raise SimulatorError(f"fault {fault_line!r}: {pair!r} is not a new KEY=VALUE")
-        given[key] = value
-    component = _target_component(fault_line, kind, given)
+        option_values[key] = value
+    component = _target_component(fault_line, kind, option_values)
     instance = _target_instance(
         fault_line,
         instances_of_component(component, hand, kind),
         component,
-        given.pop(component),
+        option_values.pop(component),
         hand,
     )
     fault = Fault(
@@ -180,22 +180,22 @@ def parse_fault(fault_line: str, hand: Hand, now_ns: int = 0) -> Fault:
         size=_number_from_text(
             fault_line,
             "size",
-            given.pop("size", str(FAULT_KINDS[kind].size)),
+            option_values.pop("size", str(FAULT_KINDS[kind].size)),
             *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE),
         ),
-        p=_number_from_text(fault_line, "p", given.pop("p", "1"), 0.0, 1.0),
-        start_ns=now_ns + _time_from_text(fault_line, "at", given.pop("at", "0s")),
-        duration_ns=_time_from_text(fault_line, "for", given.pop("for"))
-        if "for" in given
+        p=_number_from_text(fault_line, "p", option_values.pop("p", "1"), 0.0, 1.0),
+        start_ns=now_ns + _time_from_text(fault_line, "at", option_values.pop("at", "0s")),
+        duration_ns=_time_from_text(fault_line, "for", option_values.pop("for"))
+        if "for" in option_values
         else FOREVER_NS,
-        seed=int(_number_from_text(fault_line, "seed", given.pop("seed", "0"), 0, 1e9)),
-        hz=_number_from_text(fault_line, "hz", given.pop("hz", "25"), 0.0, 1e4),
+        seed=int(_number_from_text(fault_line, "seed", option_values.pop("seed", "0"), 0, 1e9)),
+        hz=_number_from_text(fault_line, "hz", option_values.pop("hz", "25"), 0.0, 1e4),
         text=fault_line,
-        other=_second_motor(fault_line, kind, instance, given, hand),
+        other=_second_motor(fault_line, kind, instance, option_values, hand),
     )
-    if given:
+    if option_values:
         raise SimulatorError(
-            f"fault {fault_line!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed"
+            f"fault {fault_line!r}: unknown {next(iter(option_values))!r}; expected size, p, hz, at, for or seed"
         )
     return fault
 
@@ -216,10 +216,10 @@ def _target_component(fault_line: str, fault_kind: str, fault_options: dict[str,
             DIGIT_TARGET,
         )
     ]
-    allowed = FAULT_KINDS[fault_kind].components
-    if len(components) != 1 or components[0] not in allowed:
+    allowed_components = FAULT_KINDS[fault_kind].components
+    if len(components) != 1 or components[0] not in allowed_components:
         raise SimulatorError(
-            f"fault {fault_line!r}: {fault_kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}"
+            f"fault {fault_line!r}: {fault_kind} needs {' or '.join(f'{name}=NAME' for name in allowed_components)}"
         )
     return components[0]
 
@@ -235,18 +235,18 @@ def _second_motor(
         return ""
     if "with" not in fault_options:
         raise SimulatorError(f"fault {fault_line!r}: {fault_kind} needs with=NAME, the other motor")
-    other = _target_instance(
+    other_node = _target_instance(
         fault_line,
         instances_of_component(NODE_TARGET, hand, fault_kind),
         NODE_TARGET,
         fault_options.pop("with"),
         hand,
     )
-    if other == first_motor:
+    if other_node == first_motor:
         raise SimulatorError(
             f"fault {fault_line!r}: {fault_kind} needs two motors, not {first_motor!r} twice"
         )
-    return other
+    return other_node
 
 
 def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> list[str]:
@@ -267,7 +267,7 @@ def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> 
         ENCODER_TARGET: motors,
         JOINT_TARGET: hand.sensors.joints if hand.sensors else [],
         CELL_TARGET: hand.sensors.tendons if hand.sensors else [],
-        TENDON_TARGET: [tendon.name for tendon in hand.every_tendon],
+        TENDON_TARGET: [tendon.name for tendon in hand.all_tendons],
         DIGIT_TARGET: [digit.name for digit in hand.digits],
     }[component]
 

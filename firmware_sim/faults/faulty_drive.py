@@ -22,11 +22,11 @@ DRIVE_FAULTS = {
     "watchdog": "its watchdog never fires",
 }
 """Effect of each kind of fault."""
-TWIN_SERIAL = 0x7714_0000
+TWIN_SERIAL_NUMBER = 0x7714_0000
 """Serial number of a second drive with node number 0. Other nodes add their node number."""
 
 
-NO_WATCHDOG = ("cubemars", "robstride_mit")
+PROTOCOLS_WITHOUT_WATCHDOG = ("cubemars", "robstride_mit")
 """Protocols whose motors have no watchdog, or one that only another protocol switches on."""
 
 
@@ -44,7 +44,7 @@ def check_fault_has_effect(protocol: str, fault: str) -> None:
     reasons = {
         "eager": spec.force_command is None and "a torque command also enables it",
         "readback": spec.corrupt_reply is unchanged_frame and "it has no settings to read back",
-        "watchdog": protocol in NO_WATCHDOG and "it has no watchdog",
+        "watchdog": protocol in PROTOCOLS_WITHOUT_WATCHDOG and "it has no watchdog",
     }
     if reason := reasons.get(fault):
         raise SimulatorError(f"--broken {fault}: not possible with drive {protocol}, {reason}")
@@ -80,29 +80,29 @@ class FaultyDrive:
         return self.node.ids
 
     @property
-    def malformed(self) -> int:
-        """See ``nodes.Node.malformed``."""
-        return self.node.malformed
+    def malformed_frame_count(self) -> int:
+        """See ``nodes.Node.malformed_frame_count``."""
+        return self.node.malformed_frame_count
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node.receive``."""
         self._feed_watchdog(t_ns)
-        answers = self.node.receive(
+        answer_frames = self.node.receive(
             self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns
         )
         if self._fault == "eager" and self._spec.force_command:
             self._spec.force_command(self.node, frame)
         if self._fault == "mute":
-            return [] if answers is not None else None
-        if self._fault == "readback" and answers:
-            return [self._spec.corrupt_reply(answer) for answer in answers]
-        return answers
+            return [] if answer_frames is not None else None
+        if self._fault == "readback" and answer_frames:
+            return [self._spec.corrupt_reply(answer) for answer in answer_frames]
+        return answer_frames
 
     def wake(self, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node.wake``."""
         self._feed_watchdog(t_ns)
-        unsolicited = self.node.wake(t_ns)
-        return None if self._fault == "mute" else unsolicited
+        unsolicited_frames = self.node.wake(t_ns)
+        return None if self._fault == "mute" else unsolicited_frames
 
     def _feed_watchdog(self, t_ns: int) -> None:
         if self._fault == "watchdog" and self.node.watchdog_fed_ns >= 0:
@@ -135,7 +135,7 @@ def motor_specs_with_fault(motor_specs: list[MotorSpec], fault: str) -> list[Mot
         return [replace(spec, torque_gain=-1.0) for spec in motor_specs]
     if fault == "twin":
         return motor_specs + [
-            replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL + spec.node_id)
+            replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL_NUMBER + spec.node_id)
             for spec in motor_specs
         ]
     return motor_specs

@@ -28,7 +28,7 @@ BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERROR_CODES = {
     "error": (
-        FeedbackState.WINDING_HOT,
+        FeedbackState.WINDING_OVERHEATED,
         1 << 13,
         0x4310,
         moteus.OVER_TEMPERATURE,
@@ -97,20 +97,20 @@ def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[
         if fault.kind == "old":
             return _delayed_reading(active, readings, value, now_ns())
         if fault.kind == "stuck":
-            changed = readings[0]
+            changed_reading = readings[0]
         elif fault.kind == "offset":
-            changed = value + fault.size
+            changed_reading = value + fault.size
         elif fault.kind == "drift":
-            changed = value + fault.size * (now_ns() - start_ns) * 1e-9
+            changed_reading = value + fault.size * (now_ns() - start_ns) * 1e-9
         elif fault.kind == "scale":
-            changed = readings[0] + fault.size * (value - readings[0])
+            changed_reading = readings[0] + fault.size * (value - readings[0])
         elif fault.kind == "noise":
-            changed = value + rng.gauss(0.0, fault.size)
+            changed_reading = value + rng.gauss(0.0, fault.size)
         else:
-            changed = math.copysign(OUTSIDE_RANGE_N, fault.size)
-        if changed != value:
-            active.note_effect(now_ns())
-        return changed
+            changed_reading = math.copysign(OUTSIDE_RANGE_N, fault.size)
+        if changed_reading != value:
+            active.count_effect(now_ns())
+        return changed_reading
 
     return read_wrong
 
@@ -127,7 +127,7 @@ def _delayed_reading(
     # reading.
     if len(past_readings) <= int(active.fault.size) + 1:
         return value
-    active.note_effect(now_ns)
+    active.count_effect(now_ns)
     del past_readings[0]
     return past_readings[0]
 
@@ -137,29 +137,29 @@ def _start_muted_sensor(world: Any, active: ActiveFault) -> UndoFunction:
     node = world.sensor_node
     spec = world.hand.sensors
     if active.fault.component == CELL_TARGET:
-        can_id = node.frame_of_cell(spec.tendons.index(active.fault.instance))
+        can_id = node.frame_index_of_cell(spec.tendons.index(active.fault.instance))
     else:
         can_id = (
             spec.base_id
             + JOINT_OFFSET
             + spec.joints.index(active.fault.instance) // CHANNELS_PER_FRAME
         )
-    node.suppressed[can_id] = lambda: active.note_effect(int(world.t_ns))
+    node.suppressed[can_id] = lambda: active.count_effect(int(world.t_ns))
     return lambda: node.suppressed.pop(can_id, None) and None
 
 
 def _start_snapped_tendon(world: Any, active: ActiveFault) -> UndoFunction:
     """Break a tendon."""
     tendon = _tendon_of_fault(world, active.fault)
-    active.note_effect(world.t_ns)
-    mend: UndoFunction = tendon.snap()
-    return mend
+    active.count_effect(world.t_ns)
+    mend_tendon: UndoFunction = tendon.snap()
+    return mend_tendon
 
 
 def _start_slack_tendon(world: Any, active: ActiveFault) -> UndoFunction:
     """Lengthen a tendon by the size of the fault [mm]."""
     tendon = _tendon_of_fault(world, active.fault)
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     tendon.extra_length = active.fault.size * 1e-3
     return lambda: setattr(tendon, "extra_length", 0.0)
 
@@ -169,24 +169,24 @@ def _start_extra_friction(world: Any, active: ActiveFault) -> UndoFunction:
 
     The size of the fault is the friction force, converted to the tendon [N].
     """
-    tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
+    tendon = next(spec for spec in world.hand.all_tendons if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
-    before = motor.coulomb
+    coulomb_before = motor.coulomb
     motor.coulomb += active.fault.size * _tendon_of_fault(world, active.fault).radius
-    active.note_effect(world.t_ns)
-    return lambda: setattr(motor, "coulomb", before)
+    active.count_effect(world.t_ns)
+    return lambda: setattr(motor, "coulomb", coulomb_before)
 
 
 def _tendon_of_fault(world: Any, fault: Fault) -> Any:
     """Return the simulated tendon on which a fault acts."""
-    names = [spec.name for spec in world.hand.every_tendon]
+    names = [spec.name for spec in world.hand.all_tendons]
     return world.plant.tendons[names.index(fault.instance)][0]
 
 
 def _start_blocked_digit(world: Any, active: ActiveFault) -> UndoFunction:
     """Block all joints of a digit."""
     digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     release: UndoFunction = world.plant.engine.brake(
         [world.hand.joints.index(joint) for joint in digit.joints], BLOCKED_JOINT_DAMPING
     )
@@ -201,7 +201,7 @@ def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
     size = int(active.fault.size)
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     match node:
         case MitNode():
             node.trip(cast(FeedbackState, size or codes[0]))
@@ -220,7 +220,7 @@ def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
 def _start_drive_reset(world: Any, active: ActiveFault) -> UndoFunction:
     """Reset a drive, either by a power cycle or by the reset command of the drive's protocol."""
     node = world.node_of(active.fault.instance)
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     match node:
         case MitNode() | MoteusNode() | RobstrideNode():
             node.power_cycle()
@@ -242,7 +242,7 @@ def _start_forgotten_settings(world: Any, active: ActiveFault) -> UndoFunction:
 
     The fault simulates a voltage dip that resets only the processor of the drive.
     """
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     match node := world.node_of(active.fault.instance):
         case MitNode():
             node.lose_settings(active.fault.size)
@@ -257,23 +257,23 @@ def _start_torque_ripple(world: Any, active: ActiveFault) -> UndoFunction:
     fault = active.fault
 
     def apply(command: float) -> float:
-        active.note_effect(int(world.t_ns))
+        active.count_effect(int(world.t_ns))
         return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
 
     motor.power_stage_fault = apply
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_hot_motor(world: Any, active: ActiveFault) -> UndoFunction:
+def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
     """Keep the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
     thermal.forced = active.fault.size
     thermal.winding = active.fault.size
     return lambda: setattr(thermal, "forced", None)
 
 
-class _CrossedMotor:
+class _CrossConnectedMotor:
     """A motor whose drive has the sensors of one rotor and the power stage of another rotor.
 
     Attributes:
@@ -296,16 +296,16 @@ def _start_exchanged_motors(world: Any, active: ActiveFault) -> UndoFunction:
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
     motors = [world.plant.motors[name] for name in names]
-    swapped = active.fault.kind == "swap"
+    is_swap = active.fault.kind == "swap"
     for i, node in enumerate(nodes):
         motor_of_node = motors[i]
         other_motor = motors[1 - i]
         node.motor = (
-            _CrossedMotor(other_motor, motor_of_node)
-            if swapped
-            else _CrossedMotor(motor_of_node, other_motor)
+            _CrossConnectedMotor(other_motor, motor_of_node)
+            if is_swap
+            else _CrossConnectedMotor(motor_of_node, other_motor)
         )
-    active.note_effect(world.t_ns)
+    active.count_effect(world.t_ns)
 
     def undo() -> None:
         for node, motor in zip(nodes, motors, strict=True):
@@ -318,17 +318,17 @@ def _start_late_commands(world: Any, active: ActiveFault) -> UndoFunction:
     """Delay each torque command of a drive by the size of the fault [ms]."""
     motor = world.plant.motors[active.fault.instance]
     delay_ns = round(active.fault.size * 1e6)
-    waiting: deque[tuple[int, float]] = deque()
+    queued_commands: deque[tuple[int, float]] = deque()
 
     def apply(command: float) -> float:
         now_ns = int(world.plant.t_ns)
-        waiting.append((now_ns, command))
-        while len(waiting) > 1 and waiting[1][0] <= now_ns - delay_ns:
-            waiting.popleft()
-        changed = waiting[0][1]
-        if abs(changed - command) > 1e-9:
-            active.note_effect(int(world.t_ns))
-        return changed
+        queued_commands.append((now_ns, command))
+        while len(queued_commands) > 1 and queued_commands[1][0] <= now_ns - delay_ns:
+            queued_commands.popleft()
+        delayed_command = queued_commands[0][1]
+        if abs(delayed_command - command) > 1e-9:
+            active.count_effect(int(world.t_ns))
+        return delayed_command
 
     motor.power_stage_fault = apply
     return lambda: setattr(motor, "power_stage_fault", None)
@@ -347,14 +347,14 @@ def _start_servo_fault(world: Any, active: ActiveFault) -> UndoFunction:
     torque_max = world.motor_spec(fault.instance).torque_max
 
     def apply(command: float) -> float:
-        changed: float = {
+        changed_command: float = {
             "disobey": fault.size * command,
             "runaway": fault.size * torque_max,
             "off": 0.0,
         }.get(fault.kind, last_torque)
-        if abs(changed - command) > 1e-9:
-            active.note_effect(int(world.t_ns))
-        return changed
+        if abs(changed_command - command) > 1e-9:
+            active.count_effect(int(world.t_ns))
+        return changed_command
 
     motor.power_stage_fault = apply
     return lambda: setattr(motor, "power_stage_fault", None)
@@ -370,7 +370,7 @@ _START_FUNCTIONS: dict[str, Callable[[Any, ActiveFault], UndoFunction]] = {
     "voltage": _start_tripped_drive,
     "reset": _start_drive_reset,
     "forget": _start_forgotten_settings,
-    "hot": _start_hot_motor,
+    "hot": _start_motor_overheating,
     "mute": _start_muted_sensor,
     "ripple": _start_torque_ripple,
     "late": _start_late_commands,

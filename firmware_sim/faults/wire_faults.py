@@ -18,128 +18,130 @@ class ActiveFault:
     Attributes:
         fault: the data of the fault.
         rng: generator of the fault's random numbers.
-        effects: number of effects of the fault until now.
+        effect_count: number of effects of the fault until now.
         first_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect yet.
-        delayed: frames that the fault has stored, with their release times [ns].
-        calls: number of answers handled by the fault until now.
+        delayed_frames: frames that the fault has stored, with their release times [ns].
+        batch_count: number of answers handled by the fault until now.
     """
 
     fault: Fault
     rng: random.Random
-    effects: int = 0
+    effect_count: int = 0
     first_ns: int = -1
-    delayed: list[tuple[int, Frame]] = field(default_factory=list)
-    calls: int = 0
+    delayed_frames: list[tuple[int, Frame]] = field(default_factory=list)
+    batch_count: int = 0
 
-    def note_effect(self, t_ns: int) -> None:
+    def count_effect(self, t_ns: int) -> None:
         """Count an effect of the fault."""
-        self.effects += 1
+        self.effect_count += 1
         if self.first_ns < 0:
             self.first_ns = t_ns
 
-    def hits(self) -> bool:
+    def affects_frame(self) -> bool:
         """Decide at random whether the fault affects the present frame."""
         return self.fault.p >= 1.0 or self.rng.random() < self.fault.p
 
 
-def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
+def is_request_lost(active_faults: Sequence[ActiveFault], t_ns: int) -> bool:
     """Return True if a frame from the host to the node is lost."""
-    for active in actives:
-        if active.fault.kind in ("deaf", "off") and active.hits():
-            active.note_effect(t_ns)
+    for active in active_faults:
+        if active.fault.kind in ("deaf", "off") and active.affects_frame():
+            active.count_effect(t_ns)
             return True
     return False
 
 
-def transmitted_frames(
-    actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int
+def frames_after_faults(
+    active_faults: Sequence[ActiveFault], frames: list[Frame], t_ns: int
 ) -> list[Frame]:
     """Apply the faults of a node to frames sent by the node.
 
     Returns:
         The frames that the bus carries now.
     """
-    for active in actives:
-        change = CHANGE_BY_FAULT_KIND.get(active.fault.kind)
+    for active in active_faults:
+        change = FRAME_CHANGE_BY_FAULT_KIND.get(active.fault.kind)
         if change and frames:
             frames = change(active, frames, t_ns)
     return frames
 
 
-def due_frames(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
+def released_frames(active_faults: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
     """Return the delayed frames whose release time has passed."""
     frames = []
-    for active in actives:
-        if active.delayed:
+    for active in active_faults:
+        if active.delayed_frames:
             frames += [
-                frame._replace(t_ns=at_ns) for at_ns, frame in active.delayed if at_ns <= t_ns
+                frame._replace(t_ns=release_ns)
+                for release_ns, frame in active.delayed_frames
+                if release_ns <= t_ns
             ]
-            active.delayed = [pair for pair in active.delayed if pair[0] > t_ns]
+            active.delayed_frames = [pair for pair in active.delayed_frames if pair[0] > t_ns]
     return frames
 
 
 def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop the frames hit by the fault."""
-    passed = [frame for frame in frames if not active.hits()]
-    if len(passed) < len(frames):
-        active.note_effect(t_ns)
-    return passed
+    passed_frames = [frame for frame in frames if not active.affects_frame()]
+    if len(passed_frames) < len(frames):
+        active.count_effect(t_ns)
+    return passed_frames
 
 
 def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Store the frames hit by the fault, until their delay is over."""
-    passed = []
+    passed_frames = []
     for frame in frames:
-        if active.hits():
-            active.delayed.append((t_ns + round(active.fault.size * 1e6), frame))
-            active.note_effect(t_ns)
+        if active.affects_frame():
+            active.delayed_frames.append((t_ns + round(active.fault.size * 1e6), frame))
+            active.count_effect(t_ns)
         else:
-            passed.append(frame)
-    return passed
+            passed_frames.append(frame)
+    return passed_frames
 
 
 def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the frames hit by the fault twice."""
-    sent = []
+    sent_frames = []
     for frame in frames:
-        sent.append(frame)
-        if active.hits():
-            sent.append(frame)
-            active.note_effect(t_ns)
-    return sent
+        sent_frames.append(frame)
+        if active.affects_frame():
+            sent_frames.append(frame)
+            active.count_effect(t_ns)
+    return sent_frames
 
 
 def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send a second frame with the same identifier but with another payload, as a second node would."""
-    sent = []
+    sent_frames = []
     for frame in frames:
-        sent.append(frame)
-        if len(frame.data) >= 4 and active.hits():
-            other = bytearray(frame.data)
+        sent_frames.append(frame)
+        if len(frame.data) >= 4 and active.affects_frame():
+            twin_data = bytearray(frame.data)
             # The inverted bit lies in the middle of a value. So the second frame looks plausible
             # but differs from the true frame.
-            other[2] ^= 0x04
-            sent.append(frame._replace(data=bytes(other)))
-            active.note_effect(t_ns)
-    return sent
+            twin_data[2] ^= 0x04
+            sent_frames.append(frame._replace(data=bytes(twin_data)))
+            active.count_effect(t_ns)
+    return sent_frames
 
 
 def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the first frame only after the frames of the next answer."""
-    late = [frame for _, frame in active.delayed]
-    active.delayed = []
-    if not late and active.hits():
-        active.delayed = [(NEVER_NS, frame) for frame in frames[:1]]
-        active.note_effect(t_ns)
+    delayed_frames = [frame for _, frame in active.delayed_frames]
+    active.delayed_frames = []
+    if not delayed_frames and active.affects_frame():
+        active.delayed_frames = [(NEVER_NS, frame) for frame in frames[:1]]
+        active.count_effect(t_ns)
         return frames[1:]
-    return frames + late
+    return frames + delayed_frames
 
 
 def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Invert random bits in the payload of each frame hit by the fault."""
-    sent = []
+    sent_frames = []
     for frame in frames:
-        if frame.data and active.hits():
+        if frame.data and active.affects_frame():
             bits = active.rng.sample(
                 range(8 * len(frame.data)), min(int(active.fault.size), 8 * len(frame.data))
             )
@@ -147,20 +149,20 @@ def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
             for bit in bits:
                 word ^= 1 << bit
             frame = frame._replace(data=word.to_bytes(len(frame.data), "little"))
-            active.note_effect(t_ns)
-        sent.append(frame)
-    return sent
+            active.count_effect(t_ns)
+        sent_frames.append(frame)
+    return sent_frames
 
 
 def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Remove the last bytes from the payload of each frame hit by the fault."""
-    sent = []
+    sent_frames = []
     for frame in frames:
-        if frame.data and active.hits():
+        if frame.data and active.affects_frame():
             frame = frame._replace(data=frame.data[: -max(1, int(active.fault.size))])
-            active.note_effect(t_ns)
-        sent.append(frame)
-    return sent
+            active.count_effect(t_ns)
+        sent_frames.append(frame)
+    return sent_frames
 
 
 def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
@@ -168,13 +170,13 @@ def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
 
     Frames with 29-bit identifiers stay unchanged.
     """
-    sent = []
+    sent_frames = []
     for frame in frames:
-        if not frame.can_id & EXTENDED_FLAG and active.hits():
+        if not frame.can_id & EXTENDED_FLAG and active.affects_frame():
             frame = frame._replace(can_id=frame.can_id | EXTENDED_FLAG)
-            active.note_effect(t_ns)
-        sent.append(frame)
-    return sent
+            active.count_effect(t_ns)
+        sent_frames.append(frame)
+    return sent_frames
 
 
 def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
@@ -182,16 +184,16 @@ def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fr
 
     The number n is the size of the fault.
     """
-    active.calls += 1
-    if active.calls % max(2, int(active.fault.size)):
-        active.note_effect(t_ns)
+    active.batch_count += 1
+    if active.batch_count % max(2, int(active.fault.size)):
+        active.count_effect(t_ns)
         return []
     return frames
 
 
 def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop all frames of a node, as if the node had no power."""
-    active.note_effect(t_ns)
+    active.count_effect(t_ns)
     return []
 
 
@@ -202,22 +204,26 @@ def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
 
     While the node has sent fewer answers, send the present frames.
     """
-    active.calls += 1
-    # The release time of these frames is NEVER_NS plus the number of the answer. So ``due_frames``
+    active.batch_count += 1
+    # The release time of these frames is NEVER_NS plus the number of the answer. So ``released_frames``
     # never releases them.
-    active.delayed += [(NEVER_NS + active.calls, frame) for frame in frames]
-    then = active.calls - int(active.fault.size)
-    if then <= 0:
+    active.delayed_frames += [(NEVER_NS + active.batch_count, frame) for frame in frames]
+    replayed_call = active.batch_count - int(active.fault.size)
+    if replayed_call <= 0:
         return frames
-    active.note_effect(t_ns)
-    old = [frame for number, frame in active.delayed if number == NEVER_NS + then]
-    active.delayed = [
-        (number, frame) for number, frame in active.delayed if number > NEVER_NS + then
+    active.count_effect(t_ns)
+    old_frames = [
+        frame for number, frame in active.delayed_frames if number == NEVER_NS + replayed_call
     ]
-    return [frame._replace(t_ns=t_ns) for frame in old]
+    active.delayed_frames = [
+        (number, frame)
+        for number, frame in active.delayed_frames
+        if number > NEVER_NS + replayed_call
+    ]
+    return [frame._replace(t_ns=t_ns) for frame in old_frames]
 
 
-CHANGE_BY_FAULT_KIND = {
+FRAME_CHANGE_BY_FAULT_KIND = {
     "drop": _drop_frames, "delay": _delay_frames, "duplicate": _duplicate_frames, "twin": _send_twin_frames,
     "reorder": _reorder_frames, "corrupt": _corrupt_frames,
     "shorten": _shorten_frames, "extend": _extend_frames, "slow": _slow_frames, "off": _remove_all_frames,

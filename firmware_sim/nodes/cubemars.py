@@ -25,7 +25,7 @@ from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.plant.motor import Motor
 
-FULL_SCALE = {
+FULL_SCALE_BY_MOTOR_TYPE = {
     "ak60-6": (12.5, 50.0, 15.0),
     "ak70-10": (12.5, 50.0, 25.0),
     "ak80-6": (12.5, 76.0, 12.0),
@@ -33,7 +33,7 @@ FULL_SCALE = {
     "ak10-9": (12.5, 50.0, 65.0),
 }
 """Position [rad], velocity [rad/s] and torque [N m] at full scale, by motor model."""
-SPEED_CONSTANTS = {
+SPEED_CONSTANT_BY_MOTOR_TYPE = {
     "ak60-6": (80.0, 6.0),
     "ak70-10": (100.0, 10.0),
     "ak80-6": (100.0, 6.0),
@@ -52,11 +52,11 @@ DEFAULT_TYPE = "ak80-9"
 """Motor model if the hand file gives none."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
-HOT_C = 100.0
+OVERHEATING_C = 100.0
 """Winding temperature above which the drive reports an error [degC]."""
-COOL_C = 90.0
+COOLED_DOWN_C = 90.0
 """Winding temperature at which the error ends [degC]."""
-ZEROING_NS = 1_000_000_000
+ZEROING_DURATION_NS = 1_000_000_000
 """Time without answers while the drive stores a new zero [ns]."""
 _SPECIAL_COMMAND_START = b"\xff" * 7
 """First seven bytes of a special command."""
@@ -92,7 +92,7 @@ class CubemarsNode:
         thermal: temperatures of the motor.
         short: True if the feedback has six bytes, as in older firmware.
         ids: identifiers of the frames that the node answers.
-        malformed: number of frames with an identifier of the node that the node could not decode.
+        malformed_frame_count: number of frames with an identifier of the node that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: negative number, because the drive has no watchdog.
     """
@@ -111,13 +111,15 @@ class CubemarsNode:
         self.enabled = False
         self.error = FeedbackError.NONE
         self.short = bool(spec.options.get("short", False))
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = 0
         self.watchdog_fed_ns = -1
         self._id = spec.node_id
         self._direction = spec.direction
         self.ids = frozenset((spec.node_id,))
-        self._ranges = FrameRanges(*FULL_SCALE[str(spec.options.get("motor_type", DEFAULT_TYPE))])
+        self._ranges = FrameRanges(
+            *FULL_SCALE_BY_MOTOR_TYPE[str(spec.options.get("motor_type", DEFAULT_TYPE))]
+        )
         motor.servo.limit = min(spec.torque_peak, self._ranges.torque)
         self._thermal_ns = -1
         self._silent_until_ns = 0
@@ -132,7 +134,7 @@ class CubemarsNode:
             return None
         data = frame.data
         if len(data) != 8:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         if t_ns < self._silent_until_ns:
             return []
@@ -145,19 +147,19 @@ class CubemarsNode:
     def _process_special_command(self, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
         if command_code == _ENABLE_COMMAND:
-            self._switch_torque(is_enabled=self.error == FeedbackError.NONE)
+            self._enable_torque(is_enabled=self.error == FeedbackError.NONE)
         elif command_code == _DISABLE_COMMAND:
-            self._switch_torque(is_enabled=False)
+            self._enable_torque(is_enabled=False)
         elif command_code == _ZERO_COMMAND:
             self.offset = -self._direction * self.motor.encoder()
-            self._silent_until_ns = t_ns + ZEROING_NS
+            self._silent_until_ns = t_ns + ZEROING_DURATION_NS
             return []
         else:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         return [self._feedback_frame(frame, t_ns)]
 
-    def _switch_torque(self, is_enabled: bool) -> None:
+    def _enable_torque(self, is_enabled: bool) -> None:
         """Switch the torque of the motor on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
@@ -204,12 +206,12 @@ class CubemarsNode:
         """
         self.error = feedback_error
         if feedback_error != FeedbackError.NONE:
-            self._switch_torque(is_enabled=False)
+            self._enable_torque(is_enabled=False)
 
     def power_cycle(self) -> None:
         """Restart the motor. The motor is then disabled and has no error."""
         self.error = FeedbackError.NONE
-        self._switch_torque(is_enabled=False)
+        self._enable_torque(is_enabled=False)
 
     def wake(self, t_ns: int) -> None:
         """Update the temperatures, and set or end the over-temperature error."""
@@ -218,9 +220,9 @@ class CubemarsNode:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
             self.motor.heat = 0.0
             self._thermal_ns = t_ns
-            if self.thermal.winding > HOT_C:
+            if self.thermal.winding > OVERHEATING_C:
                 self.trip(FeedbackError.HOT)
-            elif self.error == FeedbackError.HOT and self.thermal.winding < COOL_C:
+            elif self.error == FeedbackError.HOT and self.thermal.winding < COOLED_DOWN_C:
                 self.trip(FeedbackError.NONE)
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
 
@@ -230,8 +232,8 @@ def shaft_of_motor(motor_type: str) -> ShaftSpec:
 
     The inertia and the stall torque of the shaft are assumed.
     """
-    position, velocity, peak = FULL_SCALE[motor_type]
-    speed_constant, ratio = SPEED_CONSTANTS[motor_type]
+    position, velocity, peak = FULL_SCALE_BY_MOTOR_TYPE[motor_type]
+    speed_constant, ratio = SPEED_CONSTANT_BY_MOTOR_TYPE[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
     options = {"motor_type": motor_type}
     limits = peak, top_speed, STALL_FACTOR * peak

@@ -26,8 +26,8 @@ from firmware_sim.nodes.cia402.kernels import (
     TORQUE,
     Cia402Struct,
     apply_torque,
-    follows_torque,
     heartbeat_due,
+    is_in_torque_mode,
     update_measured_objects,
 )
 from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
@@ -44,7 +44,7 @@ from firmware_sim.nodes.mit.registers import MODE_MIT
 from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     OdriveStruct,
-    next_due,
+    next_period_ns,
     position_in_turns,
     set_torque,
     velocity_in_turns_per_s,
@@ -56,9 +56,9 @@ from firmware_sim.nodes.sensor_node import (
     CHANNELS_PER_FRAME,
     JOINT_OFFSET,
     SensorStruct,
-    drift_since,
+    drift_at,
     encode,
-    has_joints,
+    has_joint_reading,
     payload_size,
     read_cells,
 )
@@ -146,16 +146,16 @@ def _fill_header(answer_record: Any, can_id: int, length: int, flags: int, bus: 
 
 
 @kernel_helper
-def _put_int(payload: Any, first_byte: int, size: int, value: int) -> None:
+def _write_integer(payload: Any, byte_offset: int, size: int, value: int) -> None:
     """Write an integer into a payload, low byte first."""
     for i in range(size):
-        payload[first_byte + i] = value >> 8 * i & 0xFF
+        payload[byte_offset + i] = value >> 8 * i & 0xFF
 
 
 @kernel_helper
-def _put_float(payload: Any, first_byte: int, value: float) -> None:
+def _write_float(payload: Any, byte_offset: int, value: float) -> None:
     """Write a float of four bytes into a payload, low byte first."""
-    _put_int(payload, first_byte, 4, int(np.float32(value).view(np.uint32)))
+    _write_integer(payload, byte_offset, 4, int(np.float32(value).view(np.uint32)))
 
 
 @kernel_helper
@@ -187,7 +187,7 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
 
 
 @kernel_helper
-def _get_float(payload: Any) -> float:
+def _read_float(payload: Any) -> float:
     """Return the float in the first four bytes of a payload."""
     return float(
         np.uint32(payload[0] | payload[1] << 8 | payload[2] << 16 | payload[3] << 24).view(
@@ -203,7 +203,7 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
         return True
     return bool(
         frame.can_id & REMOTE_FLAG == 0
-        and (frame.length < 4 or not math.isfinite(_get_float(frame.data)))
+        and (frame.length < 4 or not math.isfinite(_read_float(frame.data)))
     )
 
 
@@ -211,21 +211,23 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
 def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
     """Write the frame with the encoder estimates of an ODrive."""
     _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
-    _put_float(answer.data, 0, position_in_turns(node, encoder_angle(rotor.theta)))
-    _put_float(answer.data, 4, velocity_in_turns_per_s(node, rotor.velocity))
+    _write_float(answer.data, 0, position_in_turns(node, encoder_angle(rotor.theta)))
+    _write_float(answer.data, 4, velocity_in_turns_per_s(node, rotor.velocity))
 
 
 @kernel_helper
-def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+def _answer_odrive(
+    node: Any, rotor: Any, frame: Any, t_ns: int, answer_frames: Any, count: int
+) -> int:
     """Apply a torque setpoint to an ODrive, or answer an encoder request.
 
     Returns:
-        The number of answers in ``answers``.
+        The number of answers in ``answer_frames``.
     """
     if frame.can_id & REMOTE_FLAG:
-        _write_encoder_frame(node, rotor, frame.bus, answers[count])
+        _write_encoder_frame(node, rotor, frame.bus, answer_frames[count])
         return count + 1
-    set_torque(node, rotor.servo_row, _get_float(frame.data), t_ns)
+    set_torque(node, rotor.servo_row, _read_float(frame.data), t_ns)
     schedule_odrive(node)
     return count
 
@@ -241,21 +243,23 @@ def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
         return False
     # A control word with bits 0 to 3 set and the bit *fault reset* clear keeps the operation
     # enabled.
-    stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
+    remains_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
     return (
         node.nmt != OPERATIONAL_STATE
         or frame.length < 4
-        or not stays_enabled
-        or not follows_torque(node, node.power_stage)
+        or not remains_enabled
+        or not is_in_torque_mode(node, node.power_stage)
     )
 
 
 @kernel_helper
-def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+def _answer_cia402(
+    node: Any, rotor: Any, frame: Any, t_ns: int, answer_frames: Any, count: int
+) -> int:
     """Process a SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
 
     Returns:
-        Number of answers in ``answers``.
+        Number of answers in ``answer_frames``.
     """
     data = frame.data
     values = node.values
@@ -265,10 +269,10 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
         )
         node.syncs += 1
         if node.syncs % node.tpdo_kind == 0:
-            _fill_header(answers[count], node.tpdo_id, 8, 0, frame.bus)
-            _put_int(answers[count].data, 0, 2, values[STATUS_WORD])
-            _put_int(answers[count].data, 2, 4, values[POSITION])
-            _put_int(answers[count].data, 6, 2, values[TORQUE])
+            _fill_header(answer_frames[count], node.tpdo_id, 8, 0, frame.bus)
+            _write_integer(answer_frames[count].data, 0, 2, values[STATUS_WORD])
+            _write_integer(answer_frames[count].data, 2, 4, values[POSITION])
+            _write_integer(answer_frames[count].data, 6, 2, values[TORQUE])
             count += 1
     elif frame.can_id == node.master_id:
         node.watchdog_fed_ns = t_ns
@@ -284,7 +288,7 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 
 @kernel_helper
 def _write_sensor_frames(
-    words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int
+    words: Any, channels: int, can_id: int, frame: Any, answer_frames: Any, count: int
 ) -> int:
     """Write payloads of the sensor node into the frames that answer a SYNC frame.
 
@@ -293,16 +297,16 @@ def _write_sensor_frames(
         channels: number of channels in all payloads together.
         can_id: identifier of the first frame.
         frame: the SYNC frame.
-        answers: array for the answers, filled by the kernel.
+        answer_frames: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
-        Number of answers in ``answers``.
+        Number of answers in ``answer_frames``.
     """
     for g in range(len(words)):
         length = payload_size(channels - g * CHANNELS_PER_FRAME)
-        _fill_header(answers[count], can_id + g, length, frame.flags, frame.bus)
-        _put_int(answers[count].data, 0, length, words[g])
+        _fill_header(answer_frames[count], can_id + g, length, frame.flags, frame.bus)
+        _write_integer(answer_frames[count].data, 0, length, words[g])
         count += 1
     return count
 
@@ -310,7 +314,7 @@ def _write_sensor_frames(
 @kernel_helper
 def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
-    noise: Any, noise_bounds: Any, answers: Any, count: int,
+    noise: Any, noise_bounds: Any, answer_frames: Any, count: int,
 ) -> int:  # fmt: skip
     """Read load cells and joint encoders, and write the frames that answer a SYNC frame.
 
@@ -325,11 +329,11 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         bias: bias of each load cell [N].
         noise: random numbers with a normal distribution, see ``NormalNoise``.
         noise_bounds: indices into ``noise``, see ``NormalNoise``.
-        answers: array for the answers, filled by the kernel.
+        answer_frames: array for the answers, filled by the kernel.
         count: number of answers so far.
 
     Returns:
-        Number of answers in ``answers``.
+        Number of answers in ``answer_frames``.
     """
     channels = len(cell_order)
     joints = len(joint_order)
@@ -341,12 +345,12 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     for i in range(channels):
         true[i] = cells[cell_order[i]]
     at = noise_bounds[0]
-    drift = drift_since(node, t_ns)
+    drift = drift_at(node, t_ns)
     read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
     at += 2 * channels
     encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
-    count = _write_sensor_frames(words, channels, node.base_id, frame, answers, count)
-    if has_joints(node, joints, counter):
+    count = _write_sensor_frames(words, channels, node.base_id, frame, answer_frames, count)
+    if has_joint_reading(node, joints, counter):
         angles = np.empty(joints)
         for i in range(joints):
             angle = q[joint_order[i]] * node.joint_scale[i]
@@ -356,21 +360,21 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         words = np.empty(-(-joints // CHANNELS_PER_FRAME), np.int64)
         encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
         count = _write_sensor_frames(
-            words, joints, node.base_id + JOINT_OFFSET, frame, answers, count
+            words, joints, node.base_id + JOINT_OFFSET, frame, answer_frames, count
         )
     noise_bounds[0] = at
     return count
 
 
 @kernel_helper
-def _stamp_in_sequence(
-    frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int
+def _assign_bus_times(
+    frames: Any, answer_frames: Any, count: int, t_ns: int, last_ns: int, buses: int
 ) -> bool:
     """Set the times of answers as if each bus carried all frames and answers one after the other.
 
     Args:
         frames: frames of the host.
-        answers: answers whose times are set.
+        answer_frames: answers whose times are set.
         count: number of answers.
         t_ns: start of the tick [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
@@ -379,20 +383,22 @@ def _stamp_in_sequence(
     Returns:
         True if the times of the answers are in rising order.
     """
-    busy_ns = np.zeros(buses, np.int64)
+    bus_busy_until_ns = np.zeros(buses, np.int64)
     for i in range(len(frames)):
-        busy_ns[frames[i].bus] += (
+        bus_busy_until_ns[frames[i].bus] += (
             FD_FRAME_DURATION_NS if frames[i].flags & FDF else FRAME_DURATION_NS
         )
-    in_order = True
-    before_ns = t_ns
+    is_in_order = True
+    previous_time_ns = t_ns
     for i in range(count):
-        answer = answers[i]
-        busy_ns[answer.bus] += FD_FRAME_DURATION_NS if answer.flags & FDF else FRAME_DURATION_NS
-        at_ns = t_ns + min(busy_ns[answer.bus], last_ns)
-        in_order = in_order and at_ns >= before_ns
-        answer.t_ns = before_ns = at_ns
-    return in_order
+        answer = answer_frames[i]
+        bus_busy_until_ns[answer.bus] += (
+            FD_FRAME_DURATION_NS if answer.flags & FDF else FRAME_DURATION_NS
+        )
+        send_time_ns = t_ns + min(bus_busy_until_ns[answer.bus], last_ns)
+        is_in_order = is_in_order and send_time_ns >= previous_time_ns
+        answer.t_ns = previous_time_ns = send_time_ns
+    return is_in_order
 
 
 DRIVE_ARGUMENTS = (ReceiverStruct, MitStruct, OdriveStruct, Cia402Struct)
@@ -419,12 +425,13 @@ def _drive_needs_python(
 
 @kernel_helper
 def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
-    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
+    receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answer_frames: Any,
+    count: int
 ) -> int:  # fmt: skip
     """Process a frame in a drive, and write the answers of the drive.
 
     Returns:
-        Number of answers in ``answers``.
+        Number of answers in ``answer_frames``.
     """
     if receiver_row.kind == MIT_KIND:
         _answer_mit(
@@ -432,7 +439,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
             rotors[mit[receiver_row.number].motor_number],
             frame,
             t_ns,
-            answers[count],
+            answer_frames[count],
         )
         return count + 1
     if receiver_row.kind == ODRIVE_KIND:
@@ -441,7 +448,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
             rotors[odrive[receiver_row.number].motor_number],
             frame,
             t_ns,
-            answers,
+            answer_frames,
             count,
         )
     return _answer_cia402(
@@ -449,7 +456,7 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
         rotors[cia402[receiver_row.number].motor_number],
         frame,
         t_ns,
-        answers,
+        answer_frames,
         count,
     )
 
@@ -483,7 +490,7 @@ def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
 
 @kernel_helper
 def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
-    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
+    frames: Any, answer_frames: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
     receivers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
@@ -494,7 +501,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
 
     Args:
         frames: frames of the host.
-        answers: array for the answers, filled by the kernel.
+        answer_frames: array for the answers, filled by the kernel.
         progress: numbers that describe the progress, see ``NEXT_FRAME``.
         t_ns: present time [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
@@ -528,7 +535,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         at = table_index(int(frame.bus), int(frame.can_id))
         if frame.bus < buses and at >= 0:
             receiver = table[at]
-        if receiver < 0 or count + max_answers > len(answers):
+        if receiver < 0 or count + max_answers > len(answer_frames):
             break
         needs_python = False
         index = receiver
@@ -537,8 +544,10 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
             if receiver_row.kind == SENSOR_NODE_KIND:
                 # The kernel cannot draw random numbers. So all random numbers for one SYNC frame
                 # must be drawn before the call.
-                drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
-                needs_python = needs_python or frame.length != 1 or not drawn
+                has_enough_noise = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(
+                    joint_order
+                )
+                needs_python = needs_python or frame.length != 1 or not has_enough_noise
             else:
                 needs_python = needs_python or _drive_needs_python(
                     receiver_row, mit, odrive, cia402, rotors, frame, t_ns
@@ -561,18 +570,18 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
                     bias,
                     noise,
                     noise_bounds,
-                    answers,
+                    answer_frames,
                     count,
                 )
             else:
                 count = _answer_drive(
-                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answers, count
+                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answer_frames, count
                 )
             receiver = receiver_row.next
         progress[NEXT_FRAME] = i + 1
     progress[ANSWERS] = count
     if progress[NEXT_FRAME] == len(frames):
-        progress[IN_ORDER] = _stamp_in_sequence(frames, answers, count, t_ns, last_ns, buses)
+        progress[IN_ORDER] = _assign_bus_times(frames, answer_frames, count, t_ns, last_ns, buses)
         progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
 
 
@@ -588,14 +597,16 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
-def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
+def answer(
+    frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
+) -> None:
     """Answer frames, where most arrays are given by their addresses.
 
     The kernel ``_answer`` explains the answers.
 
     Args:
         frames: frames of the host.
-        answers: array for the answers, filled by the kernel.
+        answer_frames: array for the answers, filled by the kernel.
         at: address and length of each other array of ``_answer``, in the order of
             ``tick_exchange.TickExchange``.
         t_ns: present time [ns].
@@ -603,7 +614,7 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
         max_answers: largest possible number of answers to one frame.
     """
     _answer(
-        frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
+        frames, answer_frames, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
         max_answers,
         rows_at(at[4], at[5], RECEIVER_DTYPE), rows_at(at[6], at[7], MIT_DTYPE), rows_at(at[8], at[9], ODRIVE_DTYPE),
         rows_at(at[10], at[11], CIA402_DTYPE), rows_at(at[12], at[13], RECEIVER_DTYPE),
@@ -617,20 +628,20 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
 
 
 @kernel_helper
-def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
+def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
     """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
 
     Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
     ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
-    busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
+    is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
     watchdog_due = watchdog_expired(node, now_ns)
-    return thermal_due or busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
+    return thermal_due or is_busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
 
 
 @kernel_helper
-def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
+def _must_wake_cia402(node: Any, now_ns: int) -> bool:
     """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
@@ -647,7 +658,7 @@ def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
     """
     if heartbeat_due(node, now_ns):
         _fill_header(sent_frames[count], 0x700 + node.node_id, 1, 0, node.bus)
-        _put_int(sent_frames[count].data, 0, 1, node.nmt)
+        _write_integer(sent_frames[count].data, 0, 1, node.nmt)
         sent_frames[count].t_ns = now_ns
         node.heartbeat_ns = now_ns
         count += 1
@@ -664,16 +675,18 @@ def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: in
     """
     if now_ns >= node.heartbeat_due_ns:
         _fill_header(sent_frames[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
-        _put_int(sent_frames[count].data, 0, 4, node.active_errors | node.disarm_reason)
-        _put_int(sent_frames[count].data, 4, 1, node.state)
-        _put_int(sent_frames[count].data, 5, 1, node.result)
+        _write_integer(sent_frames[count].data, 0, 4, node.active_errors | node.disarm_reason)
+        _write_integer(sent_frames[count].data, 4, 1, node.state)
+        _write_integer(sent_frames[count].data, 5, 1, node.result)
         sent_frames[count].t_ns = now_ns
-        node.heartbeat_due_ns = next_due(node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns)
+        node.heartbeat_due_ns = next_period_ns(
+            node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns
+        )
         count += 1
     if now_ns >= node.encoder_due_ns:
         _write_encoder_frame(node, rotor, node.bus, sent_frames[count])
         sent_frames[count].t_ns = now_ns
-        node.encoder_due_ns = next_due(node.encoder_due_ns, now_ns, node.encoder_period_ns)
+        node.encoder_due_ns = next_period_ns(node.encoder_due_ns, now_ns, node.encoder_period_ns)
         count += 1
     schedule_odrive(node)
     return count
@@ -710,13 +723,13 @@ def send_due(
         if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
             continue
         if receiver_row.kind == ODRIVE_KIND:
-            needs_python = _odrive_needs_wake(
+            needs_python = _must_wake_odrive(
                 odrive[receiver_row.number],
                 rotors[odrive[receiver_row.number].motor_number],
                 now_ns,
             )
         else:
-            needs_python = receiver_row.kind == MIT_KIND or _cia402_needs_wake(
+            needs_python = receiver_row.kind == MIT_KIND or _must_wake_cia402(
                 cia402[receiver_row.number], now_ns
             )
         if needs_python:

@@ -16,11 +16,11 @@ The value is assumed. With it, a current of 2.1 A (0.55 N m) dissipates 2.7 W.
 """
 WINDING_K_PER_W = 8.0
 """Thermal resistance of the winding, assumed for an actuator of 40 mm [K/W]."""
-WINDING_S = 120.0
+WINDING_TIME_CONSTANT_S = 120.0
 """Thermal time constant of the winding, assumed for an actuator of 40 mm [s]."""
 MOSFET_K_PER_W = 2.0
 """Thermal resistance of the MOSFETs, assumed for an actuator of 40 mm [K/W]."""
-MOSFET_S = 20.0
+MOSFET_TIME_CONSTANT_S = 20.0
 """Thermal time constant of the MOSFETs, assumed for an actuator of 40 mm [s]."""
 
 
@@ -56,12 +56,12 @@ class DriveTemperatures:
         # torque divided by the torque constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
         self.winding = _low_pass_value(
-            self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
+            self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_TIME_CONSTANT_S
         )
         if self.forced is not None:
             self.winding = self.forced
         self.mosfet = _low_pass_value(
-            self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S
+            self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_TIME_CONSTANT_S
         )
 
 

@@ -19,7 +19,7 @@ PERIOD_NS = 1_000_000
 """Period of the setpoint generators and position loops [ns]."""
 VELOCITY_BANDWIDTH = 200.0
 """Assumed bandwidth of the velocity loop of drives without a documented gain [1/s]."""
-INTEGRAL_RATE = 20.0
+INTEGRAL_GAIN_RATE = 20.0
 """Integral gain divided by velocity gain, for drives without a documented gain [1/s].
 
 The value is an assumption.
@@ -53,7 +53,7 @@ def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
     These assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """
     velocity = VELOCITY_BANDWIDTH * inertia
-    return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
+    return LoopGains(position, velocity, INTEGRAL_GAIN_RATE * velocity)
 
 
 class MotionSetpoint:
@@ -67,9 +67,9 @@ class MotionSetpoint:
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
         """Start the setpoint at a position [rad] with a velocity [rad/s]."""
-        self.jump(position, velocity)
+        self.set_immediately(position, velocity)
 
-    def jump(self, position: float, velocity: float = 0.0) -> None:
+    def set_immediately(self, position: float, velocity: float = 0.0) -> None:
         """Set the setpoint at once, without a ramp."""
         self.position = position
         self.velocity = velocity
@@ -86,10 +86,10 @@ class MotionSetpoint:
             deceleration: largest deceleration while the speed decreases [rad/s2].
             step_s: duration of the step [s].
         """
-        slows = self.velocity * (velocity - self.velocity) < 0.0
-        largest = (deceleration if slows else acceleration) * step_s
+        is_decelerating = self.velocity * (velocity - self.velocity) < 0.0
+        largest = (deceleration if is_decelerating else acceleration) * step_s
         change = min(largest, max(-largest, velocity - self.velocity))
-        if slows and abs(change) > abs(self.velocity):
+        if is_decelerating and abs(change) > abs(self.velocity):
             # When the motion reverses, the velocity is zero for one step, because acceleration and
             # deceleration may differ.
             change = -self.velocity
@@ -114,22 +114,32 @@ class MotionSetpoint:
         Returns:
             True if the setpoint has reached the target.
         """
-        rest = target - self.position
+        remaining_distance = target - self.position
         if math.isinf(deceleration):
-            stoppable = abs(rest) / step_s
+            stopping_speed = abs(remaining_distance) / step_s
         else:
             # The next lines compute the largest speed from which the setpoint can stop within the
             # remaining distance, if each step changes the velocity by fall * step_s.
-            half = 0.5 * deceleration * step_s
-            stoppable = math.sqrt(half * half + 2.0 * deceleration * abs(rest)) - half
+            half_speed_step = 0.5 * deceleration * step_s
+            stopping_speed = (
+                math.sqrt(
+                    half_speed_step * half_speed_step + 2.0 * deceleration * abs(remaining_distance)
+                )
+                - half_speed_step
+            )
         # In the last step, the setpoint jumps to the target. For this jump, up to twice the
         # deceleration may be necessary.
-        slowest = deceleration * step_s
-        if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
-            self.jump(target)
+        min_speed = deceleration * step_s
+        if (
+            abs(remaining_distance) <= min(min_speed, speed) * step_s
+            and abs(self.velocity) <= 2.0 * min_speed
+        ):
+            self.set_immediately(target)
             return True
         self.ramp(
-            math.copysign(min(speed, stoppable, abs(rest) / step_s), rest),
+            math.copysign(
+                min(speed, stopping_speed, abs(remaining_distance) / step_s), remaining_distance
+            ),
             acceleration,
             deceleration,
             step_s,

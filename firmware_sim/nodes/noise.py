@@ -60,11 +60,11 @@ class NormalNoise:
 
         ``count`` is at most ``BLOCK_SIZE``.
         """
-        first, end = self.bounds.tolist()
-        if end - first < count:
-            self.numbers[: end - first] = self.numbers[first:end]
-            self.numbers[end - first : end - first + BLOCK_SIZE] = self._draw_block()
-            self.bounds[:] = 0, end - first + BLOCK_SIZE
+        first_index, end = self.bounds.tolist()
+        if end - first_index < count:
+            self.numbers[: end - first_index] = self.numbers[first_index:end]
+            self.numbers[end - first_index : end - first_index + BLOCK_SIZE] = self._draw_block()
+            self.bounds[:] = 0, end - first_index + BLOCK_SIZE
 
     def _draw_block(self) -> Any:
         """Draw the next block of random numbers."""
@@ -73,15 +73,15 @@ class NormalNoise:
         if isinstance(
             _normal_from_uniform, FunctionType
         ):  # If this kernel is not compiled, lists are faster than arrays.
-            plain = [0.0] * BLOCK_SIZE
-            _normal_from_uniform(uniform.tolist(), plain)
-            return plain
+            noise_values = [0.0] * BLOCK_SIZE
+            _normal_from_uniform(uniform.tolist(), noise_values)
+            return noise_values
         _normal_from_uniform(uniform, block)
         return block
 
     def take(self, count: int) -> Any:
         """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
         self.draw(count)
-        first = int(self.bounds[0])
-        self.bounds[0] = first + count
-        return self.numbers[first : first + count].copy()
+        first_index = int(self.bounds[0])
+        self.bounds[0] = first_index + count
+        return self.numbers[first_index : first_index + count].copy()

@@ -35,7 +35,7 @@ class SimulatedNode(Protocol):
         ...
 
     @property
-    def malformed(self) -> int:
+    def malformed_frame_count(self) -> int:
         """Return the number of frames with an identifier of the node that the node could not decode."""
         ...
 
@@ -100,7 +100,7 @@ def unchanged_frame(frame: Frame) -> Frame:
     return frame
 
 
-UNADDRESSED_FRAME = Frame(EXTENDED_FLAG, b"")
+FRAME_FOR_NO_NODE = Frame(EXTENDED_FLAG, b"")
 """A frame with an identifier of no node."""
 
 

@@ -143,7 +143,7 @@ def read_cells(
 
 
 @kernel_helper
-def drift_since(node: Any, t_ns: int) -> float:
+def drift_at(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the change of the load-cell bias since the last sample [N].
 
     Store the time of the sample.
@@ -156,7 +156,7 @@ def drift_since(node: Any, t_ns: int) -> float:
 
 
 @kernel_helper
-def has_joints(node: Any, joints: int, counter: int) -> bool:
+def has_joint_reading(node: Any, joints: int, counter: int) -> bool:
     """Return True if the answer to a SYNC with this counter also contains the joint angles."""
     return joints > 0 and counter % node.joint_decimation == 0
 
@@ -183,12 +183,12 @@ class PayloadEncoder:
         Args:
             channels: number of channels.
         """
-        starts = range(0, channels, CHANNELS_PER_FRAME)
+        start_indices = range(0, channels, CHANNELS_PER_FRAME)
         self._codes = np.zeros(channels, np.int64)
-        self._words = np.zeros(len(starts), np.int64)
-        self._sizes = [payload_size(channels - start) for start in starts]
+        self._words = np.zeros(len(start_indices), np.int64)
+        self._sizes = [payload_size(channels - start) for start in start_indices]
 
-    def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
+    def encode_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
         """Pack a counter (low four bits) and codes into payloads of up to five codes.
 
         Each payload is as short as possible.
@@ -197,7 +197,7 @@ class PayloadEncoder:
         _pack_codes(counter, self._codes, self._words)
         return self._payload_bytes()
 
-    def of_values(
+    def encode_values(
         self, counter: int, values: Any, low: float, step: float, offset: int
     ) -> list[bytes]:
         """Encode the values of channels, and pack the codes into payloads.
@@ -209,13 +209,13 @@ class PayloadEncoder:
 
     def _payload_bytes(self) -> list[bytes]:
         """Convert the payloads from integers to bytes, without unused bytes."""
-        raw = self._words.astype("<i8", copy=False).tobytes()
-        return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
+        raw_bytes = self._words.astype("<i8", copy=False).tobytes()
+        return [raw_bytes[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
     """Pack a counter (low four bits) and up to five codes into a payload that is as short as possible."""
-    (payload,) = PayloadEncoder(len(codes)).of_codes(counter, codes)
+    (payload,) = PayloadEncoder(len(codes)).encode_codes(counter, codes)
     return payload
 
 
@@ -231,7 +231,7 @@ class SensorNode:
         suppressed: functions by the identifier of a frame. Such a function is called instead of
             sending the frame.
         ids: set with the identifier of SYNC.
-        malformed: number of SYNC frames of a wrong length.
+        malformed_frame_count: number of SYNC frames of a wrong length.
         wake_ns: a time that is never reached, because the node need not be woken.
     """
 
@@ -252,11 +252,11 @@ class SensorNode:
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
         # The position of a prismatic joint is encoded as the angle that has the same code.
-        slides = [joint in spec.prismatic for joint in spec.joints]
-        per_m = JOINT_STEP_RAD / JOINT_STEP_M
-        noise = spec.travel_noise * per_m
-        self.joint_scale = tuple(per_m if slide else 1.0 for slide in slides)
-        self.joint_noise = tuple(noise if slide else spec.joint_noise for slide in slides)
+        is_prismatic = [joint in spec.prismatic for joint in spec.joints]
+        rad_per_m = JOINT_STEP_RAD / JOINT_STEP_M
+        noise = spec.travel_noise * rad_per_m
+        self.joint_scale = tuple(rad_per_m if slide else 1.0 for slide in is_prismatic)
+        self.joint_noise = tuple(noise if slide else spec.joint_noise for slide in is_prismatic)
         self.base_id = spec.base_id
         self.joint_decimation = spec.joint_decimation
         self.noise = NormalNoise(f"sensors {seed}")
@@ -268,7 +268,7 @@ class SensorNode:
         self.suppressed: dict[int, Callable[[], None]] = {}
         self.sampled_ns = -1
         self.ids = frozenset((spec.sync_id,))
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = _NEVER_NS
 
     @property
@@ -276,7 +276,7 @@ class SensorNode:
         """Return the nodes on the bus. The sensor node is a single node."""
         return [self]
 
-    def frame_of_cell(self, index: int) -> int:
+    def frame_index_of_cell(self, index: int) -> int:
         """Return the identifier of the frame with the reading of a load cell."""
         return self._spec.base_id + index // CHANNELS_PER_FRAME
 
@@ -294,24 +294,27 @@ class SensorNode:
         if frame.can_id != self._spec.sync_id:
             return None
         if len(frame.data) != 1:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
         payloads = [
             *enumerate(
-                cells.of_values(counter, self._sample_load_cells(t_ns), *TENSION_CODE), spec.base_id
+                cells.encode_values(counter, self._sample_load_cells(t_ns), *TENSION_CODE),
+                spec.base_id,
             )
         ]
-        if has_joints(self, len(spec.joints), counter):
+        if has_joint_reading(self, len(spec.joints), counter):
             count = len(spec.joints)
             angles = self._angles() * np.array(self.joint_scale[:count])
             noise = self.noise.take(count) * np.array(self.joint_noise[:count])
             readings = _readings_with_faults(angles + noise, self.joint_faults)
             payloads += enumerate(
-                encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
+                encoders.encode_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
             )
-        sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
-        return self._without_suppressed_frames(sent) if self.suppressed else sent
+        sent_frames = [
+            Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads
+        ]
+        return self._without_suppressed_frames(sent_frames) if self.suppressed else sent_frames
 
     def _without_suppressed_frames(self, frames: list[Frame]) -> list[Frame]:
         """Return the frames that no fault suppresses."""
@@ -322,7 +325,7 @@ class SensorNode:
 
     def _sample_load_cells(self, t_ns: int) -> Any:
         """Sample the load cells and return their readings [N]."""
-        drift = drift_since(self, t_ns)
+        drift = drift_at(self, t_ns)
         normal = self.noise.take(2 * len(self.bias))
         read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
         return _readings_with_faults(self._values, self.cell_faults)

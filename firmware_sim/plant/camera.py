@@ -140,12 +140,19 @@ def _open_graphics(width_px: int, height_px: int) -> Any:
 def _graphics_errors() -> tuple[type[Exception], ...]:
     """Return the exceptions with which graphics libraries report that they cannot be used."""
     # If the library lacks an EGL function, an AttributeError is raised.
-    known = (AttributeError, ImportError, OSError, RuntimeError, ValueError, mujoco.FatalError)
+    graphics_error_types = (
+        AttributeError,
+        ImportError,
+        OSError,
+        RuntimeError,
+        ValueError,
+        mujoco.FatalError,
+    )
     try:
         from OpenGL.error import Error  # type: ignore[import-untyped,unused-ignore]
     except ImportError:
-        return known
-    return (*known, Error)
+        return graphics_error_types
+    return (*graphics_error_types, Error)
 
 
 def _paint(model: Any, digits: list[str]) -> None:
@@ -171,10 +178,12 @@ def _view_of_hand(model: Any, data: Any, aspect_ratio: float) -> Any:
         mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
         for geom in range(model.ngeom)
     ]
-    shown = [geom for geom, body in enumerate(bodies) if body != "table"]
-    centre = 0.5 * (data.geom_xpos[shown].max(axis=0) + data.geom_xpos[shown].min(axis=0))
-    distance = np.linalg.norm(data.geom_xpos[shown] - centre, axis=1)
-    radius = float((distance + model.geom_rbound[shown]).max())
+    shown_geoms = [geom for geom, body in enumerate(bodies) if body != "table"]
+    centre = 0.5 * (
+        data.geom_xpos[shown_geoms].max(axis=0) + data.geom_xpos[shown_geoms].min(axis=0)
+    )
+    distance = np.linalg.norm(data.geom_xpos[shown_geoms] - centre, axis=1)
+    radius = float((distance + model.geom_rbound[shown_geoms]).max())
     half_angle = np.radians(model.vis.global_.fovy / 2.0)
     if aspect_ratio < 1.0:
         half_angle = np.arctan(aspect_ratio * np.tan(half_angle))

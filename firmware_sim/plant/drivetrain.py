@@ -32,8 +32,8 @@ ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
-STRAIGHT_AT = 10
-"""Index of the number of a pulley that is 1 at a prismatic joint, see ``tendon.STRAIGHT_AT``."""
+STRAIGHT_OFFSET = 10
+"""Index of the number of a pulley that is 1 at a prismatic joint, see ``tendon.STRAIGHT_OFFSET``."""
 PULLEY_NUMBER_COUNT = 11
 """Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
 
@@ -50,14 +50,14 @@ def _moment_arm_at(arms: Any, i: int, q: float) -> float:
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     arm = 0.0
     power = 1.0
-    for k in range(4, STRAIGHT_AT):
+    for k in range(4, STRAIGHT_OFFSET):
         arm += arms[at + k] * power
         power *= angle
     return float(arm)
 
 
 @kernel_helper
-def _taken_up_length(arms: Any, i: int, q: float) -> float:
+def _wrapped_tendon_length(arms: Any, i: int, q: float) -> float:
     """Return the tendon length [m] that pulley i takes up while the joint turns from 0 to the angle q [rad]."""
     at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
@@ -65,7 +65,7 @@ def _taken_up_length(arms: Any, i: int, q: float) -> float:
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     length = 0.0
     power = angle
-    for k in range(4, STRAIGHT_AT):
+    for k in range(4, STRAIGHT_OFFSET):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # Beyond the limits of the joint angle, the moment arm is constant.
@@ -87,8 +87,8 @@ def _elastic_tension(tendon: Any, stretch: float) -> float:
     if x <= 0.0:
         return float(tendon.stiffness * stretch)
     width = tendon.knee_width
-    soft = (tendon.stiffness - tendon.after_knee) * width * (1.0 - math.exp(-x / width))
-    return float(tendon.knee + tendon.after_knee * x + soft)
+    knee_tension = (tendon.stiffness - tendon.after_knee) * width * (1.0 - math.exp(-x / width))
+    return float(tendon.knee + tendon.after_knee * x + knee_tension)
 
 
 @kernel_helper
@@ -117,7 +117,7 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     rate = tendon.radius * rotor.omega
     for i in range(tendon.first, tendon.end):
-        stretch -= _taken_up_length(arms, i, q[joints[i]])
+        stretch -= _wrapped_tendon_length(arms, i, q[joints[i]])
         rate -= _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
     if stretch <= 0.0:
         return 0.0
@@ -137,21 +137,25 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     tension = tendon.tension
     angle = tendon.wrap
     rate = tendon.friction * math.tanh(tendon.speed / CAPSTAN_SPEED)
-    lowest = tension
-    highest = tension
+    min_tension = tension
+    max_tension = tension
     for i in range(tendon.first, tendon.end):
         # At a prismatic joint, the tendon does not bend.
-        if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_AT] == 0.0:
+        if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_OFFSET] == 0.0:
             angle += q[joints[i]]
         # The next lines compute the capstan equation. If the speed is positive, the tendon moves
         # towards the spool, and friction reduces the tension behind a pulley.
-        local = tension * math.exp(-rate * angle)
-        torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local
-        if local < lowest:
-            lowest = local
-        elif local > highest:
-            highest = local
-    loss = tension - lowest if tension - lowest > highest - tension else highest - tension
+        local_tension = tension * math.exp(-rate * angle)
+        torque[joints[i]] += _moment_arm_at(arms, i, q[joints[i]]) * local_tension
+        if local_tension < min_tension:
+            min_tension = local_tension
+        elif local_tension > max_tension:
+            max_tension = local_tension
+    loss = (
+        tension - min_tension
+        if tension - min_tension > max_tension - tension
+        else max_tension - tension
+    )
     tendon.slope = tendon.damping + _secant(tendon, loss, tension * angle)
 
 
@@ -167,7 +171,7 @@ def _apply_tendon(
     stretch = tendon.radius * rotor.theta - tendon.extra_length
     speed = 0.0
     for i in range(tendon.first, tendon.end):
-        stretch -= _taken_up_length(arms, i, q[joints[i]])
+        stretch -= _wrapped_tendon_length(arms, i, q[joints[i]])
         # The stretch of a tendon is the excursion of the spool minus the excursions of the joints.
         # A positive spool angle winds the tendon up, and a positive joint angle closes the digit.
         speed += _moment_arm_at(arms, i, q[joints[i]]) * dq[joints[i]]
@@ -242,12 +246,12 @@ def limit_torque_by_speed(
     # The next lines solve limit = slope (+-speed - omega), where omega = (push + gain lag limit) /
     # mass.
     scale = mass + slope * abs(rotor.gain) * rotor.lag
-    highest = (slope * speed * mass - sign * slope * push) / scale
-    lowest = (-slope * speed * mass - sign * slope * push) / scale
+    max_torque = (slope * speed * mass - sign * slope * push) / scale
+    min_torque = (-slope * speed * mass - sign * slope * push) / scale
     if not is_braking:
-        highest = max(highest, 0.0)
-        lowest = min(lowest, 0.0)
-    return float(min(highest, max(lowest, command)))
+        max_torque = max(max_torque, 0.0)
+        min_torque = min(min_torque, 0.0)
+    return float(min(max_torque, max(min_torque, command)))
 
 
 @kernel_helper
@@ -259,14 +263,14 @@ def compute_command(rotor: Any) -> None:
     its position setpoint, the setpoint first moves to its value at the end of the step.
     """
     servo = rotor.servo_row
-    lag = rotor.lag
+    filter_fraction = rotor.lag
     gain = rotor.gain
-    bend = math.tanh(rotor.omega / COULOMB_SPEED)
+    smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)
     # The slope is the derivative of the smoothed Coulomb friction. The implicit step contains this
     # slope.
-    slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
+    slope = rotor.coulomb * (1.0 - smoothed_sign * smoothed_sign) / COULOMB_SPEED
     inertia = rotor.inertia / rotor.step + slope
-    drag = rotor.load + rotor.coulomb * bend
+    drag = rotor.load + rotor.coulomb * smoothed_sign
     command = servo.torque
     limit = servo.limit
     if servo.target_speed != 0.0:
@@ -274,10 +278,18 @@ def compute_command(rotor: Any) -> None:
     if servo.kp != 0.0 or servo.kd != 0.0:
         # The command at the end of the step consists of a fixed part and a part that depends on the
         # new velocity.
-        fixed = command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
+        command_at_rest = (
+            command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
+        )
         impedance = servo.kd + rotor.step * servo.kp
-        push = inertia * rotor.omega + gain * ((1.0 - lag) * rotor.torque + lag * fixed) - drag
-        command = fixed - impedance * push / (inertia + rotor.viscous + gain * lag * impedance)
+        push = (
+            inertia * rotor.omega
+            + gain * ((1.0 - filter_fraction) * rotor.torque + filter_fraction * command_at_rest)
+            - drag
+        )
+        command = command_at_rest - impedance * push / (
+            inertia + rotor.viscous + gain * filter_fraction * impedance
+        )
     if command > limit:
         command = limit
     elif command < -limit:
@@ -407,13 +419,13 @@ def _steps(
     for i in range(len(rotors)):
         if rotors[i].faulty:
             return 0
-    for done in range(count):
+    for step_index in range(count):
         speeds = 0.0
         for speed in dq:
             speeds += speed
         # This condition is also true if the sum of the speeds is NaN.
         if not abs(speeds) < DIVERGED_RAD_S:
-            return done
+            return step_index
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # MuJoCo's function mj_step reads and writes the arrays q, dq, torque and damping in place.
         call_c_function(step, model, data)

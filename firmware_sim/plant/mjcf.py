@@ -25,7 +25,7 @@ Two shapes collide if the category of one is in the affinity of the other.
 """
 FINGER_BIT = 2
 """Collision category of the digits that close from the same side as the first digit."""
-OPPOSED_BIT = 4
+OPPOSED_DIGIT_BIT = 4
 """Collision category of the digits that close against the first digit."""
 PALM_BIT = 8
 """Collision category of the palm."""
@@ -46,7 +46,7 @@ VISUAL_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
 """MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
-NO_FACTOR = 1e-9
+MIN_SOLVER_FACTOR = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
 COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
 """Stiffness of the constraint that keeps the length of a loopback tendon, that of the contacts or higher."""
@@ -85,23 +85,23 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
             capsules are in the hidden group. Meshes have neither mass nor contacts. The plant uses
             a model without meshes.
     """
-    shown = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
+    mesh_by_link = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
     options = _OPTIONS.format(gravity=_numbers_text(hand.gravity), friction=friction)
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
         _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
-    tendons = "".join(_tendon_element(tendon) for tendon in hand.every_tendon)
+    tendons = "".join(_tendon_element(tendon) for tendon in hand.all_tendons)
     loopbacks = {
-        name: text for digit in hand.digits for name, text in _loopbacks(hand, digit).items()
+        name: text for digit in hand.digits for name, text in _loopback_texts(hand, digit).items()
     }
     sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
         sensors += "".join(_normal_force_sensor(hand, digit) for digit in hand.digits)
-    head = f'<mujoco model="{hand.name}">{options}{_mesh_assets(shown)}'
+    model_start = f'<mujoco model="{hand.name}">{options}{_mesh_assets(mesh_by_link)}'
     return (
-        f"{head}<worldbody>\n{_palm_element(hand, '', opposed, shown)}\n{scene_bodies}</worldbody>\n"
+        f"{model_start}<worldbody>\n{_palm_element(hand, '', opposed, mesh_by_link)}\n{scene_bodies}</worldbody>\n"
         f"<tendon>{tendons}{''.join(loopbacks.values())}</tendon>\n{_equality_element(loopbacks)}"
         f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
@@ -109,8 +109,11 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 def opposed_digits(hand: Hand) -> list[bool]:
     """Return, for each digit, True if the digit closes against the first closing digit, as the thumb does."""
-    first = _closing_direction(hand, hand.closing_digits[0])
-    return [float(first @ _closing_direction(hand, digit)) < 0.0 for digit in hand.digits]
+    first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
+    return [
+        float(first_closing_direction @ _closing_direction(hand, digit)) < 0.0
+        for digit in hand.digits
+    ]
 
 
 def _closing_direction(hand: Hand, digit: Digit) -> Any:
@@ -120,7 +123,9 @@ def _closing_direction(hand: Hand, digit: Digit) -> Any:
     """
     direction = rest_poses(digit)[-1][1][:, 1]
     while digit.carrier:
-        digit = next(one for one in hand.digits if one.name == digit.carrier)
+        digit = next(
+            carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
+        )
         direction = rest_poses(digit)[-1][1] @ direction
     return direction
 
@@ -169,7 +174,7 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     Returns:
         Centre and half lengths of the box, each of shape (3,) [m].
     """
-    mounts = np.array([digit.position for digit in hand.carried_by(carrier)])
+    mounts = np.array([digit.position for digit in hand.digits_on_carrier(carrier)])
     low = mounts.min(axis=0)
     high = mounts.max(axis=0)
     side = float((high - low)[1:].max()) / 2.0 + PALM_MARGIN
@@ -208,17 +213,18 @@ def _palm_element(
     hand: Hand, carrier: str, is_digit_opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
     """Build the palm, or the box on the last link of a carrying digit, with all attached digits."""
-    centre, half = palm_box(hand, carrier)
+    centre, half_sizes = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
     box = (
-        f'<geom name="{name}" type="box" size="{_numbers_text(half.tolist())}" pos="{_numbers_text(centre.tolist())}"'
-        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in meshes_by_link)}/>'
+        f'<geom name="{name}" type="box" size="{_numbers_text(half_sizes.tolist())}" '
+        f'pos="{_numbers_text(centre.tolist())}"'
+        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_group_attribute(link in meshes_by_link)}/>'
     )
     mesh = "" if carrier else _mesh_geom(meshes_by_link.get("palm"))
     digits = "\n".join(
         _digit_element(hand, digit, is_digit_opposed, meshes_by_link)
-        for digit in hand.carried_by(carrier)
+        for digit in hand.digits_on_carrier(carrier)
     )
     return f"{box}{mesh}\n{digits}\n"
 
@@ -228,7 +234,7 @@ def _last_link(hand: Hand, name: str) -> int:
     return next(len(digit.length) for digit in hand.digits if digit.name == name)
 
 
-def _hidden_if(has_mesh: bool) -> str:
+def _group_attribute(has_mesh: bool) -> str:
     """Return the attribute that hides a shape in pictures because a mesh replaces the shape.
 
     Without a mesh, the text is empty.
@@ -242,21 +248,28 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     The hinge of such a link is close to the palm. In the model, these links do not collide with the
     palm.
     """
-    centre, half = palm_box(hand, digit.carrier)
-    carrier = [one for one in hand.digits if one.name == digit.carrier]
-    along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
+    centre, half_sizes = palm_box(hand, digit.carrier)
+    carrier = [
+        carrier_digit for carrier_digit in hand.digits if carrier_digit.name == digit.carrier
+    ]
+    fractions = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
     overlaps = []
     for length, (position, rotation) in zip(digit.length, rest_poses(digit), strict=True):
-        points = position + along * (length * rotation[:, 0])
-        outside = np.maximum(np.abs(points - centre) - half, 0.0)
-        overlap = bool((np.linalg.norm(outside, axis=1) <= digit.radius).any())
-        for one in carrier:
+        points = position + fractions * (length * rotation[:, 0])
+        distance_outside = np.maximum(np.abs(points - centre) - half_sizes, 0.0)
+        is_overlapping = bool((np.linalg.norm(distance_outside, axis=1) <= digit.radius).any())
+        for carrier_name in carrier:
             # The link that carries the digit is a capsule along the x axis of its own frame.
-            nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
-            overlap |= bool(
-                (np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any()
+            nearest_points = np.clip(points[:, :1], 0.0, carrier_name.length[-1]) * np.array(
+                [1.0, 0.0, 0.0]
             )
-        overlaps.append(overlap)
+            is_overlapping |= bool(
+                (
+                    np.linalg.norm(points - nearest_points, axis=1)
+                    <= digit.radius + carrier_name.radius
+                ).any()
+            )
+        overlaps.append(is_overlapping)
     return overlaps
 
 
@@ -267,36 +280,42 @@ def _digit_element(
 
     Each link lies along the x axis of the link's frame, with the hinge at the origin.
     """
-    opening = (
+    opening_tag = (
         f'<frame pos="{_numbers_text(digit.position)}" euler="{_numbers_text(digit.rpy_deg)}">'
     )
-    closing = "</frame>"
+    closing_tag = "</frame>"
     near_palm = touches_palm(hand, digit)
-    carries = bool(hand.carried_by(digit.name))
-    last = len(digit.length) - 1
+    carries_digits = bool(hand.digits_on_carrier(digit.name))
+    last_link = len(digit.length) - 1
     for i, turn in enumerate(digit.joint_rpy_deg):
         offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
-        opening += (
+        opening_tag += (
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
         bits = (
             _carrier_bits()
-            if carries
+            if carries_digits
             else _digit_contact_bits(is_digit_opposed[digit.name], near_palm[i])
         )
         # A link that carries other digits ends at the face of the box on which these digits are
         # mounted.
         length = (
-            max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
+            max(digit.length[i] - digit.radius, 0.0)
+            if carries_digits and i == last_link
+            else digit.length[i]
         )
         mesh = meshes_by_link.get(f"{digit.name}_link{i + 1}")
         body = _link_geometry(digit, i, length, bits, mesh is not None)
-        opening += f"{_joint_element(digit, i)}{body}{_mesh_geom(mesh)}\n"
-        closing = "</body>" + closing
+        opening_tag += f"{_joint_element(digit, i)}{body}{_mesh_geom(mesh)}\n"
+        closing_tag = "</body>" + closing_tag
     return (
-        opening
-        + (_palm_element(hand, digit.name, is_digit_opposed, meshes_by_link) if carries else "")
-        + closing
+        opening_tag
+        + (
+            _palm_element(hand, digit.name, is_digit_opposed, meshes_by_link)
+            if carries_digits
+            else ""
+        )
+        + closing_tag
     )
 
 
@@ -306,8 +325,10 @@ def _digit_contact_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
     All links of a digit touch the object and the opposed digits. Only links whose hinges are not
     close to the palm can touch the palm.
     """
-    category, opposite = (OPPOSED_BIT, FINGER_BIT) if is_opposed else (FINGER_BIT, OPPOSED_BIT)
-    return category, OBJECT_BIT | opposite | (0 if near_palm else PALM_BIT)
+    category, opposite_category = (
+        (OPPOSED_DIGIT_BIT, FINGER_BIT) if is_opposed else (FINGER_BIT, OPPOSED_DIGIT_BIT)
+    )
+    return category, OBJECT_BIT | opposite_category | (0 if near_palm else PALM_BIT)
 
 
 def _carrier_bits() -> tuple[int, int]:
@@ -321,12 +342,12 @@ def _carrier_bits() -> tuple[int, int]:
 def _joint_element(digit: Digit, i: int) -> str:
     """Build the joint of link ``i`` of a digit."""
     # Angles of hinges are in degrees. Positions of prismatic joints are in m.
-    rest = -digit.preload[i] if digit.prismatic[i] else -math.degrees(digit.preload[i])
+    rest_position = -digit.preload[i] if digit.prismatic[i] else -math.degrees(digit.preload[i])
     kind = ' type="slide"' if digit.prismatic[i] else ""
     return (
         f'<joint name="{digit.joints[i]}"{kind} axis="{_numbers_text(digit.axis[i])}"'
         f' range="{digit.joint_min_deg[i]} {digit.joint_max_deg[i]}" damping="{digit.damping[i]}"'
-        f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{rest}"/>'
+        f' armature="{digit.armature[i]}" stiffness="{digit.spring[i]}" springref="{rest_position}"/>'
     )
 
 
@@ -344,7 +365,7 @@ def _link_geometry(
     return (
         f'<inertial pos="{_numbers_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
         f'<geom {shape} size="{digit.radius}" contype="{bits[0]}" conaffinity="{bits[1]}"'
-        f"{_hidden_if(has_mesh)}/>"
+        f"{_group_attribute(has_mesh)}/>"
     )
 
 
@@ -357,7 +378,7 @@ def _tendon_element(tendon: TendonSpec) -> str:
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
 
 
-def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
+def _loopback_texts(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons of a digit with spool pairs.
 
     They make the joints obey the coupling matrix B of the digit.
@@ -370,9 +391,9 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
 
     Returns:
         The loopback tendons by name. In the model, they come after the tendons of
-        ``Hand.every_tendon``.
+        ``Hand.all_tendons``.
     """
-    if not digit.coupling or not hand.has_pairs(digit):
+    if not digit.coupling or not hand.has_spool_pairs(digit):
         return {}
     left, values, _ = np.linalg.svd(np.array(digit.coupling))
     tendons = {}
@@ -380,7 +401,7 @@ def _loopbacks(hand: Hand, digit: Digit) -> dict[str, str]:
         joints = "".join(
             f'<joint joint="{joint}" coef="{factor}"/>'
             for joint, factor in zip(digit.joints, row, strict=True)
-            if abs(factor) > NO_FACTOR
+            if abs(factor) > MIN_SOLVER_FACTOR
         )
         name = f"{digit.name}_loopback{i + 1}"
         tendons[name] = f'<fixed name="{name}">{joints}</fixed>'
@@ -419,15 +440,19 @@ def _normal_force_sensor(hand: Hand, digit: Digit) -> str:
 
 def _touch_sensors(hand: Hand, digit: Digit) -> str:
     """Return the bodies whose contacts a sensor measures: all links, or only the last link of a carrying digit."""
-    if hand.carried_by(digit.name):
+    if hand.digits_on_carrier(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
     return f'subtree1="{digit.name}_link1"'
 
 
 def _object_element(grasp_object: GraspObject) -> str:
     """Build the object as a free body."""
-    half = tuple(extent / 2.0 for extent in grasp_object.size)
-    size = {"cylinder": (half[0], half[2]), "sphere": half[:1], "box": half}[grasp_object.shape]
+    half_sizes = tuple(extent / 2.0 for extent in grasp_object.size)
+    size = {
+        "cylinder": (half_sizes[0], half_sizes[2]),
+        "sphere": half_sizes[:1],
+        "box": half_sizes,
+    }[grasp_object.shape]
     return (
         f'<body name="object" pos="{_numbers_text(grasp_object.position)}"><freejoint name="object"/>'
         f'<geom name="object" type="{grasp_object.shape}" size="{_numbers_text(size)}" mass="{grasp_object.mass}"'
@@ -457,7 +482,7 @@ def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
     }
     if scene.support is None:
         return {"object": grasp_object}
-    size = tuple(2.0 * half for half in TABLE_HALF_EXTENTS)
+    size = tuple(2.0 * half_sizes for half_sizes in TABLE_HALF_EXTENTS)
     position = table_position(scene.grasp_object)
     return {
         "object": grasp_object,

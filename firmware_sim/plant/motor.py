@@ -93,7 +93,7 @@ class Motor:
         self.gain = spec.torque_gain
         self.top_speed = spec.top_speed
         self.stall_torque = spec.stall_torque
-        self.set_step(step_s)
+        self.set_step_duration(step_s)
         self.load = self.angle = self.command = self.drag = self.impedance = 0.0
         self.steps_alone = False
         self.servo = self.servo_row
@@ -120,7 +120,7 @@ class Motor:
         self._power_stage_fault = fault
         self.faulty = fault is not None or self._encoder_fault is not None
 
-    def set_step(self, step_s: float) -> None:
+    def set_step_duration(self, step_s: float) -> None:
         """Set the length of the following time steps [s]."""
         self.step, self.lag, self.velocity_lag = step_factors(step_s)
 
@@ -133,9 +133,9 @@ class Motor:
     def advance(self, load: float) -> None:
         """Integrate the motor over one time step against the torque of the tendons [N m] (semi-implicit Euler)."""
         self.load = load
-        self.step_alone()
+        self.step_without_plant()
 
-    def step_alone(self) -> None:
+    def step_without_plant(self) -> None:
         """Integrate the motor over a step against the present load, with faults of encoder and power stage."""
         measure_angle(self)
         if self._encoder_fault and (self.servo.kp or self.servo.kd):

@@ -42,7 +42,7 @@ class Plant:
         scene: description of object, support and later events.
         engine: rigid bodies and contacts.
         motors: rotors by the names of the motors.
-        tendons: each tendon with the winding rotor, in the order of ``Hand.every_tendon``.
+        tendons: each tendon with the winding rotor, in the order of ``Hand.all_tendons``.
         table: table under the object, or None in a scene without a support.
         load: force on the object that grows with time, or None in most scenes.
         stages: stages after the grasp, or None in most scenes.
@@ -88,8 +88,8 @@ class Plant:
             self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
         # The key of this dict is the index of the first tendon of each spool pair, and the value is
         # the index of the second tendon.
-        firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
-        self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
+        first_of_pair = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
+        self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(first_of_pair)}
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
         }
@@ -100,12 +100,14 @@ class Plant:
         self._bodies = (
             (engine.q, engine.dq, engine.applied, engine.tendon_damping) if is_compiled else None
         )
-        native = engine.native
+        native_engine = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
         # The kernel gets a single array of addresses, because each argument would cost 0.2 us in
         # every tick.
         self._addresses = (
-            np.array([*array_addresses(arrays), *native], np.int64) if arrays and native else None
+            np.array([*array_addresses(arrays), *native_engine], np.int64)
+            if arrays and native_engine
+            else None
         )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
@@ -148,14 +150,14 @@ class Plant:
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
         for spec in hand.tendons:
-            unknown = set(spec.arms) - set(hand.joints)
-            if spec.motor not in motors or unknown:
-                wrong = ", ".join(sorted(unknown)) or spec.motor
+            unknown_joints = set(spec.arms) - set(hand.joints)
+            if spec.motor not in motors or unknown_joints:
+                unknown_text = ", ".join(sorted(unknown_joints)) or spec.motor
                 raise SimulatorError(
-                    f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}"
+                    f"hand {hand.name}: {spec.name}: no such motor or joint: {unknown_text}"
                 )
         return TendonRouting(
-            hand.every_tendon,
+            hand.all_tendons,
             hand.joints,
             motors,
             [motor.spool_radius for motor in hand.motors],
@@ -168,11 +170,13 @@ class Plant:
         With compiled kernels, the table reads the contact forces directly from MuJoCo's memory.
         """
         hand = self.hand
-        closing = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
-        opposed = [opposed_digits(hand)[i] for i in closing]
+        closing_indices = [i for i, digit in enumerate(hand.digits) if digit in hand.closing_digits]
+        opposed = [opposed_digits(hand)[i] for i in closing_indices]
         if not is_compiled:
-            return SupportTable(support, opposed, [3 * i for i in closing])
-        indices = self.engine.force_indices("contact", [hand.digits[i].name for i in closing])
+            return SupportTable(support, opposed, [3 * i for i in closing_indices])
+        indices = self.engine.force_indices(
+            "contact", [hand.digits[i].name for i in closing_indices]
+        )
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
@@ -182,16 +186,16 @@ class Plant:
             zip(self.hand.tendons, self.tendons, strict=False)
         ):
             # A negative length means that the tendon is unwound.
-            wound = -rng.uniform(*INITIAL_SLACK_RANGE_M)
-            motor.theta = wound / tendon.radius
+            wound_length = -rng.uniform(*INITIAL_SLACK_RANGE_M)
+            motor.theta = wound_length / tendon.radius
             if spec.pretension:
                 # The tendons of a spool pair stay taut, because they were mounted while the spool
                 # was at this angle.
-                tendon.extra_length += wound
-                self.tendons[self._antagonist[i]][0].extra_length -= wound
+                tendon.extra_length += wound_length
+                self.tendons[self._antagonist[i]][0].extra_length -= wound_length
 
     @property
-    def can_sink(self) -> bool:
+    def can_table_sink(self) -> bool:
         """Return True if the scene has a table that sinks after the object has been grasped."""
         support = self.scene.support
         return support is not None and support.drop_when == "grasped"
@@ -218,14 +222,14 @@ class Plant:
                 time step.
         """
         while count > 0:
-            block = 1 if self.part_ns else min(count, self._free_steps())
+            block = 1 if self.part_ns else min(count, self._steps_until_table_update())
             self._run_steps(block)
             count -= block
             # The table and the load change only between two steps, never within a step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
-                and self._table_can_act(self.table)
+                and self._can_table_act(self.table)
             ):
                 self._update_table(self.table)
             if self.load:
@@ -247,31 +251,31 @@ class Plant:
 
     def _run_step_of_duration(self, duration_ns: int) -> None:
         """Run one step with another duration [ns]."""
-        self._set_step(duration_ns * 1e-9)
+        self._set_step_duration(duration_ns * 1e-9)
         try:
             self._run_single_step(self.faulty_motors)
         finally:
-            self._set_step(STEP_S)
+            self._set_step_duration(STEP_S)
 
-    def _set_step(self, step_s: float) -> None:
+    def _set_step_duration(self, step_s: float) -> None:
         """Set the time step of MuJoCo and the rotors for the following steps [s]."""
         self.engine.set_timestep(step_s)
         rotors = self._drivetrain[-1]
         if self._bodies is None:
             for motor in rotors:
-                motor.set_step(step_s)
+                motor.set_step_duration(step_s)
             return
         for name, value in zip(("step", "lag", "velocity_lag"), step_factors(step_s), strict=True):
             rotors[name] = value
 
-    def _free_steps(self) -> int:
+    def _steps_until_table_update(self) -> int:
         """Count the steps that can run before the table, the load or the stages of the scene act again."""
         if self.load:
             return 1
-        table_active = self.table and self._table_can_act(self.table)
+        table_active = self.table and self._can_table_act(self.table)
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
-    def _table_can_act(self, table: SupportTable) -> bool:
+    def _can_table_act(self, table: SupportTable) -> bool:
         """Return True if the plant can still be changed by the table, or by a stage after the table has sunk."""
         return bool(self.stages) or not table.settled
 
@@ -288,9 +292,9 @@ class Plant:
             self.steps += 1
             return
         if self._addresses is not None:
-            done = self._kernels.steps(count, self._addresses)
-            self.steps += done
-            if done == count:
+            finished_steps = self._kernels.steps(count, self._addresses)
+            self.steps += finished_steps
+            if finished_steps == count:
                 return
             if not self.faulty_motors:
                 raise self._divergence_error()
@@ -320,7 +324,7 @@ class Plant:
                 motor.steps_alone = motor in faulty_motors
         self._kernels.step_drivetrain(*self._drivetrain, q, dq, torque, damping, not faulty_motors)
         for motor in faulty_motors:
-            motor.step_alone()
+            motor.step_without_plant()
         if not self._bodies:
             engine.applied[:] = torque
             engine.tendon_damping[: len(damping)] = damping
@@ -334,14 +338,14 @@ class Plant:
 
     def _divergence_error(self) -> SimulatorError:
         """Build the error that reports a diverged plant."""
-        when = self.steps * STEP_S
+        time_s = self.steps * STEP_S
         return SimulatorError(
-            f"the plant diverged at {when:.4f} s; expected less extreme parameters"
+            f"the plant diverged at {time_s:.4f} s; expected less extreme parameters"
         )
 
     def _update_table(self, table: SupportTable) -> None:
         """Lower the table after the hand has grasped the object, and then apply the stages of the scene."""
-        before = table.depth
+        depth_before = table.depth
         forces = (
             self.engine.sensed
             if self._bodies
@@ -350,17 +354,17 @@ class Plant:
             else self.contact_forces()
         )
         depth = table.update(self.steps * STEP_S, forces)
-        if depth != before:
-            self.engine.lower_table(depth - before)
+        if depth != depth_before:
+            self.engine.lower_table(depth - depth_before)
         if self.stages and table.dropped_at is not None:
-            now = self.stages.state_at(self.steps * STEP_S - table.dropped_at)
-            self.stage = now.stage
-            self.engine.set_gravity(now.gravity)
-            self.engine.push_object(list(now.push))
-            if now.friction is not None:
-                self.engine.set_friction(now.friction)
+            scene_state = self.stages.state_at(self.steps * STEP_S - table.dropped_at)
+            self.stage = scene_state.stage
+            self.engine.set_gravity(scene_state.gravity)
+            self.engine.push_object(list(scene_state.push))
+            if scene_state.friction is not None:
+                self.engine.set_friction(scene_state.friction)
 
-    def measured_grip(self) -> list[float]:
+    def measured_grip_forces(self) -> list[float]:
         """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
 
         If the scene has no load, the list is empty.
@@ -383,13 +387,13 @@ class Plant:
 
         A spool pair has a single value, the difference between the tensions of its two tendons.
         """
-        single = self.cells().tolist()
-        net = [float(tension) for tension in single[: len(self.hand.tendons)]]
+        cell_tensions = self.cells().tolist()
+        net = [float(tension) for tension in cell_tensions[: len(self.hand.tendons)]]
         for i, antagonist in self._antagonist.items():
-            net[i] -= single[antagonist]
+            net[i] -= cell_tensions[antagonist]
         return net
 
     def pair_tensions(self) -> list[float]:
         """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""
-        single = self.cells().tolist()
-        return [float(single[i]) for pair in self._antagonist.items() for i in pair]
+        cell_tensions = self.cells().tolist()
+        return [float(cell_tensions[i]) for pair in self._antagonist.items() for i in pair]

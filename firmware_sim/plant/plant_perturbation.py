@@ -74,7 +74,7 @@ def _perturbed_digit(digit: Digit, factors: dict[str, float]) -> Digit:
     return replace(
         digit,
         mass=_scaled_values(digit.mass, factors["mass"]),
-        inertia=tuple(_scaled_values(one, factors["mass"]) for one in digit.inertia),
+        inertia=tuple(_scaled_values(moments, factors["mass"]) for moments in digit.inertia),
         damping=_scaled_values(digit.damping, factors["damping"]),
         spring=_scaled_values(digit.spring, factors["spring"]),
     )
@@ -85,7 +85,9 @@ def _perturbed_tendon(tendon: TendonSpec, factors: dict[str, float]) -> TendonSp
         tendon,
         arms={joint: arm * factors["moment_arm"] for joint, arm in tendon.arms.items()},
         curves={
-            joint: replace(curve, powers=_scaled_values(curve.powers, factors["moment_arm"]))
+            joint: replace(
+                curve, coefficients=_scaled_values(curve.coefficients, factors["moment_arm"])
+            )
             for joint, curve in tendon.curves.items()
         },
         stiffness=tendon.stiffness * factors["stiffness"],

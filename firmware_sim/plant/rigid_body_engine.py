@@ -111,9 +111,12 @@ class RigidBodyEngine:
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns, for each digit, the sum of the normal forces between digit and object [N]."""
-        first = [self._sensor_index(f"normal/{digit}") for digit in digits]
+        first_sensor_indices = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
-            [[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first]
+            [
+                [address + 3 * contact for contact in range(MAX_CONTACTS)]
+                for address in first_sensor_indices
+            ]
         )
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
@@ -132,11 +135,11 @@ class RigidBodyEngine:
         Returns:
             Function that restores the former damping of the joints.
         """
-        before = self._model.dof_damping[joints].copy()
+        damping_before = self._model.dof_damping[joints].copy()
         self._model.dof_damping[joints] = damping
 
         def release() -> None:
-            self._model.dof_damping[joints] = before
+            self._model.dof_damping[joints] = damping_before
 
         return release
 

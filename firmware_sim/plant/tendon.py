@@ -7,26 +7,26 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import structure_array
-from firmware_sim.hand_description import POWER_COUNT, TendonSpec
+from firmware_sim.hand_description import ARM_COEFFICIENT_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
-STRAIGHT_AT = 4 + POWER_COUNT
+STRAIGHT_OFFSET = 4 + ARM_COEFFICIENT_COUNT
 """Index of the number of a pulley that is 1 at a prismatic joint, where the tendon does not bend."""
-PULLEY_NUMBER_COUNT = STRAIGHT_AT + 1
+PULLEY_NUMBER_COUNT = STRAIGHT_OFFSET + 1
 """Count of numbers of a pulley.
 
 They are the mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients. The
-last is at ``STRAIGHT_AT``.
+last is at ``STRAIGHT_OFFSET``.
 """
 
 
 def _pulley_numbers(spec: TendonSpec, joint: str) -> tuple[float, ...]:
     """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY_NUMBER_COUNT``."""
     if joint not in spec.curves:
-        straight = float(joint in spec.straight)
-        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 2), straight)
+        straight_flag = float(joint in spec.straight_joints)
+        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 2), straight_flag)
     curve = spec.curves[joint]
-    return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.powers, 0.0)
+    return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.coefficients, 0.0)
 
 
 class Tendon:
@@ -57,7 +57,7 @@ class Tendon:
     first: int
     end: int
 
-    def describe(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
+    def set_parameters(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
         """Set the parameters of the tendon, and its state without tension.
 
         Args:
@@ -70,10 +70,10 @@ class Tendon:
         # constant.
         self.extra_length = -spec.pretension / spec.stiffness if spec.pretension else 0.0
         self.motor = motor
-        self.radius = spec.winding * spool_radius
+        self.radius = spec.winding_sign * spool_radius
         self.stiffness = spec.stiffness
         self.damping = spec.damping
-        self.after_knee = spec.stiffness * spec.after_knee_ratio
+        self.after_knee = spec.stiffness * spec.stiffness_ratio_above_knee
         self.knee_width = spec.knee_width
         self.knee = spec.knee
         self.knee_stretch = spec.knee / spec.stiffness if spec.stiffness else math.inf
@@ -86,13 +86,13 @@ class Tendon:
         Returns:
             Function that repairs the tendon.
         """
-        before = self.stiffness, self.damping, self.knee_stretch
+        stiffness_before = self.stiffness, self.damping, self.knee_stretch
         self.stiffness = 0.0
         self.damping = 0.0
         self.knee_stretch = math.inf
 
         def mend() -> None:
-            self.stiffness, self.damping, self.knee_stretch = before
+            self.stiffness, self.damping, self.knee_stretch = stiffness_before
 
         return mend
 
@@ -134,12 +134,12 @@ class TendonRouting:
         path: list[tuple[int, tuple[float, ...]]] = []
         for tendon, spec in zip(self.tendons, specs, strict=True):
             motor = motors.index(spec.motor)
-            tendon.describe(spec, motor, radii[motor])
+            tendon.set_parameters(spec, motor, radii[motor])
             tendon.first = len(path)
             # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So
             # there is no pulley at this joint.
-            passed = [name for name, arm in spec.arms.items() if arm]
-            path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]
+            passed_joints = [name for name, arm in spec.arms.items() if arm]
+            path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed_joints]
             tendon.end = len(path)
         self.rows: Any = structure_array(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]

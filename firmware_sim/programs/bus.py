@@ -30,16 +30,16 @@ def run(words: list[str]) -> None:
     now_ns = SharedClock().now_ns
     timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, is_node_side=False)
     port = open_port(f"local:{args.name}", 0, timed_port)
-    running = [True]
-    until_signal(running.clear)
+    is_running = [True]
+    until_signal(is_running.clear)
     print(f"firmware_sim: ready bus=local:{printable_text(args.name)}", flush=True)
     try:
-        while running:
+        while is_running:
             wait_ns = max(0, port.due_ns - now_ns())
-            ready, _, _ = select.select(
+            ready_sockets, _, _ = select.select(
                 port.read_sockets(), port.write_sockets(), [], min(_POLL_S, wait_ns * 1e-9)
             )
-            while port.receive(ready):
-                ready = []
+            while port.receive(ready_sockets):
+                ready_sockets = []
     finally:
         port.close()

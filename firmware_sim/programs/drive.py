@@ -11,7 +11,7 @@ from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
-from firmware_sim.faults.fault_socket import FaultSocket, is_served
+from firmware_sim.faults.fault_socket import FaultSocket, is_socket_served
 from firmware_sim.faults.faulty_drive import (
     DRIVE_FAULTS,
     check_fault_has_effect,
@@ -22,7 +22,7 @@ from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
 from firmware_sim.nodes.mit.node import (
-    CLEAR_ANSWERS,
+    CLEAR_COMMAND_ANSWERS,
     EACH_CLEAR_ANSWERED,
     FED_BY_COMMANDS,
     WATCHDOG_BEHAVIOURS,
@@ -103,20 +103,20 @@ class SimulatedDriveBench:
         self.faults = ActiveFaults(BenchWorld(self, specs))
 
     @property
-    def malformed(self) -> int:
+    def malformed_frame_count(self) -> int:
         """Return the number of frames that the nodes could not decode."""
-        return sum(node.malformed for node in self.nodes)
+        return sum(node.malformed_frame_count for node in self.nodes)
 
     def receive(self, frame: Frame) -> list[Frame]:
         """Pass a frame to every drive, and return all answers."""
         if self.faults.wire_faults_of:
-            answers = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
+            answer_frames = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
         else:
-            answers = [node.receive(frame, self.t_ns) for node in self.nodes]
-        self.foreign += all(answer is None for answer in answers)
+            answer_frames = [node.receive(frame, self.t_ns) for node in self.nodes]
+        self.foreign += all(answer is None for answer in answer_frames)
         return [
             reply._replace(bus=frame.bus, t_ns=self.t_ns)
-            for answer in answers
+            for answer in answer_frames
             for reply in answer or ()
         ]
 
@@ -130,7 +130,7 @@ class SimulatedDriveBench:
                     frames = [
                         frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()
                     ]
-                    self.queue_frames(self.faults.unsolicited(node, frames, self.t_ns))
+                    self.queue_frames(self.faults.frames_after_node_faults(node, frames, self.t_ns))
             if self.faults.on:
                 self.queue_frames(self.faults.advance(self.t_ns))
 
@@ -138,7 +138,7 @@ class SimulatedDriveBench:
         """Queue frames that are sent without a request."""
         self._unsolicited += frames
 
-    def reach(self, t_ns: int) -> None:
+    def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
         For this, a time step may have to be divided. The next call then first completes the divided
@@ -155,14 +155,14 @@ class SimulatedDriveBench:
         self.t_ns += duration_ns
         for motor in self.motors:
             if motor.step != duration_ns * 1e-9:
-                motor.set_step(duration_ns * 1e-9)
+                motor.set_step_duration(duration_ns * 1e-9)
             motor.advance(0.0)
 
-    def take_unsolicited(self) -> list[Frame]:
+    def take_unsolicited_frames(self) -> list[Frame]:
         """Return the unsolicited frames since the last call."""
-        unsolicited = self._unsolicited
+        unsolicited_frames = self._unsolicited
         self._unsolicited = []
-        return unsolicited
+        return unsolicited_frames
 
 
 def _argument_parser() -> CommandParser:
@@ -186,8 +186,8 @@ def _argument_parser() -> CommandParser:
     texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOG_BEHAVIOURS.items())
     add("--watchdog", choices=list(WATCHDOG_BEHAVIOURS), default=FED_BY_COMMANDS,
         help=f"watchdog of MIT motors. {texts} ({FED_BY_COMMANDS})")  # fmt: skip
-    texts = "; ".join(f"{key}: {text}" for key, text in CLEAR_ANSWERS.items())
-    add("--clear-answers", choices=list(CLEAR_ANSWERS), default=EACH_CLEAR_ANSWERED,
+    texts = "; ".join(f"{key}: {text}" for key, text in CLEAR_COMMAND_ANSWERS.items())
+    add("--clear-answers", choices=list(CLEAR_COMMAND_ANSWERS), default=EACH_CLEAR_ANSWERED,
         help=f"answers of MIT motors to the clear command. {texts} ({EACH_CLEAR_ANSWERED})")  # fmt: skip
     add(
         "--inertia",
@@ -213,17 +213,25 @@ def _behaviour_options(args: argparse.Namespace) -> dict[str, object]:
     Raises:
         SimulatorError: an option belongs to another protocol.
     """
-    given = {
+    behaviour_by_option = {
         "--firmware": ("odrive", "", bool(args.firmware)),
         "--uncalibrated": ("odrive", True, args.uncalibrated),
         "--watchdog": ("mit", args.watchdog, args.watchdog != FED_BY_COMMANDS),
         "--clear-answers": ("mit", args.clear_answers, args.clear_answers != EACH_CLEAR_ANSWERED),
     }
-    wrong = [name for name, (protocol, _, on) in given.items() if on and args.protocol != protocol]
-    if wrong:
-        raise SimulatorError(f"{wrong[0]}: only for drive {given[wrong[0]][0]}")
+    wrong_options = [
+        name
+        for name, (protocol, _, on) in behaviour_by_option.items()
+        if on and args.protocol != protocol
+    ]
+    if wrong_options:
+        raise SimulatorError(
+            f"{wrong_options[0]}: only for drive {behaviour_by_option[wrong_options[0]][0]}"
+        )
     behaviour = {
-        name: value for name, (_, value, on) in given.items() if on and name != "--firmware"
+        name: value
+        for name, (_, value, on) in behaviour_by_option.items()
+        if on and name != "--firmware"
     }
     return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
 
@@ -299,7 +307,7 @@ def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
         bench: drives on the bus.
     """
     path = faults_path(bus)
-    if is_served(path):
+    if is_socket_served(path):
         print(
             f"firmware_sim: another simulator on {printable_text(bus)} takes the faults",
             file=sys.stderr,

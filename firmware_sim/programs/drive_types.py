@@ -6,16 +6,16 @@ from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.protocol_spec import ShaftSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
-from firmware_sim.nodes.robstride.node import FULL_SCALE
+from firmware_sim.nodes.robstride.node import FULL_SCALE_BY_MOTOR_TYPE
 
 MIT_TYPES = {
     **dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"),
-    **dict.fromkeys(cubemars.FULL_SCALE, "cubemars"),
+    **dict.fromkeys(cubemars.FULL_SCALE_BY_MOTOR_TYPE, "cubemars"),
 }
 """Motor types that speak MIT mode, each with the name of the protocol in handctl."""
 ROBSTRIDE_PROTOCOLS = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
-ROBSTRIDE_TYPES = tuple(FULL_SCALE)
+ROBSTRIDE_TYPES = tuple(FULL_SCALE_BY_MOTOR_TYPE)
 """Names of the RobStride motor models."""
 FRICTION_FRACTION = 2e-3
 """Coulomb friction of a shaft, as a fraction of the motor's peak torque."""
@@ -61,8 +61,8 @@ def drive_spec(
         inertia=rotor_inertia, viscous=rotor_inertia / COASTING_S, coulomb=FRICTION_FRACTION * shaft.peak,
         torque_constant=shaft.torque_constant,
         torque_max=shaft.peak, torque_peak=min(shaft.peak, shaft.limit),
-        position_range=shaft.position, velocity_range=shaft.velocity, direction=1, zero=0.0, options=shaft.options,
-        top_speed=shaft.top_speed, stall_torque=shaft.stall_torque,
+        position_range=shaft.position, velocity_range=shaft.velocity, direction=1, zero_angle=0.0,
+        options=shaft.options, top_speed=shaft.top_speed, stall_torque=shaft.stall_torque,
     )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_on_this_machine, open_port
+from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_local_bus, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
 from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
@@ -22,7 +22,7 @@ from firmware_sim.serial_numbers import with_serial_numbers
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld, make_world
 from firmware_sim.socket_paths import clock_path, faults_path, truth_path
-from firmware_sim.truth_file import MAX_UNNAMED_BYTES, TruthWriter
+from firmware_sim.truth_file import MAX_UNNAMED_FILE_BYTES, TruthWriter
 from firmware_sim.wire.wire_options import WIRE_OPTION_KEYS as WIRE_KEYS
 
 _PERTURBATION_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
@@ -125,7 +125,7 @@ def run(words: list[str]) -> None:
     try:
         for bus, spec in enumerate(specs):
             ports.append(open_port(spec, bus, timed_port))
-        if not args.strict_clock and all(map(is_on_this_machine, specs)):
+        if not args.strict_clock and all(map(is_local_bus, specs)):
             clock.publish(clock_path(specs[0]))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
@@ -134,15 +134,19 @@ def run(words: list[str]) -> None:
                 "perturb": factors,
                 "time_scale": args.time_scale,
             }
-            ready = {
+            ready_message = {
                 "hand": world.hand.name,
                 "scene": world.plant.scene.name,
                 "bus": " ".join(args.bus),
             }
-            ready["truth"] = str(path)
-            pairs = " ".join(f"{key}={printable_text(value)}" for key, value in ready.items())
+            ready_message["truth"] = str(path)
+            pairs = " ".join(
+                f"{key}={printable_text(value)}" for key, value in ready_message.items()
+            )
             ready_line = (
-                json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
+                json.dumps({"ready": ready_message})
+                if args.json
+                else f"firmware_sim: ready {pairs}"
             )
             _serve_hand(
                 BusServer(world, ports, clock, faults, RealTimePriority()),
@@ -150,7 +154,7 @@ def run(words: list[str]) -> None:
                 path,
                 header,
                 ready_line,
-                sys.maxsize if args.truth else MAX_UNNAMED_BYTES,
+                sys.maxsize if args.truth else MAX_UNNAMED_FILE_BYTES,
             )
     finally:
         clock.close()

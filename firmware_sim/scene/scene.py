@@ -135,49 +135,49 @@ def _resized_scene(scene: Scene, diameter_text: str, text: str) -> Scene:
         diameter = math.nan
     if scene.grasp_object is None or not 0.0 < diameter < 1.0:
         raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
-    old = scene.grasp_object
-    height = diameter if old.shape == "sphere" else old.size[2]
+    old_object = scene.grasp_object
+    height = diameter if old_object.shape == "sphere" else old_object.size[2]
     # The palm ends at the plane x = 0.
-    gap = old.position[0] - old.size[0] / 2.0
-    position = (diameter / 2.0 + gap, old.position[1], old.position[2])
+    gap = old_object.position[0] - old_object.size[0] / 2.0
+    position = (diameter / 2.0 + gap, old_object.position[1], old_object.position[2])
     return replace(
         scene,
         name=text,
-        grasp_object=replace(old, size=(diameter, diameter, height), position=position),
+        grasp_object=replace(old_object, size=(diameter, diameter, height), position=position),
     )
 
 
-def _read_scene(path: Any, where: str) -> Scene:
+def _read_scene(path: Any, location: str) -> Scene:
     """Read a scene file, and check that its parts are consistent with each other."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
-        raw = tomllib.loads(path.read_text("utf-8"))
-        grasp_object = _parse_object(raw.get("object"))
-        support = _parse_support(raw.get("support"))
-        load = _parse_load(raw.get("load"))
+        scene_content = tomllib.loads(path.read_text("utf-8"))
+        grasp_object = _parse_object(scene_content.get("object"))
+        support = _parse_support(scene_content.get("support"))
+        load = _parse_load(scene_content.get("load"))
         scene = Scene(
-            raw["name"],
+            scene_content["name"],
             grasp_object,
             support,
             load,
-            tuple(read_stage(stage) for stage in raw.get("stage", ())),
+            tuple(read_stage(stage) for stage in scene_content.get("stage", ())),
         )
     except KeyError as error:
-        raise SimulatorError(f"scene {where}: missing or unknown key {error}") from error
+        raise SimulatorError(f"scene {location}: missing or unknown key {error}") from error
     except (OSError, RecursionError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise SimulatorError(f"scene {where}: {error}") from error
+        raise SimulatorError(f"scene {location}: {error}") from error
     if scene.support and not scene.grasp_object:
-        raise SimulatorError(f"scene {where}: a support without an object")
+        raise SimulatorError(f"scene {location}: a support without an object")
     if scene.load and not scene.grasp_object:
-        raise SimulatorError(f"scene {where}: a load without an object")
+        raise SimulatorError(f"scene {location}: a load without an object")
     if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
         raise SimulatorError(
-            f"scene {where}: a stage without a support that sinks when the object is grasped"
+            f"scene {location}: a stage without a support that sinks when the object is grasped"
         )
     if scene.stages and scene.load:
         raise SimulatorError(
-            f"scene {where}: stages and load both push the object; expected one of them"
+            f"scene {location}: stages and load both push the object; expected one of them"
         )
     return scene
 

@@ -23,22 +23,22 @@ class SceneStage:
     stage ends.
 
     Attributes:
-        down: unit vector of gravity in the palm frame after the turn. If None, the direction
+        gravity_direction: unit vector of gravity in the palm frame after the turn. If None, the direction
             stays the same.
         turn: duration of the turn of gravity to the new direction [s].
         duration: duration of the rest of the stage, after the turn [s].
         push: force at the centre of the object in the palm frame [N].
-        push_at: time from the end of the turn to the start of the push [s].
+        push_start: time from the end of the turn to the start of the push [s].
         push_duration: duration of the push [s].
         friction: sliding friction coefficient after the turn. If None, the coefficient stays
             the same.
     """
 
-    down: Vector | None
+    gravity_direction: Vector | None
     turn: float
     duration: float
     push: Vector
-    push_at: float
+    push_start: float
     push_duration: float
     friction: float | None
 
@@ -49,14 +49,22 @@ def read_stage(stage_section: dict[str, Any]) -> SceneStage:
     Raises:
         ValueError: a key or a value of the stage is wrong.
     """
-    if unknown := stage_section.keys() - STAGE_KEYS:
-        raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
-    down = _parse_vector(stage_section["down"], "stage.down") if "down" in stage_section else None
-    if down is not None:
-        length = math.hypot(*down)
+    if unknown_keys := stage_section.keys() - STAGE_KEYS:
+        raise ValueError(
+            f"stage.{sorted(unknown_keys)[0]}: expected {', '.join(sorted(STAGE_KEYS))}"
+        )
+    down_direction = (
+        _parse_vector(stage_section["down"], "stage.down") if "down" in stage_section else None
+    )
+    if down_direction is not None:
+        length = math.hypot(*down_direction)
         if not length > 0.0:
             raise ValueError("stage.down: expected a direction, not zero")
-        down = (down[0] / length, down[1] / length, down[2] / length)
+        down_direction = (
+            down_direction[0] / length,
+            down_direction[1] / length,
+            down_direction[2] / length,
+        )
     push = _parse_vector(stage_section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
     times = [
         float(stage_section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")
@@ -66,7 +74,7 @@ def read_stage(stage_section: dict[str, Any]) -> SceneStage:
     friction = float(stage_section["friction"]) if "friction" in stage_section else None
     if friction is not None and not 0.0 <= friction <= 10.0:
         raise ValueError(f"stage.friction {friction}: expected 0 to 10")
-    return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
+    return SceneStage(down_direction, times[0], times[1], push, times[2], times[3], friction)
 
 
 def _parse_vector(raw_vector: Any, key_path: str) -> Vector:
@@ -121,18 +129,28 @@ class StageSequence:
         gravity = self._gravity
         friction = None
         for i, stage in enumerate(self._stages):
-            since = time - start
-            target = gravity if stage.down is None else _scaled_vector(stage.down, GRAVITY_M_S2)
-            friction = (
-                stage.friction if stage.friction is not None and since >= stage.turn else friction
+            time_in_stage = time - start
+            target = (
+                gravity
+                if stage.gravity_direction is None
+                else _scaled_vector(stage.gravity_direction, GRAVITY_M_S2)
             )
-            if since < stage.turn + stage.duration or i == len(self._stages) - 1:
-                pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
-                fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
+            friction = (
+                stage.friction
+                if stage.friction is not None and time_in_stage >= stage.turn
+                else friction
+            )
+            if time_in_stage < stage.turn + stage.duration or i == len(self._stages) - 1:
+                is_pushing = (
+                    stage.push_start
+                    <= time_in_stage - stage.turn
+                    < stage.push_start + stage.push_duration
+                )
+                fraction = min(time_in_stage / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
                 return SceneState(
                     i,
                     _turned_vector(gravity, target, fraction),
-                    stage.push if pushing else (0.0, 0.0, 0.0),
+                    stage.push if is_pushing else (0.0, 0.0, 0.0),
                     friction,
                 )
             start = start + stage.turn + stage.duration
@@ -155,11 +173,13 @@ def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
         end: vector at fraction 1. The result is as long as the first vector.
         fraction: fraction of the way from ``start`` to ``end``, from 0 to 1.
     """
-    mixed = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
-    length = math.hypot(*mixed)
+    interpolated = tuple(a + (b - a) * fraction for a, b in zip(start, end, strict=True))
+    length = math.hypot(*interpolated)
     target_length = math.hypot(*end)
     # Halfway between opposite vectors, the direction is not defined, because many great circles
     # pass through both vectors.
     if length < 1e-9 or target_length == 0.0:
-        return mixed[0], mixed[1], mixed[2]
-    return _scaled_vector((mixed[0], mixed[1], mixed[2]), target_length / length)
+        return interpolated[0], interpolated[1], interpolated[2]
+    return _scaled_vector(
+        (interpolated[0], interpolated[1], interpolated[2]), target_length / length
+    )

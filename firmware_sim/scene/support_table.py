@@ -30,18 +30,18 @@ def is_object_grasped(
         digits: number of digits that must press.
         both_sides: True if digits on both sides of the object must press.
     """
-    pressing = 0
-    opposing = 0
+    pressing_count = 0
+    opposed_count = 0
     for i in range(len(force_indices)):
         x = contact_forces[force_indices[i]]
         y = contact_forces[force_indices[i] + 1]
         z = contact_forces[force_indices[i] + 2]
         if x * x + y * y + z * z > min_force_squared:
-            pressing += 1
-            opposing += is_opposed[i]
+            pressing_count += 1
+            opposed_count += is_opposed[i]
     # If both sides are required, at least one opposed digit and at least one other digit must
     # press.
-    return pressing >= digits and (not both_sides or 0 < opposing < pressing)
+    return pressing_count >= digits and (not both_sides or 0 < opposed_count < pressing_count)
 
 
 class SupportTable:
@@ -70,13 +70,15 @@ class SupportTable:
                 Python functions are used.
         """
         self._support = support
-        starts = list(indices) or list(range(0, 3 * len(opposed), 3))
+        start_indices = list(indices) or list(range(0, 3 * len(opposed), 3))
         sides = [int(side) for side in opposed]
         self._grasped: Callable[..., bool] = (
             kernels.is_object_grasped if kernels else is_object_grasped
         )
         self._digits = (
-            (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
+            (np.array(start_indices, np.int64), np.array(sides, np.int64))
+            if kernels
+            else (start_indices, sides)
         )
         # If the hand has fewer digits than required, all of its digits must hold the object.
         digits = min(support.drop_digits, len(opposed))

@@ -76,21 +76,21 @@ class AdapterLatency:
     def send(self, t_ns: int) -> int:
         """Return the time when a frame that the host sends now arrives at the controller [ns]."""
         adapter = self._adapter
-        at_ns = self._next_start(t_ns, adapter.send_period_ns)
-        self._sent_ns = max(at_ns, self._sent_ns) + adapter.frame_ns
+        start_ns = self._next_period_start(t_ns, adapter.send_period_ns)
+        self._sent_ns = max(start_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
         """Return the time when a frame that the controller receives now arrives at the host [ns]."""
         adapter = self._adapter
-        at_ns = self._next_start(t_ns, adapter.receive_ns)
-        self._received_ns = max(at_ns, self._received_ns) + adapter.frame_ns
+        start_ns = self._next_period_start(t_ns, adapter.receive_ns)
+        self._received_ns = max(start_ns, self._received_ns) + adapter.frame_ns
         return self._received_ns
 
-    def _next_start(self, t_ns: int, period_ns: int) -> int:
+    def _next_period_start(self, t_ns: int, period_ns: int) -> int:
         """Return the start of the next transfer period [ns]."""
         if not period_ns:
             return t_ns
         period = period_ns * (1.0 + CLOCK_DRIFT)
-        passed = (t_ns / period - self._phase) % 1.0
-        return t_ns + round((1.0 - passed) * period)
+        elapsed_fraction = (t_ns / period - self._phase) % 1.0
+        return t_ns + round((1.0 - elapsed_fraction) * period)

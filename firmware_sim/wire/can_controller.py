@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 
 from firmware_sim.bus.frame import ERROR_FLAG, Frame
-from firmware_sim.wire.frame_bits import arbitration_number
+from firmware_sim.wire.frame_bits import arbitration_priority
 
 WARNING_ERROR_COUNT = 96
 """Value of an error counter at which the state becomes WARNING."""
@@ -106,11 +106,11 @@ class CanController:
         """
 
     @property
-    def on_bus(self) -> bool:
+    def is_on_bus(self) -> bool:
         """Return True if the controller takes part in the bus, which means that it is not in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
-    def offer(self, frame: Frame, t_ns: int) -> bool:
+    def queue_frame(self, frame: Frame, t_ns: int) -> bool:
         """Queue a frame for sending.
 
         If the frame is refused, the owner of the controller gets an error frame.
@@ -122,8 +122,8 @@ class CanController:
         Returns:
             True if the frame was queued.
         """
-        if self.on_bus and len(self.queue) < self._depth:
-            self.queue.append((t_ns, arbitration_number(frame.can_id), frame))
+        if self.is_on_bus and len(self.queue) < self._depth:
+            self.queue.append((t_ns, arbitration_priority(frame.can_id), frame))
             return True
         self.refused += 1
         self._send_error_frame(CAN_ERR_CRTL, t_ns, {1: TX_OVERFLOW})
@@ -138,7 +138,7 @@ class CanController:
         retry_ns = self.retry_ns
         return since_ns if since_ns > retry_ns else retry_ns
 
-    def count_sent(self, t_ns: int) -> None:
+    def count_sent_frame(self, t_ns: int) -> None:
         """Remove the first frame from the queue, because it has been sent."""
         self.queue.popleft()
         self.sent += 1
@@ -158,7 +158,7 @@ class CanController:
         if self.on_receive:
             self.on_receive(frame, t_ns)
 
-    def count_unacknowledged(self, t_ns: int) -> None:
+    def count_unacknowledged_frame(self, t_ns: int) -> None:
         """Count a transmit error, because no controller has acknowledged the sent frame.
 
         In an error-passive sender, the counter does not change. So a controller that is alone on a
@@ -168,12 +168,12 @@ class CanController:
             self.tx_errors += TX_ERROR_INCREMENT
         self._count_error(CAN_ERR_ACK, t_ns)
 
-    def count_destroyed(self, t_ns: int) -> None:
+    def count_destroyed_frame(self, t_ns: int) -> None:
         """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
         self.tx_errors += TX_ERROR_INCREMENT
         self._count_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
 
-    def count_error_seen(self, t_ns: int) -> None:
+    def count_received_error(self, t_ns: int) -> None:
         """Count a receive error, because a frame of another controller was destroyed on the wire."""
         self.rx_errors = min(MAX_REPORTED_ERROR_COUNT, self.rx_errors + 1)
         self._update_error_state(t_ns)
@@ -191,8 +191,8 @@ class CanController:
         Repeated errors of the same kind are reported only once, until a frame has been sent
         successfully.
         """
-        changed = self._update_error_state(t_ns, error_class)
-        if error_class != self._last_error and not changed:
+        is_state_changed = self._update_error_state(t_ns, error_class)
+        if error_class != self._last_error and not is_state_changed:
             self._send_error_frame(error_class, t_ns)
         self._last_error = error_class
 
@@ -208,8 +208,8 @@ class CanController:
         Returns:
             True if the state changed.
         """
-        before = self.state
-        highest = max(self.tx_errors, self.rx_errors)
+        state_before = self.state
+        max_error_count = max(self.tx_errors, self.rx_errors)
         if self.tx_errors >= BUS_OFF_ERROR_COUNT:
             self.state = CanErrorState.BUS_OFF
             self.queue.clear()
@@ -218,11 +218,11 @@ class CanController:
             # The states are numbered so that the sum of these two comparisons is the number of the
             # present state.
             self.state = CanErrorState(
-                (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
+                (max_error_count >= WARNING_ERROR_COUNT) + (max_error_count >= PASSIVE_ERROR_COUNT)
             )
-            if self.state != before:
+            if self.state != state_before:
                 self._send_error_frame(CAN_ERR_CRTL | error_class, t_ns, {1: self._status_bits()})
-        return self.state != before
+        return self.state != state_before
 
     def _status_bits(self) -> int:
         """Return the bits of data[1] in an error frame for the present state."""

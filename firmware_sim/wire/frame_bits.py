@@ -51,27 +51,31 @@ class BitRates:
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
         # If the actual stuff bits are not counted, zeros replace the content, so that the cache key
         # depends only on the length.
-        slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
-        return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
+        nominal_bits, data_bits = _frame_bits(
+            frame.can_id, content, frame.flags & (FDF | BRS), self.actual
+        )
+        return round(
+            nominal_bits * 1e9 / self.nominal + data_bits * 1e9 / (self.data or self.nominal)
+        )
 
 
-def arbitration_number(can_id: int) -> int:
+def arbitration_priority(can_id: int) -> int:
     """Return the arbitration field of a frame as a number.
 
     The frame with the lowest number wins the arbitration.
 
     Arbitration cannot decide between frames with equal numbers.
     """
-    remote = bool(can_id & REMOTE_FLAG)
+    is_remote = bool(can_id & REMOTE_FLAG)
     if can_id & EXTENDED_FLAG:
         base = can_id >> 18 & 0x7FF
-        rest = can_id & 0x3FFFF
+        lower_id_bits = can_id & 0x3FFFF
         # The arbitration field of a 29-bit identifier has 11 base bits, SRR and IDE (both
         # recessive, 1), 18 extension bits, and RTR.
-        return base << 21 | 0b11 << 19 | rest << 1 | remote
+        return base << 21 | 0b11 << 19 | lower_id_bits << 1 | is_remote
     # In the arbitration field of an 11-bit identifier, RTR takes the place of SRR, and IDE is
     # dominant. So a data frame wins over a remote frame.
-    return (can_id & 0x7FF) << 21 | remote << 20
+    return (can_id & 0x7FF) << 21 | is_remote << 20
 
 
 @lru_cache(maxsize=1 << 12)
@@ -99,9 +103,9 @@ def _classical_frame_bits(
         + format(len(data), "04b")
     )
     body += "" if can_id & REMOTE_FLAG else "".join(format(byte, "08b") for byte in data)
-    exposed = body + _crc15(body)
-    return len(exposed) + (
-        _stuff_bit_count(exposed) if counts_actual_stuffing else (len(exposed) - 1) // 4
+    stuffed_part = body + _crc15(body)
+    return len(stuffed_part) + (
+        _stuff_bit_count(stuffed_part) if counts_actual_stuffing else (len(stuffed_part) - 1) // 4
     ) + TAIL_BITS, 0
 
 
@@ -110,22 +114,26 @@ def _fd_frame_bits(
 ) -> tuple[int, int]:
     """Count the bits of an FD frame at the nominal and at the fast bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
-    fast_bits = bool(flags & BRS)
-    head = _identifier_bits(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
+    has_fast_bits = bool(flags & BRS)
+    header_bits = (
+        _identifier_bits(can_id) + "10" + ("1" if has_fast_bits else "0")
+    )  # FDF, reserved, BRS
     body = "0" + format(FD_LENGTHS.index(size), "04b")  # ESI, DLC
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
-    in_head = _stuff_bit_count(head) if counts_actual_stuffing else (len(head) - 1) // 4
-    in_all = (
-        _stuff_bit_count(head + body)
+    stuff_bits_in_head = (
+        _stuff_bit_count(header_bits) if counts_actual_stuffing else (len(header_bits) - 1) // 4
+    )
+    stuff_bits_total = (
+        _stuff_bit_count(header_bits + body)
         if counts_actual_stuffing
-        else (len(head) + len(body) - 1) // 4
+        else (len(header_bits) + len(body) - 1) // 4
     )
     # The CRC has 17 bits for a payload of up to 16 bytes, and 21 bits for a longer payload. The
     # stuff count and the CRC have one fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
-    slow = len(head) + in_head + TAIL_BITS
-    fast = len(body) + in_all - in_head + check + -(-check // 4)
-    return (slow, fast) if fast_bits else (slow + fast, 0)
+    nominal_bits = len(header_bits) + stuff_bits_in_head + TAIL_BITS
+    data_bits = len(body) + stuff_bits_total - stuff_bits_in_head + check + -(-check // 4)
+    return (nominal_bits, data_bits) if has_fast_bits else (nominal_bits + data_bits, 0)
 
 
 def _identifier_bits(can_id: int) -> str:
@@ -133,16 +141,16 @@ def _identifier_bits(can_id: int) -> str:
 
     For a 29-bit identifier, return the bits up to RTR.
     """
-    remote = "1" if can_id & REMOTE_FLAG else "0"
+    remote_bit = "1" if can_id & REMOTE_FLAG else "0"
     if can_id & EXTENDED_FLAG:
         return (
             "0"
             + format(can_id >> 18 & 0x7FF, "011b")
             + "11"
             + format(can_id & 0x3FFFF, "018b")
-            + remote
+            + remote_bit
         )
-    return "0" + format(can_id & 0x7FF, "011b") + remote + "0"
+    return "0" + format(can_id & 0x7FF, "011b") + remote_bit + "0"
 
 
 def _stuff_bit_count(bit_string: str) -> int:
@@ -150,15 +158,15 @@ def _stuff_bit_count(bit_string: str) -> int:
 
     After five equal bits, the opposite bit is inserted. Counting continues with the inserted bit.
     """
-    last = ""
+    last_bit = ""
     run = 0
     count = 0
     for bit in bit_string:
-        run = run + 1 if bit == last else 1
-        last = bit
+        run = run + 1 if bit == last_bit else 1
+        last_bit = bit
         if run == 5:
             count += 1
-            last = "10"[int(bit)]
+            last_bit = "10"[int(bit)]
             run = 1
     return count
 
@@ -169,6 +177,6 @@ def _crc15(bit_string: str) -> str:
     for bit in bit_string:
         # This line is one step of the CRC's shift register, with the feedback of the top bit and
         # the input bit.
-        out = register >> 14 ^ (bit == "1")
-        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)
+        shifted_bit = register >> 14 ^ (bit == "1")
+        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if shifted_bit else 0)
     return format(register, "015b")

@@ -15,13 +15,13 @@ from firmware_sim.wire.frame_bits import BitRates
 
 NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
-DEFAULT_QUEUE_FRAMES = 128
+DEFAULT_QUEUE_DEPTH = 128
 """Default capacity of a controller's queue [frames], as ``ip link set can0 txqueuelen 128``."""
 ERROR_FLAGS_BITS = 12 + 8
 """Number of bits of the superposed error flags of several controllers, and of the error delimiter."""
 ERROR_FLAG_BITS = 6 + 8
 """Number of bits of the error flag of a sender that is alone on the bus, and of the error delimiter."""
-UNSENT_END_BITS = 1 + 7
+END_OF_FRAME_BITS = 1 + 7
 """Number of bits that a destroyed frame does not reach: acknowledge delimiter and end of frame."""
 SUSPEND_BITS = 8
 """Number of bits for which an error-passive sender must wait after a frame."""
@@ -41,7 +41,7 @@ class WireOptions:
         seed: seed of the random errors.
     """
 
-    queue: int = DEFAULT_QUEUE_FRAMES
+    queue: int = DEFAULT_QUEUE_DEPTH
     error_rate: float = 0.0
     restart_ms: float = -1.0
     seed: int = 0
@@ -98,12 +98,16 @@ class SimulatedWire:
         """Disconnect a controller. A frame on the wire is completed."""
         self._controllers.remove(controller)
         controller.queue.clear()
-        self._senders = [other for other in self._senders if other is not controller]
+        self._senders = [
+            other_controller
+            for other_controller in self._senders
+            if other_controller is not controller
+        ]
 
     def next_ns(self) -> int:
         """Return the time of the next event on the wire [ns]. Return NEVER_NS if none exists."""
-        due = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
-        return min(due, self._restart_ns()) if self._restarts else due
+        due_ns = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
+        return min(due_ns, self._restart_ns()) if self._restarts else due_ns
 
     def _restart_ns(self) -> int:
         """Return the time when the next controller is restarted after bus-off [ns]."""
@@ -115,21 +119,21 @@ class SimulatedWire:
         Returns:
             True if an event was processed.
         """
-        restart = self._restart_ns() if self._restarts else NEVER_NS
+        restart_ns = self._restart_ns() if self._restarts else NEVER_NS
         end = self._end_ns
         if end == NEVER_NS:
             start = self._start_ns()
-            if min(start, restart) > t_ns:
+            if min(start, restart_ns) > t_ns:
                 return False
-            if start < restart:
+            if start < restart_ns:
                 self._arbitrate(start)
                 return True
-        elif min(end, restart) > t_ns:
+        elif min(end, restart_ns) > t_ns:
             return False
-        elif end <= restart:
+        elif end <= restart_ns:
             self._finish_frame(end)
             return True
-        self._restart_controllers(restart)
+        self._restart_controllers(restart_ns)
         return True
 
     def advance(self, t_ns: int) -> None:
@@ -148,29 +152,29 @@ class SimulatedWire:
 
     def _start_ns(self) -> int:
         """Return the time when the next frame can start [ns]."""
-        ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
-        return max(ready, self._free_ns) if ready != NEVER_NS else NEVER_NS
+        ready_ns = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER_NS)
+        return max(ready_ns, self._free_ns) if ready_ns != NEVER_NS else NEVER_NS
 
     def _arbitrate(self, t_ns: int) -> None:
         """Start the frame that wins the arbitration among all ready frames."""
         candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
-        lowest = min([c.queue[0][1] for c in candidates])
-        self._senders = [c for c in candidates if c.queue[0][1] == lowest]
+        lowest_priority_number = min([c.queue[0][1] for c in candidates])
+        self._senders = [c for c in candidates if c.queue[0][1] == lowest_priority_number]
         frames = [c.queue[0][2] for c in self._senders]
         # Two frames with the same identifier both win arbitration. If the contents of these frames
         # differ, both frames are destroyed.
-        identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
+        are_identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
-        self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()
-        span = max(map(self.rate.frame_ns, frames))
+        self._intact = are_identical and self._acknowledged and not self._is_next_frame_disturbed()
+        frame_duration_ns = max(map(self.rate.frame_ns, frames))
         if not self._intact:
             # After an error, an error flag replaces the rest of the frame. The error flag is longer
             # if several controllers send it.
-            span += self.rate.bits_ns(
-                (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS
+            frame_duration_ns += self.rate.bits_ns(
+                (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - END_OF_FRAME_BITS
             )
-        self.busy_ns += span
-        self._end_ns = t_ns + span
+        self.busy_ns += frame_duration_ns
+        self._end_ns = t_ns + frame_duration_ns
 
     def _has_receiver(self) -> bool:
         """Check whether any controller except the senders is on the bus."""
@@ -205,12 +209,12 @@ class SimulatedWire:
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
         frame = Frame(can_id, data, flags, bus, t_ns)
         for controller in senders:
-            controller.count_sent(t_ns)
-            self._suspend_sender(controller, t_ns)
+            controller.count_sent_frame(t_ns)
+            self._suspend_transmission(controller, t_ns)
         for controller in self._controllers:
             if (
                 (controller.on_receive or controller.rx_errors)
-                and controller.on_bus
+                and controller.is_on_bus
                 and controller not in senders
             ):
                 controller.deliver(frame, t_ns)
@@ -222,26 +226,28 @@ class SimulatedWire:
         """
         self.errors += 1
         for controller in self._controllers:
-            if controller.on_bus and controller not in senders:
-                controller.count_error_seen(t_ns)
+            if controller.is_on_bus and controller not in senders:
+                controller.count_received_error(t_ns)
         for controller in senders:
-            (controller.count_destroyed if self._acknowledged else controller.count_unacknowledged)(
-                t_ns
-            )
-            self._suspend_sender(controller, t_ns)
-            if not controller.on_bus and self.options.restart_ms >= 0.0:
+            (
+                controller.count_destroyed_frame
+                if self._acknowledged
+                else controller.count_unacknowledged_frame
+            )(t_ns)
+            self._suspend_transmission(controller, t_ns)
+            if not controller.is_on_bus and self.options.restart_ms >= 0.0:
                 wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)
                 self._restarts.append((t_ns + wait_ns, controller))
 
-    def _suspend_sender(self, controller: CanController, t_ns: int) -> None:
+    def _suspend_transmission(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
         if controller.state == CanErrorState.PASSIVE:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
     def _restart_controllers(self, t_ns: int) -> None:
         """Restart the controllers whose restart delay after bus-off has passed."""
-        due = [controller for at, controller in self._restarts if at <= t_ns]
+        due_controllers = [controller for at, controller in self._restarts if at <= t_ns]
         self._restarts = [(at, controller) for at, controller in self._restarts if at > t_ns]
-        for controller in due:
+        for controller in due_controllers:
             if controller in self._controllers:
                 controller.restart(t_ns)

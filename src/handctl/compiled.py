@@ -159,12 +159,12 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
     The context has no effect on other packages that use numba.
     """
-    before = numba_config.CACHE_DIR
+    cache_folder_before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(folder or "")
     try:
         yield
     finally:
-        numba_config.CACHE_DIR = before
+        numba_config.CACHE_DIR = cache_folder_before
 
 
 def _cache_folder() -> Path | None:
@@ -195,11 +195,11 @@ def _source_hash() -> str:
     two installations of the same version would share a folder. One of these installations would
     then find code that only the other one can use.
     """
-    here = Path(__file__).parent
-    digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
+    package_folder = Path(__file__).parent
+    digest = hashlib.blake2b(os.fsencode(package_folder), digest_size=8)
     for name in KERNEL_SOURCES:
-        top = here / name
-        for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
+        top_path = package_folder / name
+        for path in [top_path] if top_path.is_file() else sorted(top_path.rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
@@ -226,7 +226,7 @@ def square(value: float) -> float:
     return value * value
 
 
-def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
+def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
     """Generate the code of ``borrowed_array``, which returns an array that owns no memory.
 
     Numba does not count the references to a borrowed array.
@@ -320,11 +320,15 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     require_extra("a controller", "numba")
     report = progress or _ignore_progress
     all_of_them = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
-    waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
-    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, waiting) < len(waiting):
-        _compile_together(_CACHE_FOLDER, waiting, report)
-    for done, one in enumerate(waiting):
-        report(done, len(waiting))
+    uncompiled_kernels = [
+        any_kernel for any_kernel in all_of_them if not getattr(any_kernel.code, "signatures", True)
+    ]
+    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(
+        uncompiled_kernels
+    ):
+        _compile_together(_CACHE_FOLDER, uncompiled_kernels, report)
+    for compiled_count, one in enumerate(uncompiled_kernels):
+        report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
         one.code.compile(one.types)  # this call does nothing if the code was loaded from the disk
@@ -342,7 +346,9 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
     """
     files = [name for _, _, names in os.walk(folder) for name in names]
     compiled_names = {name.partition("-")[0] for name in files if name.endswith(".nbi")}
-    return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
+    return sum(
+        ".".join(any_kernel.name.rsplit(".", 2)[1:]) in compiled_names for any_kernel in kernels
+    )
 
 
 def _compile_together(
@@ -376,18 +382,18 @@ def _compile_together(
         ):  # only a compilation needs the compiled code of the functions that kernels call
             for part in _INNER_DISPATCHERS:
                 part.enable_caching()
-        todo, giving = os.pipe()
+        read_end, write_end = os.pipe()
         os.write(
-            giving, bytes(order)
+            write_end, bytes(order)
         )  # a number in the pipe stands for one kernel, and the worker that reads the number compiles this kernel
-        os.close(giving)
+        os.close(write_end)
         workers = [
-            _start_compiler_process(todo, waiting_kernels)
+            _start_compiler_process(read_end, waiting_kernels)
             for _ in range(min(os.cpu_count() or 1, MAX_COMPILER_PROCESSES))
         ]
-        os.close(todo)
+        os.close(read_end)
         while workers:
-            workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
+            workers = [worker for worker in workers if os.waitpid(worker, os.WNOHANG)[0] == 0]
             report(_compiled_count(folder, waiting_kernels), len(waiting_kernels))
             time.sleep(COMPILER_POLL_PERIOD_S)
 

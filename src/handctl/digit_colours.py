@@ -17,9 +17,11 @@ def colour_numbers(digit_names: Sequence[str]) -> tuple[int, ...]:
     digits of the hand have the first numbers. A number may be larger than the number of colours in
     the palette.
     """
-    others = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
-    first = 0 if len(others) == len(digit_names) else len(DIGITS_WITH_COLOUR)
+    other_digit_names = [name for name in digit_names if name not in DIGITS_WITH_COLOUR]
+    first_colour = 0 if len(other_digit_names) == len(digit_names) else len(DIGITS_WITH_COLOUR)
     return tuple(
-        DIGITS_WITH_COLOUR.index(name) if name in DIGITS_WITH_COLOUR else first + others.index(name)
+        DIGITS_WITH_COLOUR.index(name)
+        if name in DIGITS_WITH_COLOUR
+        else first_colour + other_digit_names.index(name)
         for name in digit_names
     )

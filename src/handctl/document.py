@@ -95,9 +95,9 @@ def _error_line(
             f"{where}.{key}",
             "one of " + error_detail["ctx"]["expected_tags"],
         )
-    what = "a table" if isinstance(value, Mapping) else toml_spelling(value)
+    problem_text = "a table" if isinstance(value, Mapping) else toml_spelling(value)
     return ConfigError(
-        what,
+        problem_text,
         where,
         error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "),
     )
@@ -113,11 +113,11 @@ def _without_tags(
     """
     path: list[str | int] = []
     for position, part in enumerate(key_location):
-        last = kind == "missing" and position == len(key_location) - 1
-        known = isinstance(part, int) or (
+        is_missing_key = kind == "missing" and position == len(key_location) - 1
+        is_known_part = isinstance(part, int) or (
             isinstance(file_content, Mapping) and part in file_content
         )
-        if not known and not (last and isinstance(file_content, Mapping)):
+        if not is_known_part and not (is_missing_key and isinstance(file_content, Mapping)):
             continue
         path.append(part)
         try:
@@ -130,9 +130,9 @@ def _without_tags(
 def _expected_key(key: str, model: type[BaseModel], key_location: Sequence[str | int]) -> str:
     """Return the key that was probably meant, or all keys that are allowed in the same table."""
     valid_keys = sorted(_keys_at(model, key_location) or _keys_at(model, ()))
-    near = similar_name(key, valid_keys)
-    if near:
-        return f"{near}?"
+    similar_word = similar_name(key, valid_keys)
+    if similar_word:
+        return f"{similar_word}?"
     return (
         f"one of {', '.join(valid_keys)}"
         if len(valid_keys) <= MAX_LISTED_KEYS
@@ -154,10 +154,14 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
         }
         if not key_location:
             return set(fields)
-        first, *rest = key_location
-        if first in fields:
-            return _keys_at(fields[str(first)].annotation, rest)
-        return _keys_at(type_annotation, rest) if _is_alternative(type_annotation, first) else set()
+        first_key, *remaining_keys = key_location
+        if first_key in fields:
+            return _keys_at(fields[str(first_key)].annotation, remaining_keys)
+        return (
+            _keys_at(type_annotation, remaining_keys)
+            if _is_alternative(type_annotation, first_key)
+            else set()
+        )
     arguments = get_args(type_annotation)
     # A list or a table adds a part to the location. A union or an annotated type adds none.
     is_container = get_origin(type_annotation) in (tuple, list, dict)

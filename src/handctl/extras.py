@@ -67,7 +67,9 @@ def extras_installed() -> dict[str, bool]:
     """Return, by the name of each extra of handctl, True if all packages of the extra are installed."""
     return {
         extra: all(
-            is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra
+            is_installed(package)
+            for package, required_extra in EXTRA_BY_MODULE.items()
+            if required_extra == extra
         )
         for extra in EXTRA_BY_MODULE.values()
     }

@@ -44,10 +44,10 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
         return
     context = dispatcher.targetctx
     with _without_compiler(context):
-        found = dispatcher._cache.load_overload(types, context)
-    if found is not None:
-        context.insert_user_function(found.entry_point, found.fndesc, [found.library])
-        dispatcher.add_overload(found)
+        overload = dispatcher._cache.load_overload(types, context)
+    if overload is not None:
+        context.insert_user_function(overload.entry_point, overload.fndesc, [overload.library])
+        dispatcher.add_overload(overload)
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
     # a context only when it registers types, so they are added here.
     runtime.rtsys.initialize(context)
     library: Any = codegen.CPUCodeLibrary
-    before = library.__dict__["_unserialize"]
+    original_unserialize = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)
     rebuild = context.get_executable
     rebuild_environment = environment._rebuild_env
@@ -70,7 +70,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
         # after this context, the original methods of the class are visible again
         del context.refresh, context.get_executable
         environment._rebuild_env = rebuild_environment
-        library._unserialize = before
+        library._unserialize = original_unserialize
 
 
 def _do_nothing() -> None:
@@ -88,13 +88,13 @@ def _without_module(module: str, constants: list[Any], name: str) -> Any:
         constants: Python objects that the code refers to by number.
         name: name by which the code finds the constants.
     """
-    found = environment.lookup_environment(name)
-    if found is None:
-        found = environment.Environment({"__name__": module})
-        found.consts[:] = constants
-        found.env_name = name
-        environment.Environment._memo[name] = found
-    return found
+    environment_object = environment.lookup_environment(name)
+    if environment_object is None:
+        environment_object = environment.Environment({"__name__": module})
+        environment_object.consts[:] = constants
+        environment_object.env_name = name
+        environment.Environment._memo[name] = environment_object
+    return environment_object
 
 
 def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[bytes, bytes]]) -> Any:

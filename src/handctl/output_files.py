@@ -46,19 +46,19 @@ def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
         with _error_with_user_path(path, target), _check_pipe_reader(target, path):
             yield target
         return
-    beside = target.with_name(f".{os.getpid()}{target.suffix}")
+    temporary_path = target.with_name(f".{os.getpid()}{target.suffix}")
     try:
-        with _error_with_user_path(path, beside):
-            yield beside
-            if beside.exists():
-                _fsync_file(beside)
-                _move_into_place(beside, target, must_be_new)
+        with _error_with_user_path(path, temporary_path):
+            yield temporary_path
+            if temporary_path.exists():
+                _fsync_file(temporary_path)
+                _move_into_place(temporary_path, target, must_be_new)
                 _fsync_file(target.parent)
     finally:
-        if beside.is_dir():
-            shutil.rmtree(beside, ignore_errors=True)
+        if temporary_path.is_dir():
+            shutil.rmtree(temporary_path, ignore_errors=True)
         else:
-            beside.unlink(missing_ok=True)
+            temporary_path.unlink(missing_ok=True)
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
@@ -109,14 +109,16 @@ def check_output(path: Path, content_name: str, *read_paths: Path | None) -> Non
         target = _resolve_target(path, False)
     except ConfigError as error:
         raise ConfigError(error.what, f"{content_name} {path}", error.right) from None
-    if any(one and _is_same_file(target, one) for one in read_paths):
+    if any(read_path and _is_same_file(target, read_path) for read_path in read_paths):
         raise ConfigError("is what is read", f"{content_name} {path}", "another name")
 
 
-def _is_same_file(target: Path, other: Path) -> bool:
+def _is_same_file(target: Path, other_path: Path) -> bool:
     """Return True if two paths lead to the same file. The file need not exist."""
-    there = target.exists() and other.exists()
-    return target.samefile(other) if there else str(target) == os.path.realpath(other)
+    both_exist = target.exists() and other_path.exists()
+    return (
+        target.samefile(other_path) if both_exist else str(target) == os.path.realpath(other_path)
+    )
 
 
 def _resolve_target(path: Path, must_be_new: bool) -> Path:

@@ -15,7 +15,7 @@ MAX_MESSAGE_CHARACTERS = 500
 """Largest length of a printed message [characters]."""
 MAX_WORD_CHARACTERS = 60
 """Largest length of a word that is quoted, or compared with names [characters]."""
-OMISSION_MARK = " [...] "
+OMITTED_TEXT_MARK = " [...] "
 """Text that replaces the middle of a longer message."""
 
 
@@ -53,10 +53,10 @@ def similar_name(word: str, names: Iterable[str], min_similarity: float = 0.6) -
         names: the valid names.
         min_similarity: lowest similarity at which a name is accepted, from 0 (no similarity) to 1 (equal).
     """
-    near = difflib.get_close_matches(
+    close_matches = difflib.get_close_matches(
         word[:MAX_WORD_CHARACTERS], list(names), n=1, cutoff=min_similarity
     )
-    return near[0] if near else ""
+    return close_matches[0] if close_matches else ""
 
 
 def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) -> str:
@@ -74,7 +74,7 @@ def one_line_message(text: str, max_characters: int = MAX_MESSAGE_CHARACTERS) ->
     if len(line) <= max_characters:
         return line
     end = max_characters // 3
-    return line[: max_characters - end - len(OMISSION_MARK)] + OMISSION_MARK + line[-end:]
+    return line[: max_characters - end - len(OMITTED_TEXT_MARK)] + OMITTED_TEXT_MARK + line[-end:]
 
 
 def escape_surrogates(text: str) -> str:
@@ -113,10 +113,12 @@ class EscapedStream:
 @contextmanager
 def escaped_streams() -> Iterator[None]:
     """Escape all text that is written to standard output and standard error during a block."""
-    before = sys.stdout, sys.stderr
-    out, err = (one if isinstance(one, EscapedStream) else EscapedStream(one) for one in before)
-    sys.stdout, sys.stderr = cast(Any, out), cast(Any, err)
+    streams_before = sys.stdout, sys.stderr
+    escaped_stdout, err = (
+        line if isinstance(line, EscapedStream) else EscapedStream(line) for line in streams_before
+    )
+    sys.stdout, sys.stderr = cast(Any, escaped_stdout), cast(Any, err)
     try:
         yield
     finally:
-        sys.stdout, sys.stderr = before
+        sys.stdout, sys.stderr = streams_before

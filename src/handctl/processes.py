@@ -23,17 +23,17 @@ def run_in_forked_copy(forked_function: Callable[[], str]) -> tuple[int, int]:
         the process id of the copy, and the end of the pipe from which this process reads the
         result. If the function fails, the copy prints the traceback and ends with status 1.
     """
-    reading, writing = os.pipe()
+    read_end, write_end = os.pipe()
     process = os.fork()
     if process:
-        os.close(writing)
-        return process, reading
-    os.close(reading)
+        os.close(write_end)
+        return process, read_end
+    os.close(read_end)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     code = 1
     try:
-        with os.fdopen(writing, "w") as pipe:
+        with os.fdopen(write_end, "w") as pipe:
             pipe.write(forked_function())
         code = 0
     finally:

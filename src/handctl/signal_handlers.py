@@ -16,12 +16,12 @@ def installed_handler(
         handler: function that handles every signal in ``numbers`` during the block.
         numbers: signals to handle.
     """
-    before = {number: signal.signal(number, handler) for number in numbers}
+    previous_handlers = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handled in before.items():
-            signal.signal(number, handled)
+        for number, previous_handler in previous_handlers.items():
+            signal.signal(number, previous_handler)
 
 
 class TerminationFlag:

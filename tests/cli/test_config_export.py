@@ -37,7 +37,9 @@ def test_each_bus_of_a_hand_has_its_file(work_folder, capsys):
     ]
     assert "sync" in message_names("two.main.dbc")
     assert message_names("two.second.dbc") == {
-        f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")
+        f"{digit_name}_motor_{pdo}"
+        for digit_name in ("ring", "thumb")
+        for pdo in ("tpdo1", "rpdo1")
     }
 
 

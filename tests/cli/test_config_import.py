@@ -172,14 +172,14 @@ def test_moment_arms_and_springs_of_a_model_are_imported(work_folder: Path) -> N
     assert main(["config", "export", "--mjcf", "--hand", "n_plus_1", "--output", "hand.xml"]) == 0
     import_description("--mjcf", "hand.xml")
     content = hand_content("mine.toml")
-    known = load_hand("n_plus_1")
-    assert [tendon["name"] for tendon in content["tendon"]] == list(known.tendon_names)
-    assert [tendon["motor"] for tendon in content["tendon"]] == list(known.motor_names)
+    known_hand = load_hand("n_plus_1")
+    assert [tendon["name"] for tendon in content["tendon"]] == list(known_hand.tendon_names)
+    assert [tendon["motor"] for tendon in content["tendon"]] == list(known_hand.motor_names)
     assert [tendon["moment_arm_m"] for tendon in content["tendon"]] == [
-        tendon.moment_arm_m for tendon in known.tendon
+        tendon.moment_arm_m for tendon in known_hand.tendon
     ]
-    assert content["tendon"][0]["tension_max_N"] == known.tendon[0].tension_max_N
-    assert content["mount"]["gravity_m_s2"] == list(known.mount.gravity_m_s2)
+    assert content["tendon"][0]["tension_max_N"] == known_hand.tendon[0].tension_max_N
+    assert content["mount"]["gravity_m_s2"] == list(known_hand.mount.gravity_m_s2)
 
 
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -> None:
@@ -196,7 +196,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
         "finger_a_joint_2",
     ]
     rng = np.random.default_rng(0)
-    turned = pinocchio.rpy.rpyToMatrix(*np.radians([-90.0, -90.0, 0.0]))
+    turned_rotation = pinocchio.rpy.rpyToMatrix(*np.radians([-90.0, -90.0, 0.0]))
     for q in rng.uniform(0.0, 1.5, (10, 6)):
         expected = pinocchio.crba(model, data, signs * q)
         expected = np.triu(expected) + np.triu(expected, 1).T
@@ -204,7 +204,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
         assert tree.mass_matrix(q) == pytest.approx(
             signs[:, None] * expected * signs + armature, abs=1e-12
         )
-        model.gravity.linear = turned @ np.array([0.0, 0.0, -9.81])
+        model.gravity.linear = turned_rotation @ np.array([0.0, 0.0, -9.81])
         torque = signs * pinocchio.computeGeneralizedGravity(model, data, signs * q)
         torque_at_rest = tree.inverse_dynamics(q, np.zeros(6), np.zeros(6))
         assert torque_at_rest == pytest.approx(torque, abs=1e-9)

@@ -243,7 +243,7 @@ def test_a_motor_type_is_taken_from_its_option_or_asked_for(
     for file in ("option.toml", "asked.toml"):
         assert main(["config", "check", "--hand", file]) == 0
         motors = load_hand(file).motor
-        assert {(one.protocol, one.options["motor_type"]) for one in motors} == {
+        assert {(motor.protocol, motor.options["motor_type"]) for motor in motors} == {
             (protocol, motor_type)
         }
 

@@ -138,7 +138,7 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(copy_t42_with_me
 
 def test_a_plan_of_a_packaged_hand_has_its_meshes() -> None:
     assert sorted(make_plan(RunChoice("t42")).attachments) == [
-        f"mesh/t42/{one}.stl" for one in ("inner", "outer", "palm")
+        f"mesh/t42/{mesh_name}.stl" for mesh_name in ("inner", "outer", "palm")
     ]
     assert not make_plan(RunChoice("jamia")).attachments
 
@@ -202,22 +202,22 @@ def test_exported_meshes_come_back_to_their_places(
     content = hand_content("mine/mine.toml")
     # The imported file has missing values, so it cannot be loaded. Load the packaged hand with the
     # meshes of the imported file instead.
-    known = hand.content
+    known_content = hand.content
     digits = [
         {key: value for key, value in digit.items() if "mesh" not in key}
         | {key: value for key, value in read.items() if "mesh" in key}
-        for digit, read in zip(known["digit"], content["digit"], strict=True)
+        for digit, read in zip(known_content["digit"], content["digit"], strict=True)
     ]
-    mount = {"gravity_m_s2": known["mount"]["gravity_m_s2"]}
+    mount = {"gravity_m_s2": known_content["mount"]["gravity_m_s2"]}
     mount |= {key: value for key, value in content["mount"].items() if "mesh" in key}
-    again = hand_from_content(known | {"mount": mount, "digit": digits}, hand_name)
-    assert {mesh.file for mesh in meshes_of_hand(again)} == {
+    repeated_hand = hand_from_content(known_content | {"mount": mount, "digit": digits}, hand_name)
+    assert {mesh.file for mesh in meshes_of_hand(repeated_hand)} == {
         f"../hand/{file}"
         for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
     }
     q = np.zeros(len(hand.joints))
     expected = corners_of_hand(hand, work_folder / "hand", q)
-    assert_same_corners(corners_of_hand(again, work_folder / "mine", q), expected)
+    assert_same_corners(corners_of_hand(repeated_hand, work_folder / "mine", q), expected)
 
 
 def write_ros_package(work_folder: Path) -> Path:
@@ -326,6 +326,6 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
         corners = model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
         expected = corners + data.geom_xpos[geom] - data.xanchor[link]
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
-        shown = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
-        found = shown.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
-        assert_same_corners({"": expected}, {"": found})
+        shown_mesh = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
+        placed_triangles = shown_mesh.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
+        assert_same_corners({"": expected}, {"": placed_triangles})

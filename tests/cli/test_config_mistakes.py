@@ -139,10 +139,10 @@ def test_a_mistake_is_one_line_that_names_the_key(
 ) -> None:
     old, new, start = HAND_FILE_MISTAKES[mistake_name]
     write_changed_jamia11(work_folder, (old, new))
-    found = error_lines(capsys)
-    assert found[0].startswith(start)
-    assert len(found) == 1, found
-    assert all("expected" in line for line in found)
+    messages = error_lines(capsys)
+    assert messages[0].startswith(start)
+    assert len(messages) == 1, messages
+    assert all("expected" in line for line in messages)
 
 
 def test_all_mistakes_are_reported_together(
@@ -158,12 +158,12 @@ def test_all_mistakes_are_reported_together(
         *[HAND_FILE_MISTAKES[case][:2] for case in cases],
         ("m2.node_id = 5", "m2.node_id = 500"),
     )
-    found = error_lines(capsys)
+    messages = error_lines(capsys)
     starts = [HAND_FILE_MISTAKES[case][2] for case in cases] + [
         "digit[middle].motor.m2.node_id: 500"
     ]
     for start in starts:
-        assert len([line for line in found if line.startswith(start)]) == 1, start
+        assert len([line for line in messages if line.startswith(start)]) == 1, start
 
 
 def test_mistakes_of_the_other_files_are_reported_together(
@@ -173,7 +173,7 @@ def test_mistakes_of_the_other_files_are_reported_together(
     (work_folder / "task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
     )
-    found = error_lines(
+    messages = error_lines(
         capsys, "--task", "task.toml", "--gain", "motion.force_N=-1", "--calibration", "no.toml"
     )
     starts = (
@@ -181,7 +181,7 @@ def test_mistakes_of_the_other_files_are_reported_together(
         "task.toml: phase[0].slip_limit_N: 30; expected at least tension_N of",
     )
     for start in (*starts, "--gain: motion.force_N", "no.toml: no such file"):
-        assert len([line for line in found if line.startswith(start)]) == 1, found
+        assert len([line for line in messages if line.startswith(start)]) == 1, messages
 
 
 def test_a_mistake_common_to_several_sections_is_one_line(
@@ -227,14 +227,14 @@ def test_an_object_inside_the_hand_comes_with_the_others(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_changed_jamia11(work_folder, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
-    found = error_lines(capsys, "--scene", "cylinder:900")
-    assert found[0].startswith("bus[main].bitrate: 8000000")
+    messages = error_lines(capsys, "--scene", "cylinder:900")
+    assert messages[0].startswith("bus[main].bitrate: 8000000")
     assert re.match(
         r"the simulated hand: scene cylinder:900: the object is \d\d mm inside \w+_link\d of",
-        found[1],
+        messages[1],
     )
-    assert found[1].endswith("expected a smaller object, or another position_m")
-    assert len(found) == 2
+    assert messages[1].endswith("expected a smaller object, or another position_m")
+    assert len(messages) == 2
 
 
 def test_a_demo_refuses_such_an_object_too(

@@ -46,9 +46,9 @@ def test_a_good_drive_in_another_process_passes(protocol, protocol_options):
         result = json.loads(done.stdout)
         assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
         assert (done.returncode, result["confirmed_off"]) == (0, True)
-        found = run_handctl("scan", "--bus", "local:c", "--json")
-        assert found.returncode == 0
-    (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
+        process_result = run_handctl("scan", "--bus", "local:c", "--json")
+        assert process_result.returncode == 0
+    (node,) = json.loads(process_result.stdout)["buses"][0]["nodes"]
     if protocol == "mit":
         assert node["settings"]["torque_max_N_m"] == 10.0, "the original torque range is restored"
         assert node["state"] == "disabled"
@@ -65,8 +65,8 @@ def test_conformance_leaves_no_error_in_a_drive(protocol):
         )
         assert done.returncode == 0
         time.sleep(0.5)
-        found = run_handctl("scan", "--bus", "local:c", "--json")
-    (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
+        process_result = run_handctl("scan", "--bus", "local:c", "--json")
+    (node,) = json.loads(process_result.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
     assert "fault" not in node["state"]
 
@@ -205,13 +205,13 @@ def test_drive_of_another_host_is_not_commanded(capsys):
     first command.
     """
     with run_simulated_drives("local:c", "cubemars", "--ids", "33"):
-        other, over = LocalBus("c", 0, int), threading.Event()
+        other_local_bus, over = LocalBus("c", 0, int), threading.Event()
         heard, limp = [], SignalTable(command_message(33, MotorRanges(12.5, 50.0, 18.0))).pack(0.0)
 
         def command():
             while not over.wait(0.01):
-                other.send([Frame(33, limp)])
-                heard.extend(other.drain())
+                other_local_bus.send([Frame(33, limp)])
+                heard.extend(other_local_bus.drain())
 
         host = threading.Thread(target=command)
         host.start()
@@ -231,7 +231,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
         finally:
             over.set()
             host.join()
-            other.close()
+            other_local_bus.close()
     assert (code, heard != []) == (1, True)
     assert "another host controls this bus" in capsys.readouterr().err
 

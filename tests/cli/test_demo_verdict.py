@@ -77,12 +77,12 @@ def test_a_grasp_that_lifts_nothing_is_a_failure(work_folder, capsys):
         )
         == 1
     )
-    shown = capsys.readouterr()
-    result = json.loads(shown.out)
+    shown_output = capsys.readouterr()
+    result = json.loads(shown_output.out)
     assert "never lifted" in result["failure"]
     assert result["table_sunk_mm"] == 0.0
     assert result["object_motion_mm"] is None
-    assert shown.err.splitlines()[-1].startswith(
+    assert shown_output.err.splitlines()[-1].startswith(
         "handctl: two fingers on cylinder: the object was never lifted"
     )
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import VERBS_BY_FOLDER
-from handctl.cli.parsing.parser import RUNNING_HAND
+from handctl.cli.parsing.parser import RUN_COMMAND_EXAMPLE
 from tests.runtime.processes import TIME_SCALE
 
 EXAMPLE_BY_COMMAND = {
@@ -30,12 +30,12 @@ EXAMPLES_WITHOUT_OTHER_PROCESS = sorted(
 EXAMPLES_WITH_SIMULATOR = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
-    if example.parallel_commands and RUNNING_HAND not in example.parallel_commands
+    if example.parallel_commands and RUN_COMMAND_EXAMPLE not in example.parallel_commands
 )
 EXAMPLES_WITH_RUNNING_HAND = sorted(
     words
     for words, example in EXAMPLE_BY_COMMAND.items()
-    if RUNNING_HAND in example.parallel_commands
+    if RUN_COMMAND_EXAMPLE in example.parallel_commands
 )
 READY_TIMEOUT_S = 60.0
 """Longest time that the start of simulator and controller may take [s], including compilation."""
@@ -55,12 +55,12 @@ def run_in_shell():
 def run_example(run_in_shell, command_words):
     """Yield a function that runs a command line in an empty folder, with this environment's handctl."""
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 280, "check": False}
-    ended = run_in_shell(EXAMPLE_BY_COMMAND[command_words].command_line, **how)
-    assert ended.returncode in ({0, 1} if command_words in COMMANDS_WITH_FINDINGS else {0}), (
-        ended.stderr
-    )
-    assert ended.stdout.strip()
-    assert "Traceback" not in ended.stderr
+    process_result = run_in_shell(EXAMPLE_BY_COMMAND[command_words].command_line, **how)
+    assert process_result.returncode in (
+        {0, 1} if command_words in COMMANDS_WITH_FINDINGS else {0}
+    ), process_result.stderr
+    assert process_result.stdout.strip()
+    assert "Traceback" not in process_result.stderr
 
 
 @pytest.mark.parametrize("command_words", EXAMPLES_WITHOUT_OTHER_PROCESS)
@@ -94,9 +94,11 @@ def repeat_until_success(run_in_shell, command_line):
     """Repeat a command until it succeeds."""
     end = time.monotonic() + READY_TIMEOUT_S
     while (
-        ended := run_in_shell(command_line.split(), capture_output=True, text=True, check=False)
+        process_result := run_in_shell(
+            command_line.split(), capture_output=True, text=True, check=False
+        )
     ).returncode:
-        assert time.monotonic() < end, ended.stderr
+        assert time.monotonic() < end, process_result.stderr
         time.sleep(0.3)
 
 

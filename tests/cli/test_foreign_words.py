@@ -274,9 +274,11 @@ def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
     print_json({f"k{ESCAPE_SEQUENCES}\udcff": ["\ud800", ESCAPE_SEQUENCES, {"\udcff": "\x7f"}]})
     text = capsys.readouterr().out
     assert is_printable_text(text)
-    found = json.loads(text)
-    json.dumps(found, ensure_ascii=False).encode()
-    assert ESCAPE_SEQUENCES in found[f"k{ESCAPE_SEQUENCES}\\udcff"], "only surrogates are replaced"
+    content = json.loads(text)
+    json.dumps(content, ensure_ascii=False).encode()
+    assert ESCAPE_SEQUENCES in content[f"k{ESCAPE_SEQUENCES}\\udcff"], (
+        "only surrogates are replaced"
+    )
 
 
 def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(work_folder):

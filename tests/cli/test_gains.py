@@ -42,8 +42,8 @@ def output_of(capsys, *command_words):
 
 
 def test_gains_show_tells_the_origin_of_each_value(hand_with_two_gain_changes, capsys):
-    shown = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
-    rows = shown["gains"]
+    shown_output = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
+    rows = shown_output["gains"]
     assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (
         30.0,
         "jamia.gains.toml",
@@ -52,7 +52,7 @@ def test_gains_show_tells_the_origin_of_each_value(hand_with_two_gain_changes, c
         12.0,
         "command line",
     )
-    assert shown["provenance"]["note"] == "30 N"
+    assert shown_output["provenance"]["note"] == "30 N"
     hand = output_of(capsys, "config", "show")
     assert hand["gains"]["motion"]["force_N"] == 30.0
     assert hand["gains_origins"]["motion.force_N"] == "jamia.gains.toml"
@@ -180,10 +180,12 @@ def test_set_on_a_running_hand_is_in_its_log(work_folder, repeat_time_scale):
     ]
     log, hand_file = work_folder / "run.mcap", load_hand("jamia")
     tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    made = datetime.datetime.now(datetime.UTC).isoformat()
+    date_text = datetime.datetime.now(datetime.UTC).isoformat()
     tendons = dict.fromkeys(hand_file.tendon_names, tendon_calibration)
-    known = Calibration(hand="jamia", identity=hand_file.identity, made=made, tendon=tendons)
-    write_calibration(work_folder / "jamia.calibration.toml", known)
+    known_calibration = Calibration(
+        hand="jamia", identity=hand_file.identity, made=date_text, tendon=tendons
+    )
+    write_calibration(work_folder / "jamia.calibration.toml", known_calibration)
     with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
         try:
             assert "ready" in hand.stdout.readline()

@@ -29,8 +29,10 @@ OTHER_NAMES_OF_OPTION = {
 
 def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
     """Return the parsers of all sub-commands of a command, by name."""
-    found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    return dict(found[0].choices) if found else {}
+    actions = [
+        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
+    ]
+    return dict(actions[0].choices) if actions else {}
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
@@ -146,11 +148,11 @@ def test_a_shell_completes_verbs_options_and_hands(tmp_path, unfinished_line, ex
 
 def test_verbose_adds_details_on_standard_error_and_leaves_the_result(capsys):
     assert main(["config", "list"]) == 0
-    plain = capsys.readouterr()
+    plain_output = capsys.readouterr()
     for words in (["config", "list", "-v"], ["-v", "config", "list"], ["config", "-v", "list"]):
         assert main(words) == 0
         out, err = capsys.readouterr()
-        assert (out, plain.err) == (plain.out, "")
+        assert (out, plain_output.err) == (plain_output.out, "")
         assert "exit code 0 after" in err
 
 

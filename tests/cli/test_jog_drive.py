@@ -68,8 +68,8 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, drive_mode, 
                 1.0 if "position" in drive_mode else 1.5, abs=0.2
             )
             assert result["final_rad_s"] < 0.2
-        found = run_handctl("scan", "--bus", "local:j", "--json")
-    (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
+        process_result = run_handctl("scan", "--bus", "local:j", "--json")
+    (node,) = json.loads(process_result.stdout)["buses"][0]["nodes"]
     assert node["error"] == ""
 
 

@@ -102,11 +102,11 @@ DEMO_FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.ca
 @pytest.mark.parametrize("file_name", sorted(DEMO_FILES))
 def test_two_runs_write_the_same_bytes(equal_demos, file_name):
     (first, _), (second, _) = equal_demos
-    one, other = (first / file_name).read_bytes(), (second / file_name).read_bytes()
-    assert len(one) == len(other)
+    content, other_content = (first / file_name).read_bytes(), (second / file_name).read_bytes()
+    assert len(content) == len(other_content)
     differing_positions = (
-        [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
-        if one != other
+        [i for i, (a, b) in enumerate(zip(content, other_content, strict=True)) if a != b]
+        if content != other_content
         else []
     )
     assert not differing_positions, (

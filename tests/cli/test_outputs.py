@@ -58,9 +58,9 @@ def existing_files(work_folder):
     for name in ("file", "other.mcap"):
         (work_folder / name).write_text("mine")
     (work_folder / "g.toml").write_text("schema = 1\n")
-    before = files_below(work_folder)
+    paths_before = files_below(work_folder)
     yield
-    assert files_below(work_folder) == before
+    assert files_below(work_folder) == paths_before
 
 
 def files_below(work_folder):
@@ -118,12 +118,12 @@ def write_input_files(work_folder):
 )
 def test_output_never_replaces_an_input(work_folder, capsys, command_words):
     write_input_files(work_folder)
-    before = files_below(work_folder)
+    paths_before = files_below(work_folder)
     assert main(list(command_words)) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1), err
     assert "another name" in err
-    assert files_below(work_folder) == before
+    assert files_below(work_folder) == paths_before
     for name in ("log.html", "log.png", "hand.toml"):
         (work_folder / name).unlink()
 

@@ -49,10 +49,10 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
     assert abs(truth.interpolated_columns(forces, truth.t_ns[-1:])).max() == 0.0, (
         "the hand has released"
     )
-    opened = truth.interpolated_columns(
+    opened_columns = truth.interpolated_columns(
         [f"q/{joint}" for joint in load_hand(hand_file).joints], truth.t_ns[-1:]
     )
-    assert np.abs(opened).max() < 0.06
+    assert np.abs(opened_columns).max() < 0.06
     assert main(["replay", "execute", "run.mcap", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["differing"] == 0
 
@@ -69,15 +69,13 @@ def test_exports_have_the_units_of_prismatic_joints(
     for form in ("--csv", "--parquet", "--lerobot"):
         assert main(["log", "export", "run.mcap", form]) == 0
     capsys.readouterr()
-    described = load_hand(hand_file)
+    hand = load_hand(hand_file)
     titles = Path("run.csv").read_text().partition("\n")[0].split(",")
     schema = pq.read_schema("run.parquet")
     info = json.loads(Path("run.lerobot/meta/info.json").read_text())
-    elements = info["features"]["action"]["names"][: len(described.joints)]
-    sigmas = info["features"]["observation.sigma"]["names"][: len(described.joints)]
-    for j, (joint, slides) in enumerate(
-        zip(described.joints, described.is_prismatic.tolist(), strict=True)
-    ):
+    elements = info["features"]["action"]["names"][: len(hand.joints)]
+    sigmas = info["features"]["observation.sigma"]["names"][: len(hand.joints)]
+    for j, (joint, slides) in enumerate(zip(hand.joints, hand.is_prismatic.tolist(), strict=True)):
         position, effort = ("m", "N") if slides else ("rad", "N m")
         units = {
             "q": position, "q_sigma": position, "q_goal": position, "joint_encoder": position,
@@ -92,8 +90,8 @@ def test_exports_have_the_units_of_prismatic_joints(
         assert title.endswith("]") is (
             title not in ("k", "t_ns", "late_ns", "mode", "phase", "action")
         )
-    goals = find_episode(Path("run.lerobot"), 0, described, 0.002, 300.0)
-    low, high = described.joint_limits
+    goals = find_episode(Path("run.lerobot"), 0, hand, 0.002, 300.0)
+    low, high = hand.joint_limits
     assert (goals.q.max(axis=0) > low + 0.2 * (high - low)).any()
     assert ((goals.q >= low - 1e-6) & (goals.q <= high + 1e-6)).all()
 
@@ -199,15 +197,15 @@ def test_an_exported_hand_has_the_same_joints_after_its_import(
     assert main(["config", "init", "--yes", format_option, "out.xml", *words]) == 0
     capsys.readouterr()
     text = Path("mine.toml").read_text()
-    described = load_hand(hand_file)
-    for digit in described.digit:
+    hand = load_hand(hand_file)
+    for digit in hand.digit:
         assert f'name = "{digit.name}"' in text
-    assert text.count('"prismatic"') == described.is_prismatic.sum()
+    assert text.count('"prismatic"') == hand.is_prismatic.sum()
     for key in ("joint_min_m", "joint_max_m", "excursion_ratio"):
         assert key in text
-    limits = [digit.joint_max_m for digit in described.digit]
-    for one in limits:
-        assert f"joint_max_m = [{one[0]}]" in text
+    limits = [digit.joint_max_m for digit in hand.digit]
+    for limit in limits:
+        assert f"joint_max_m = [{limit[0]}]" in text
 
 
 @pytest.mark.parametrize(
@@ -269,9 +267,9 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
     for name in (PARALLEL_GRIPPER_FILE, MIXED_GRIPPER_FILE):
         hand = load_hand(name)
         Path("whole.toml").write_text(hand.to_toml())
-        again = load_hand("whole.toml")
-        assert again.identity == hand.identity
-        for one, other in zip(
-            DigitModel.models_of_hand(hand), DigitModel.models_of_hand(again), strict=True
+        repeated_hand = load_hand("whole.toml")
+        assert repeated_hand.identity == hand.identity
+        for digit, other in zip(
+            DigitModel.models_of_hand(hand), DigitModel.models_of_hand(repeated_hand), strict=True
         ):
-            np.testing.assert_array_equal(one.table, other.table)
+            np.testing.assert_array_equal(digit.table, other.table)

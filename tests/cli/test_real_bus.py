@@ -185,19 +185,19 @@ def test_a_program_names_hand_and_consent(work_folder, capfd):
 def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
     hand = load_hand("jamia")
     write_homed_calibration(work_folder / "jamia.calibration.toml", hand)
-    made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
-    head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
+    date_text = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
+    head = f'made = "{date_text}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
     (work_folder / "jamia.gains.toml").write_text(
         f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}"
     )
     for words in (("run",), ("jog", "index", "--angle", "3"), ("run", "--json")):
         assert main([*words, "--bus", "local:nobody"]) == 1
-        first = capsys.readouterr().err.splitlines()[0]
-        assert first.startswith(
+        first_line = capsys.readouterr().err.splitlines()[0]
+        assert first_line.startswith(
             f"handctl: found in this folder: gains {work_folder / 'jamia.gains.toml'}, 3 h old; "
         )
-        assert f"calibration {work_folder / 'jamia.calibration.toml'}, " in first
-        assert first.endswith(" s old")
+        assert f"calibration {work_folder / 'jamia.calibration.toml'}, " in first_line
+        assert first_line.endswith(" s old")
     named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
     assert main(["run", "--bus", "local:nobody", *named]) == 1
     assert "found in this folder" not in capsys.readouterr().err, (

@@ -136,6 +136,6 @@ def test_a_missing_simulator_is_named_with_the_hand_of_the_command(
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     shutil.copy(hand_path("t42"), "ak hand.toml")
     assert main([*command_words, "--bus", "local:nobody"]) == 1
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("handctl: local:nobody: no simulator serves this bus: ")
-    assert last.endswith(f"; expected a simulator there; type: {expected_command}")
+    last_line = capsys.readouterr().err.splitlines()[-1]
+    assert last_line.startswith("handctl: local:nobody: no simulator serves this bus: ")
+    assert last_line.endswith(f"; expected a simulator there; type: {expected_command}")

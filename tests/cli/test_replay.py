@@ -20,10 +20,10 @@ GRASP_LOG, OTHER_LOG = (
 
 def test_replay_execute_reports_its_result_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["replay", "execute", GRASP_LOG, "--json", "--within", "1e-9"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["ticks"] > 300
-    assert found["undecided"] == 0
-    assert {"differing", "first", "times_real_time", "version_logged"} <= found.keys()
+    content = json.loads(capsys.readouterr().out)
+    assert content["ticks"] > 300
+    assert content["undecided"] == 0
+    assert {"differing", "first", "times_real_time", "version_logged"} <= content.keys()
 
 
 def test_rounding_of_another_machine_is_distinguished(
@@ -31,8 +31,10 @@ def test_rounding_of_another_machine_is_distinguished(
 ) -> None:
     compared_function = "handctl.replay.log_runner.are_outputs_equal"
     monkeypatch.setattr(compared_function, lambda logged, numbers, out: logged.tick_in.k != 100)
-    found = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
-    monkeypatch.setattr("handctl.replay.log_runner.differing_fields", lambda *what: iter([found]))
+    tick_difference = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
+    monkeypatch.setattr(
+        "handctl.replay.log_runner.differing_fields", lambda *what: iter([tick_difference])
+    )
     assert main(["replay", "execute", GRASP_LOG]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
     assert main(["replay", "execute", GRASP_LOG, "--within", "1e-9"]) == 0
@@ -57,8 +59,8 @@ def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str
         )
         == 0
     )
-    found = json.loads(capsys.readouterr().out)
-    assert found["change"]["motor_torque_N_m"]["index_motor"]["peak"] > 0.01
+    content = json.loads(capsys.readouterr().out)
+    assert content["change"]["motor_torque_N_m"]["index_motor"]["peak"] > 0.01
     assert picture.stat().st_size > 10_000
 
 
@@ -77,13 +79,13 @@ def test_the_comparison_ends_at_a_fault_that_the_log_does_not_have(
     gains.write_text("[motion]\nposition_error_m = 3e-5\nspeed_error_m_s = 3e-3\n")
     words = ["replay", "execute", str(log_path), "--gains", str(gains), "--picture"]
     assert main([*words, str(tmp_path / "a.png"), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    content = json.loads(capsys.readouterr().out)
     assert main([*words, str(tmp_path / "b.png")]) == 0
     out = capsys.readouterr().out
-    ends = found["compared"] < found["ticks"]
+    ends = content["compared"] < content["ticks"]
     assert ("the comparison ends at" in out) == ends
-    assert all(fault in out for fault in found["faults"])
-    assert ends == bool(found["faults"])
+    assert all(fault in out for fault in content["faults"])
+    assert ends == bool(content["faults"])
 
 
 def test_gains_that_are_wrong_are_bad_input(
@@ -155,8 +157,8 @@ def test_a_truncated_log_is_checked_and_executed_in_part(
 ) -> None:
     assert main(["log", "check", GRASP_LOG]) == 0
     cut = tmp_path / "cut.mcap"
-    whole = Path(GRASP_LOG).read_bytes()
-    cut.write_bytes(whole[: len(whole) // 2])
+    whole_content = Path(GRASP_LOG).read_bytes()
+    cut.write_bytes(whole_content[: len(whole_content) // 2])
     assert main(["log", "check", str(cut)]) == 3
     assert "incomplete" in capsys.readouterr().out
     assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, (
@@ -183,8 +185,8 @@ def test_result_of_an_incomplete_log_is_marked(
     command_words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut, limits = tmp_path / "cut.mcap", tmp_path / "limits.toml"
-    whole = Path(GRASP_LOG).read_bytes()
-    cut.write_bytes(whole[: len(whole) // 2])
+    whole_content = Path(GRASP_LOG).read_bytes()
+    cut.write_bytes(whole_content[: len(whole_content) // 2])
     limits.write_text("tension_trip_N = 20\n")
     more = ["--limits", str(limits)] if command_words[-1] == "safety" else []
     assert main([*command_words, str(cut), *more]) == 3

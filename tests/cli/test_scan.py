@@ -44,7 +44,7 @@ class BenchBus:
 
     def drain(self):
         frames = [
-            Frame(*frame) for frame in self.bench.take_unsolicited() + self.waiting
+            Frame(*frame) for frame in self.bench.take_unsolicited_frames() + self.waiting
         ] + 5 * self.foreign_frames
         self.waiting = []
         return frames
@@ -147,11 +147,11 @@ def test_scan_does_not_change_an_enabled_moteus_or_robstride():
     bench.receive(SimFrame(EXTENDED_FLAG | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
     bench.receive(SimFrame(EXTENDED_FLAG | 3 << 24 | 0xFD02, bytes(8)))
     bench.advance(20_000_000)
-    before = [node.mode for node in bench.nodes]
+    modes_before = [node.mode for node in bench.nodes]
     watchdog_feed_times = [node.watchdog_fed_ns for node in bench.nodes]
     for question in requests_without_answers():
         bench.receive(SimFrame(*question))
-    assert [node.mode for node in bench.nodes] == before
+    assert [node.mode for node in bench.nodes] == modes_before
     assert [node.watchdog_fed_ns for node in bench.nodes] == watchdog_feed_times
     assert [motor.servo.torque for motor in bench.motors] == [0.0, 0.0]
 

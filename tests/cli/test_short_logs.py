@@ -41,18 +41,18 @@ def test_every_verb_reads_or_refuses_a_short_log(
     ticks: slice, work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with RunLog(GRASP_LOG) as log:
-        short = write_log(work_folder / "short.mcap", log, tick_records_of(log)[ticks])
+        short_log = write_log(work_folder / "short.mcap", log, tick_records_of(log)[ticks])
     (work_folder / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
     verbs = {
-        ("log", "info", short): (0,),
-        ("log", "check", short): (0,),
-        ("log", "diff", short, str(GRASP_LOG)): (0,),
-        ("log", "diff", str(GRASP_LOG), short): (0,),
-        ("log", "export", "--csv", short): (0,),
-        ("log", "export", "--lerobot", short): (0, 2),
-        ("report", short): (0,),
-        ("replay", "execute", short): (0, 1),
-        ("replay", "execute", short, "--gains", "gains.toml"): (0, 2),
+        ("log", "info", short_log): (0,),
+        ("log", "check", short_log): (0,),
+        ("log", "diff", short_log, str(GRASP_LOG)): (0,),
+        ("log", "diff", str(GRASP_LOG), short_log): (0,),
+        ("log", "export", "--csv", short_log): (0,),
+        ("log", "export", "--lerobot", short_log): (0, 2),
+        ("report", short_log): (0,),
+        ("replay", "execute", short_log): (0, 1),
+        ("replay", "execute", short_log, "--gains", "gains.toml"): (0, 2),
     }
     for words, codes in verbs.items():
         assert main(list(words)) in codes, words

@@ -116,18 +116,18 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(
     assert out == ""
     assert err.startswith("handctl: ")
     assert err.count("\n") == 1
-    assert {one: signal.getsignal(one) for one in handlers} == handlers
+    assert {handler: signal.getsignal(handler) for handler in handlers} == handlers
 
 
 def test_signal_ignored_through_nohup_stays_ignored():
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal_before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with terminate_on_signals():
             os.kill(os.getpid(), signal.SIGHUP)
             with pytest.raises(TerminationRequested):
                 os.kill(os.getpid(), signal.SIGTERM)
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, signal_before)
 
 
 def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(work_folder, monkeypatch, capsys):

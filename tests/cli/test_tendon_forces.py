@@ -42,20 +42,24 @@ def gains_with_own_force(force_N: float) -> Gains:
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
-    shared = design_motion(jamia_model.space, Gains(), jamia_model.period)
-    own = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
+    shared_design = design_motion(jamia_model.space, Gains(), jamia_model.period)
+    own_design = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
     design_with_common_force = design_motion(
         jamia_model.space,
         gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
         jamia_model.period,
     )
-    assert own.stiffness[0] == design_with_common_force.stiffness[0] < shared.stiffness[0]
-    assert np.array_equal(own.stiffness[1:], shared.stiffness[1:])
-    assert np.array_equal(own.tension, shared.tension)
+    assert (
+        own_design.stiffness[0]
+        == design_with_common_force.stiffness[0]
+        < shared_design.stiffness[0]
+    )
+    assert np.array_equal(own_design.stiffness[1:], shared_design.stiffness[1:])
+    assert np.array_equal(own_design.tension, shared_design.tension)
     tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
-    held = design_motion(jamia_model.space, tension, jamia_model.period)
-    assert held.tension[0] < shared.tension[0]
-    assert np.array_equal(held.stiffness, shared.stiffness)
+    held_design = design_motion(jamia_model.space, tension, jamia_model.period)
+    assert held_design.tension[0] < shared_design.tension[0]
+    assert np.array_equal(held_design.stiffness, shared_design.stiffness)
 
 
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
@@ -143,9 +147,9 @@ def test_a_hand_with_packaged_gains_shows_them(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["gains", "show", "--hand", "orca_like", "-q"]) == 0
-    shown = capsys.readouterr().out
+    shown_text = capsys.readouterr().out
     force = values_by_key(packaged_gains("orca_like"))["tendon.index_pip.motion_force_N"]
-    assert f"{'tendon.index_pip.motion_force_N':<38} {force:<10g} packaged" in shown
+    assert f"{'tendon.index_pip.motion_force_N':<38} {force:<10g} packaged" in shown_text
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
     assert "0 of" in capsys.readouterr().out
     (work_folder / "all.toml").write_text("schema = 1\n")

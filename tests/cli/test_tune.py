@@ -119,7 +119,12 @@ def test_a_measure_is_worse_only_beyond_its_spread():
         [gain_score(1.0), gain_score(1.0 + 0.01 * i), *[gain_score(3.0 + 0.01 * i)] * 3]
         for i in range(3)
     ]
-    assert [one.verdict for one in compare_rounds(runs)] == ["worse", "same", "same", "same"]
+    assert [round_row.verdict for round_row in compare_rounds(runs)] == [
+        "worse",
+        "same",
+        "same",
+        "same",
+    ]
     assert compare_rounds([runs[0]])[0].verdict == "worse"
     noisy_runs = [
         [gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)
@@ -144,8 +149,8 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
     assert ("gains apply" in said) == accepts_worse_gains
     assert ("--accept-worse" in said) != accepts_worse_gains
-    last = said.splitlines()[-1]
-    assert last.startswith(
+    last_line = said.splitlines()[-1]
+    assert last_line.startswith(
         "verified; " if accepts_worse_gains else "not verified: tracking worse than"
     )
 
@@ -200,9 +205,9 @@ def test_the_last_line_of_a_verification_is_its_verdict(
 def test_an_existing_commissioning_log_is_accepted(work_folder):
     from handctl.session.run_plan import commissioning_log_path
 
-    first = commissioning_log_path(work_folder / "run.mcap")
-    assert first.name == "run.commission.mcap"
-    first.write_text("")
+    first_log = commissioning_log_path(work_folder / "run.mcap")
+    assert first_log.name == "run.commission.mcap"
+    first_log.write_text("")
     assert commissioning_log_path(work_folder / "run.mcap").name == "run.commission-2.mcap"
 
 
@@ -297,21 +302,21 @@ def jamia_calibration(is_simulated: bool = False) -> Calibration:
 
 def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, capsys, monkeypatch):
     own = work_folder / "jamia.calibration.toml"
-    made = jamia_calibration()
-    write_calibration(own, made)
-    before, ended = (
+    calibration = jamia_calibration()
+    write_calibration(own, calibration)
+    content_before, ended_run = (
         own.read_bytes(),
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
-    outcome = SimpleNamespace(state=ended, raise_if_not_finished=lambda where: None)
+    outcome = SimpleNamespace(state=ended_run, raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
-        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (made, outcome)
+        "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (calibration, outcome)
     )
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
-    assert own.read_bytes() == before
+    assert own.read_bytes() == content_before
     assert main(["identify", "--lockstep", "--calibration", own.name, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
 
@@ -362,10 +367,10 @@ def _replace_identification(monkeypatch, calibration, digit_results):
 def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, capsys, monkeypatch):
     """One line of the output names the digit, the parameters that are not written, the reason, and the next step."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    made = jamia_calibration()
+    calibration = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
     found = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
-    _replace_identification(monkeypatch, made, found)
+    _replace_identification(monkeypatch, calibration, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
     begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
@@ -390,10 +395,10 @@ def test_the_reason_why_no_calibration_is_written_is_true(
     work_folder, capsys, monkeypatch, digit_condition, expected_reason
 ):
     """Reproduce a defect: "there is no own.toml: handctl commission first", although the hand was commissioned."""
-    made = jamia_calibration()
-    write_calibration(work_folder / "own.toml", made)
+    calibration = jamia_calibration()
+    write_calibration(work_folder / "own.toml", calibration)
     result = result_of_digit("index", 9e4, names=("spring_stiffness",), **digit_condition)
-    _replace_identification(monkeypatch, made, {"index_tendon": result})
+    _replace_identification(monkeypatch, calibration, {"index_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == f"no calibration written: {expected_reason}"
 
@@ -402,10 +407,10 @@ def test_the_reason_why_no_calibration_is_written_is_true(
 def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch, coherence):
     """Reproduce a defect: values that were identified at a coherence of only 0.08 were written."""
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    made = jamia_calibration()
+    calibration = jamia_calibration()
     names = ("tendon_stiffness", "motor_inertia", "delay")
     result = replace(result_of_digit("middle", 9e4, names=names), coherence=coherence)
-    _replace_identification(monkeypatch, made, {"middle_tendon": result})
+    _replace_identification(monkeypatch, calibration, {"middle_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 0
     said = capsys.readouterr()
     is_coherent = coherence > 0.2
@@ -422,16 +427,16 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     The true value of this parameter is 1.2.
     """
     hand, path = load_hand("jamia"), work_folder / "own.toml"
-    made = jamia_calibration()
+    calibration = jamia_calibration()
     entry = result_of_digit("index", 9e4).calibration_entry(Path("a"), "t")
-    before = made.model_copy(update={"identified": {"index_tendon": entry}})
+    before = calibration.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
-    known = path.read_bytes()
+    known_content = path.read_bytes()
     found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in blocked_digits}
     found["index_tendon"] = result_of_digit(
         "index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep"
     )
-    _replace_identification(monkeypatch, made, found)
+    _replace_identification(monkeypatch, calibration, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
     assert "no parameters of index are kept: middle is blocked" in said.err
@@ -440,7 +445,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     assert {
         name: one.values for name, one in stored_parameters.items() if name != "index_tendon"
     } == {f"{name}_tendon": (8e4,) for name in blocked_digits}
-    assert blocked_digits or path.read_bytes() == known
+    assert blocked_digits or path.read_bytes() == known_content
 
 
 @pytest.mark.parametrize(
@@ -626,10 +631,10 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibrati
         seed=0,
         fit=calibration_file,
     )
-    plain = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
+    plain_ensemble = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if calibration_file is None else {}
     expected = tuple(
-        one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
+        one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain_ensemble
     )
     assert ensemble_of_tuned_hand(args, {}, 8) == expected
 
@@ -666,9 +671,9 @@ def test_a_log_does_not_change_the_calibration_of_another_hand(
     work_folder, capsys, monkeypatch, bus, other
 ):
     """Reproduce a defect: a log of a simulated bus changed the identified parameters of the real hand."""
-    made = jamia_calibration(is_simulated=other)
-    write_calibration(Path("jamia.calibration.toml"), made)
-    before = Path("jamia.calibration.toml").read_bytes()
+    calibration = jamia_calibration(is_simulated=other)
+    write_calibration(Path("jamia.calibration.toml"), calibration)
+    content_before = Path("jamia.calibration.toml").read_bytes()
     with RunLog(Path(GOLDEN_LOG)) as log:
         header = replace(
             log.header, deterministic=False, metadata={**log.header.metadata, "bus": bus}
@@ -680,10 +685,10 @@ def test_a_log_does_not_change_the_calibration_of_another_hand(
         f"handctl: run.mcap: is of {kinds[0]}; "
         f"expected --calibration FILE, because jamia.calibration.toml is of {kinds[1]}\n"
     )
-    assert Path("jamia.calibration.toml").read_bytes() == before
+    assert Path("jamia.calibration.toml").read_bytes() == content_before
     assert main(["identify", "--from-log", "run.mcap", "--no-write"]) == 0
     write_calibration(
-        Path("jamia.calibration.toml"), made.model_copy(update={"simulated": not other})
+        Path("jamia.calibration.toml"), calibration.model_copy(update={"simulated": not other})
     )
     assert main(["identify", "--from-log", "run.mcap"]) == 0
     assert "calibration written to jamia.calibration.toml" in capsys.readouterr().out

@@ -175,9 +175,9 @@ def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsy
     assert 0 < printed_json["ticks"] < 3000
     code, found = json_output(capsys, "log", "recover", "cut.mcap")
     assert (code, found["status"]) == (3, "lossy")
-    with RunLog(work_folder / "cut.recovered.mcap") as whole:
-        assert not whole.warning
-        assert len(whole) == printed_json["ticks"]
+    with RunLog(work_folder / "cut.recovered.mcap") as whole_log:
+        assert not whole_log.warning
+        assert len(whole_log) == printed_json["ticks"]
 
 
 def test_a_complete_log_is_recovered_unchanged(small_log, work_folder, capsys):

@@ -82,21 +82,21 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     The second hand was armed with the load-cell tares and encoder zeros of the first hand.
     """
     hand = hand_file(work_folder, protocols)
-    first, second = (
+    first_bench, second_bench = (
         CalibratedBench(work_folder, hand, FIRST_SERIALS),
         CalibratedBench(work_folder, hand, SECOND_SERIALS),
     )
-    calibration = first.commission("first")
+    calibration = first_bench.commission("first")
     assert set(calibration.drive) == {motor.name for motor in load_hand(str(hand)).motor}
     assert not any(text.startswith("node") for text in calibration.drive.values())
     path = work_folder / "c.toml"
     write_calibration(path, calibration)
-    assert load_calibration(path, first.plan.hand) == calibration, (
+    assert load_calibration(path, first_bench.plan.hand) == calibration, (
         "the calibration is stored without changes"
     )
-    calibration = load_calibration(path, first.plan.hand)
-    assert first.jog(calibration, "again").state.failure == ""
-    outcome = second.jog(calibration, "other")
+    calibration = load_calibration(path, first_bench.plan.hand)
+    assert first_bench.jog(calibration, "again").state.failure == ""
+    outcome = second_bench.jog(calibration, "other")
     assert outcome.state.mode == HandMode.DONE
     assert not outcome.state.unconfirmed
     assert (
@@ -110,21 +110,21 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert [text.partition(":")[0] for text in mode_texts(work_folder / "other.mcap")][
         -1
     ] == "READY -> DONE", "the hand was not armed"
-    for one in (first, second):
+    for one in (first_bench, second_bench):
         one.peer.close()
 
 
 def test_replaced_drive_is_named_before_arming(work_folder):
     hand = hand_file(work_folder, ["mit"])
     motor = load_hand(str(hand)).motor[0].name
-    before, after = (
+    bench_before, bench_after = (
         CalibratedBench(work_folder, hand, FIRST_SERIALS),
         CalibratedBench(work_folder, hand, (*FIRST_SERIALS, f"{motor}=0x77")),
     )
-    failure = after.jog(before.commission("before"), "after").state.failure
+    failure = bench_after.jog(bench_before.commission("before"), "after").state.failure
     assert failure.startswith(f"{motor} is drive 0x77, but was calibrated with drive 0x40")
     assert failure.count(" is drive ") == 1
-    for one in (before, after):
+    for one in (bench_before, bench_after):
         one.peer.close()
 
 

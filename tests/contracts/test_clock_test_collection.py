@@ -24,7 +24,7 @@ def test_the_stages_select_what_the_makefile_selects() -> None:
         r'-m "?([^"$]*?)"? \$\(PYTEST_FLAGS\)', (REPOSITORY / "Makefile").read_text()
     )
     assert {*conftest.REAL_CLOCK_SELECTIONS} == {
-        one for one in selections if not one.startswith("not ")
+        selection for selection in selections if not selection.startswith("not ")
     }
 
 

@@ -48,8 +48,8 @@ def hash_of_execution(log: Path) -> str:
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
         state = controller.initial_state()
-        for one in run.ticks():
-            state, out = controller.tick(state, one.tick_in)
+        for tick in run.ticks():
+            state, out = controller.tick(state, tick.tick_in)
             digest.update(out.state_hash)
             for numbers in out.telemetry:
                 digest.update(numbers.tobytes())
@@ -81,9 +81,9 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import hash_of_execution, GOLDEN_LOGS; print(hash_of_execution(GOLDEN_LOGS / {name!r}))"
-    with run_without_compiler("-c", script) as other:
+    with run_without_compiler("-c", script) as other_process_result:
         compiled_hash = hash_of_execution(GOLDEN_LOGS / name)
-        output, _ = other.communicate(timeout=120)
+        output, _ = other_process_result.communicate(timeout=120)
     assert output.strip() == compiled_hash
 
 
@@ -107,8 +107,8 @@ def hash_of_frame_conversions() -> str:
 
 def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
     script = f"from {__name__} import hash_of_frame_conversions; print(hash_of_frame_conversions())"
-    with run_without_compiler("-c", script) as other:
-        output, _ = other.communicate(timeout=120)
+    with run_without_compiler("-c", script) as other_process_result:
+        output, _ = other_process_result.communicate(timeout=120)
     assert output.strip() == hash_of_frame_conversions()
 
 
@@ -137,9 +137,9 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     """
     with run_without_compiler(
         "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in seeds_and_lengths]
-    ) as other:
+    ) as other_process_result:
         compiled_hashes = [tick_hashes(*hand) for hand in seeds_and_lengths]
-        output, _ = other.communicate(timeout=60.0 * len(seeds_and_lengths))
+        output, _ = other_process_result.communicate(timeout=60.0 * len(seeds_and_lengths))
     for hand, one, two in zip(seeds_and_lengths, compiled_hashes, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
@@ -160,19 +160,19 @@ def hash_of_segments() -> str:
         aim, held = draw.normal(size=(2, 3))
         duration = draw.uniform(0.002, 0.05)
         apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
-        clipped = begin_segments(
+        is_clipped = begin_segments(
             block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2
         )
-        digest.update(block.tobytes() + bytes([bool(clipped)]))
+        digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
 
 
 def test_interpreted_kernels_begin_the_same_motions() -> None:
     with run_without_compiler(
         "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
-    ) as other:
+    ) as other_process_result:
         compiled_hash = hash_of_segments()
-        output, _ = other.communicate(timeout=120)
+        output, _ = other_process_result.communicate(timeout=120)
     assert output.strip() == compiled_hash
 
 
@@ -364,8 +364,8 @@ class KernelSources:
             return
         self.modules.add(inner)
         for node in self._syntax_tree(inner).body:
-            for one in defined_names(node):
-                self.follow_name(inner, one)
+            for defined_name in defined_names(node):
+                self.follow_name(inner, defined_name)
 
     def _syntax_tree(self, module_name: str) -> ast.Module:
         """Return the syntax tree of a module."""

@@ -46,10 +46,10 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
-    ours = frame_targets.selectable_identifiers(motor, seen)
+    own_identifiers = frame_targets.selectable_identifiers(motor, seen)
     for data in seed_inputs(target_name, tmp_path):
         state, t_ns, received_frames = seen[data[0]]
-        sent = [frame for frame, _ in frame_targets.frames_of_input(data, ours, t_ns)]
+        sent = [frame for frame, _ in frame_targets.frames_of_input(data, own_identifiers, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
             (frame.can_id, frame.data) for frame in received_frames
         ]
@@ -106,6 +106,6 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(
         summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
-        line, good = fuzz_target("log", 0, 256, without_coverage=True)
+        line, good = fuzz_target("log", 0, 256, is_blind=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

@@ -80,14 +80,19 @@ def test_quoted_code_of_a_document_is_no_prose(
 def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
     language_check: ModuleType, source_tree: Path
 ) -> None:
-    before = language_check.count_all_folders(source_tree)
-    limits = language_check.lowered_limits(before, {})
-    assert list(language_check.limit_excesses(before, limits)) == []
+    counts_before = language_check.count_all_folders(source_tree)
+    limits = language_check.lowered_limits(counts_before, {})
+    assert list(language_check.limit_excesses(counts_before, limits)) == []
     (source_tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
-    after = language_check.count_all_folders(source_tree)
-    (line,) = (line for line in language_check.limit_excesses(after, limits) if "names" in line)
+    counts_after = language_check.count_all_folders(source_tree)
+    (line,) = (
+        line for line in language_check.limit_excesses(counts_after, limits) if "names" in line
+    )
     assert line.startswith("src: names ")
-    assert language_check.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
+    assert (
+        language_check.lowered_limits(counts_after, limits)["src"]["names"]
+        == limits["src"]["names"]
+    )
     (source_tree / "src" / "two.py").write_text("")
     assert (
         language_check.lowered_limits(language_check.count_all_folders(source_tree), limits)["src"][

@@ -24,8 +24,8 @@ HISTORY_DOCUMENT = "CHANGELOG.md"
 def missing_paths(document_text: str) -> list[str]:
     """Return the paths of Python files in a text that do not exist."""
     paths = sorted(set(PATH_PATTERN.findall(document_text)))
-    checked = [p for p in paths if p.endswith(".py") and not PLACEHOLDER_PATTERN.search(p)]
-    return [path for path in checked if not any(REPOSITORY.glob(path))]
+    checked_paths = [p for p in paths if p.endswith(".py") and not PLACEHOLDER_PATTERN.search(p)]
+    return [path for path in checked_paths if not any(REPOSITORY.glob(path))]
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)

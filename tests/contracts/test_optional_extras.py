@@ -118,8 +118,8 @@ def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
 
 
 def test_an_import_that_fails_in_the_middle_is_translated_as_well() -> None:
-    found = missing_extra("log", ModuleNotFoundError("no", name="pyarrow.parquet"))
-    assert str(found) == "log needs pyarrow: pip install 'handctl[export]'"
+    extra_error = missing_extra("log", ModuleNotFoundError("no", name="pyarrow.parquet"))
+    assert str(extra_error) == "log needs pyarrow: pip install 'handctl[export]'"
     assert missing_extra("log", ModuleNotFoundError("no", name="numpy")) is None
 
 

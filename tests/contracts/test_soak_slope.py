@@ -52,8 +52,10 @@ def test_growth_is_reported_in_mebibytes_per_hour() -> None:
     assert memory_slope(memory_samples(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
     assert memory_slope(
         [
-            one._replace(rss_mib=one.rss_mib + 9 * (one.time_s < WARM_UP_S))
-            for one in memory_samples(3600.0)
+            memory_sample._replace(
+                rss_mib=memory_sample.rss_mib + 9 * (memory_sample.time_s < WARM_UP_S)
+            )
+            for memory_sample in memory_samples(3600.0)
         ]
     ) == pytest.approx(0.0)
 

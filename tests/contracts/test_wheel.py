@@ -109,9 +109,9 @@ class WheelEnvironment:
 
 @pytest.fixture(scope="module")
 def environment_without_extras(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
-    fresh = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
-    fresh.install()
-    return fresh
+    fresh_wheel_environment = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
+    fresh_wheel_environment.install()
+    return fresh_wheel_environment
 
 
 @pytest.fixture(scope="module")

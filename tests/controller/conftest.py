@@ -37,8 +37,8 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 
     A test that uses this fixture runs once with each of the two hands.
     """
-    found: HandModel = request.getfixturevalue(request.param)
-    return found
+    parametrised_model: HandModel = request.getfixturevalue(request.param)
+    return parametrised_model
 
 
 @pytest.fixture(scope="module")

@@ -218,9 +218,9 @@ class ControllerBench:
             io_events,
             requests,
         )
-        before = self.state
-        self.state, out = self.controller.tick(before, entry)
-        self.tick_history.append((before, entry, out))
+        state_before = self.state
+        self.state, out = self.controller.tick(state_before, entry)
+        self.tick_history.append((state_before, entry, out))
         self.frames_on_bus = self.toy_hand.step(t_ns, self.change_node_frames(list(out.frames)))
         self.k += 1
         return out

@@ -59,7 +59,10 @@ def differential_equation_matrices(
     """Determine the matrices A and B of the linear differential equations of a tendon, column by column."""
     zero = np.zeros(STATE_COUNT)
     A = np.column_stack(
-        [rates_of_change(model, tendon_index, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
+        [
+            rates_of_change(model, tendon_index, regime, unit_vector, 0.0, 0.0)
+            for unit_vector in np.eye(STATE_COUNT)
+        ]
     )
     return A, np.column_stack(
         [rates_of_change(model, tendon_index, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))]

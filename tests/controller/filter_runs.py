@@ -126,7 +126,7 @@ def filter_state_of(state: ControllerState) -> FilterState:
     if state.run_integer(s.COVARIANCE_PROPAGATED):
         covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
-    return FilterState(x, **found, covariance=covariances, started=state.started)
+    return FilterState(x, **found, covariance=covariances, started=state.has_started)
 
 
 def write_readings(state: ControllerState, measured: SensorReadings) -> None:
@@ -174,7 +174,7 @@ def run_filter_tick(
     tick_stages.correct_tension_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)
     )
-    if controller_state.started:
+    if controller_state.has_started:
         predict_filter_states(model, controller_state.layout, controller_state.block, missed_ticks)
     tick_stages.conclude_estimate(
         controller_state.block, controller_state.layout.places, *stage_constants(model)

@@ -146,9 +146,9 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
 
 def estimate_of(state: ControllerState) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
-    seen = state.estimate
+    estimate = state.estimate
     own = {
-        name: state.view("cell_error") if name == "cell_error" else getattr(seen, name)
+        name: state.view("cell_error") if name == "cell_error" else getattr(estimate, name)
         for name in SyntheticEstimate._fields
     }
     return SyntheticEstimate(**{name: np.array(value) for name, value in own.items()})

@@ -138,11 +138,11 @@ def test_where_the_solver_starts_changes_nothing(digit_case: str) -> None:
     floor, ceiling = np.full(n, 3.0), np.full(n, 110.0)
     for _ in range(100):
         torque = arms.T @ rng.uniform(-100.0, 200.0, n)
-        first = solve_bounded_tensions(arms, torque, floor, ceiling, floor)
+        first_solution = solve_bounded_tensions(arms, torque, floor, ceiling, floor)
         for near in (ceiling, rng.uniform(-1e3, 1e3, n), np.where(rng.random(n) < 0.5, -1e9, 1e9)):
             np.testing.assert_allclose(
                 solve_bounded_tensions(arms, torque, floor, ceiling, near),
-                first,
+                first_solution,
                 rtol=1e-7,
                 atol=1e-7,
             )

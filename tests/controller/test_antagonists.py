@@ -64,14 +64,14 @@ def two_n_hand() -> Hand:
         "f2": {"thumb_j1": arm, "thumb_j2": arm},
         "e2": {"thumb_j1": -arm, "thumb_j2": -arm},
     }
-    tendons = [one for one in content["tendon"] if not one["name"].startswith("thumb")]
+    tendons = [tendon for tendon in content["tendon"] if not tendon["name"].startswith("thumb")]
     motors = [one for one in content["motor"] if not one["name"].startswith("thumb")]
     for i, (name, arms) in enumerate(routes.items()):
         tendons.append(
             base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
         )
         motors.append(motor | {"name": f"thumb_m{name}", "node_id": 9 + i})
-    node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons]}
+    node = content["sensor_node"] | {"tendons": [tendon["name"] for tendon in tendons]}
     return hand_from_content(
         content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n"
     )
@@ -108,7 +108,7 @@ def begin_run(
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
-    run = SimulatedRun.begin(controller, simulated_hand)
+    run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
     run.state.set_run_integer(s.K, first_tick - 1)

@@ -44,9 +44,9 @@ def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
     """The hand is disabled, because the saturated load cell may be the only evidence that a drive does not obey."""
     run = bench_with_saturated_cell(jamia)
-    began = run.state.mode_since
+    mode_start_s = run.state.mode_start_time
     run.run_until_mode(HandMode.CUT)
-    assert abs(run.state.mode_since - began - RELAXING_TIME_S) <= 2 * jamia.period
+    assert abs(run.state.mode_start_time - mode_start_s - RELAXING_TIME_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:

@@ -126,13 +126,18 @@ def run_commissioning(
 def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> None:
     progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
     assert not progress.failure
-    found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), CELL_BIAS_N, atol=0.15)
-    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6)
-    for row in found.tendon.values():
+    measured_calibration = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
+    np.testing.assert_allclose(measured_calibration.tare(model.hand), CELL_BIAS_N, atol=0.15)
+    np.testing.assert_allclose(
+        measured_calibration.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6
+    )
+    for row in measured_calibration.tendon.values():
         assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.25)
         assert row.crosstalk_N < 0.3, "noise is no crosstalk"
-    assert (found.hand, found.identity) == (model.hand.name, model.hand.identity)
+    assert (measured_calibration.hand, measured_calibration.identity) == (
+        model.hand.name,
+        model.hand.identity,
+    )
 
 
 def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
@@ -191,9 +196,16 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
         seed=seed,
     )
     assert not progress.failure
-    found = calibration_of_result(fifteen_motor_model, progress, "2024-01-01T00:00:00+00:00").tendon
-    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_TENSION_N
-    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_TENSION_N] * 15, abs=1.0)
+    calibrated_tendons = calibration_of_result(
+        fifteen_motor_model, progress, "2024-01-01T00:00:00+00:00"
+    ).tendon
+    assert (
+        max(row.crosstalk_N for row in calibrated_tendons.values())
+        < MAX_CROSSTALK_FRACTION * PULL_TENSION_N
+    )
+    assert [row.answer_N for row in calibrated_tendons.values()] == pytest.approx(
+        [PULL_TENSION_N] * 15, abs=1.0
+    )
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
@@ -246,8 +258,8 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
     progress = run_commissioning(jamia, tension_by_pull)
     assert not progress.failure
-    found = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
-    assert max(row.crosstalk_N for row in found.values()) < 0.5
+    calibrated_tendons = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
+    assert max(row.crosstalk_N for row in calibrated_tendons.values()) < 0.5
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
@@ -295,13 +307,15 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
     commissioning_bench.run_until_mode(HandMode.DONE, 30.0)
     assert not commissioning_bench.state.failure
     model = commissioning_bench.controller.model
-    found = calibration_of_result(
+    measured_calibration = calibration_of_result(
         model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
     )
     np.testing.assert_allclose(
-        found.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
+        measured_calibration.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
     )
-    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
+    np.testing.assert_allclose(
+        measured_calibration.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5
+    )
 
 
 def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench) -> None:
@@ -415,7 +429,11 @@ def test_exchanged_drives_are_refused_and_both_tendons_named(
         failure = run.state.failure
     assert bool(failure) == bool(fault)
     if fault:
-        assert [one in failure for one in hand.tendon_names if one.startswith((first, second))] == [
+        assert [
+            tendon_name in failure
+            for tendon_name in hand.tendon_names
+            if tendon_name.startswith((first, second))
+        ] == [
             True,
             True,
         ]
@@ -436,10 +454,14 @@ def test_the_file_is_read_back_as_it_was_written(
 
     path = tmp_path / "c.toml"
     write_calibration(path, calibration)
-    again = load_calibration(path, model.hand)
-    np.testing.assert_allclose(again.tare(model.hand), calibration.tare(model.hand), rtol=1e-12)
-    np.testing.assert_allclose(again.zero(model.hand), calibration.zero(model.hand), rtol=1e-12)
-    assert again.made == calibration.made
+    repeated_calibration = load_calibration(path, model.hand)
+    np.testing.assert_allclose(
+        repeated_calibration.tare(model.hand), calibration.tare(model.hand), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        repeated_calibration.zero(model.hand), calibration.zero(model.hand), rtol=1e-12
+    )
+    assert repeated_calibration.made == calibration.made
 
 
 def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
@@ -448,16 +470,18 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
-    found = calibration_of_result(
+    measured_calibration = calibration_of_result(
         jamia, run_commissioning(jamia, tensions_without_fault(jamia)), "2024-01-01T00:00:00+00:00"
     )
-    write_calibration(path, found)
+    write_calibration(path, measured_calibration)
     with pytest.raises(ConfigError, match="handctl commission again"):
         load_calibration(path, jamia11.hand)
     write_calibration(
         path,
-        found.model_copy(
-            update={"tendon": {k: v for k, v in found.tendon.items() if "ring" not in k}}
+        measured_calibration.model_copy(
+            update={
+                "tendon": {k: v for k, v in measured_calibration.tendon.items() if "ring" not in k}
+            }
         ),
     )
     with pytest.raises(ConfigError, match="ring_tendon"):

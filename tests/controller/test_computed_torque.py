@@ -46,7 +46,7 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(torque_gain: floa
     rounding_excess_count = 0
     for torque in np.arange(0.3, 1.6, 0.1).round(1).tolist():
         for spool in np.arange(4.0, 9.0, 0.5).tolist():
-            motors = [one.model_copy(update={"torque_max_N_m": torque}) for one in hand.motor]
+            motors = [motor.model_copy(update={"torque_max_N_m": torque}) for motor in hand.motor]
             limit = _torque_limit(hand.model_copy(update={"motor": tuple(motors)}), gains)
             requested_force = limit / (spool * 1e-3) * (spool * 1e-3)
             assert (requested_force / (1.0 if gains is None else gains) <= torque).all(), (
@@ -163,10 +163,14 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     The integral part of the tension loop must not grow without limit while a load cell is silent.
     """
     law = LawState.initial_law_state(model.tendon_count)
-    silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
+    silent_estimate = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
         law, command = run_law_tick(
-            model, law, silent, holding_goals(model, 50.0, tension_limit=12.0), k * model.period
+            model,
+            law,
+            silent_estimate,
+            holding_goals(model, 50.0, tension_limit=12.0),
+            k * model.period,
         )
         assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
     np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
@@ -353,12 +357,12 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
         LawState.initial_law_state(model.tendon_count),
     )
     before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
-    first = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
-    second = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    first_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    second_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
     for name, copy in zip(SyntheticEstimate._fields, before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
-    np.testing.assert_array_equal(first[1].torque, second[1].torque)
+    np.testing.assert_array_equal(first_law_state[1].torque, second_law_state[1].torque)
 
 
 @pytest.mark.parametrize("goal_kind", [GoalKind.MOTION, GoalKind.TENSION])
@@ -390,13 +394,13 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
         "tension_feedback": 0.0,
     }
     gains = Gains(motion=MotionGains(**zero_vector))
-    bare = replace(
+    bare_model = replace(
         model, gains=gains, inverse_dynamics=lambda digit, *way: (0.0,) * digit.joint_count
     )
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
     _, command = run_law_tick(
-        bare, LawState.initial_law_state(len(x)), exact_estimate(model, x), goals, 0.13
+        bare_model, LawState.initial_law_state(len(x)), exact_estimate(model, x), goals, 0.13
     )
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq

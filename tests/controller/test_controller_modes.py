@@ -8,11 +8,11 @@ import pytest
 
 from handctl.controller.hand_modes import (
     ARMING_TIMEOUT_S,
-    CUT_DURATION_S,
     DISARM_TIMEOUT_S,
     INVENTORY_TIMEOUT_S,
     LISTENING_DURATION_S,
     READY_DURATION_S,
+    TORQUE_CUT_DURATION_S,
 )
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
@@ -166,20 +166,20 @@ def test_cut_from_every_mode(hand_bench: ControllerBench, mode: HandMode) -> Non
         assert hand_bench.state.mode == HandMode.RELAX
     else:
         hand_bench.run_until_mode(mode)
-    first = hand_bench.tick(CUT_REQUEST)
+    first_output = hand_bench.tick(CUT_REQUEST)
     if mode < HandMode.ARMING:
-        assert first.mode == HandMode.DONE
+        assert first_output.mode == HandMode.DONE
         return
-    assert first.mode == HandMode.CUT
+    assert first_output.mode == HandMode.CUT
     ids = [motor.node_id for motor in hand_bench.toy_hand.motors]
-    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [
+    assert [(f.can_id, f.data) for f in first_output.frames[: len(ids)]] == [
         (i, DISABLE_PAYLOAD) for i in ids
     ], "before all else"
     assert all_motors_disabled(hand_bench), "without a ramp, in the same tick"
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history[-3:] == [HandMode.CUT, HandMode.DISARM, HandMode.DONE]
     assert duration_in_mode(hand_bench, HandMode.CUT) == pytest.approx(
-        CUT_DURATION_S, abs=1.5 * hand_bench.controller.model.period
+        TORQUE_CUT_DURATION_S, abs=1.5 * hand_bench.controller.model.period
     )
     assert not hand_bench.state.failure, "a person wanted it"
 
@@ -424,8 +424,8 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand_bench: Controller
     hand_bench.run(2.0)
     hand_bench.tick('{"do": "hold", "tension_N": {"index": 60, "thumb": 50}, "rate_N_per_s": 1000}')
     hand_bench.run(1.0)
-    held = hand_bench.toy_hand.tension.copy()
-    assert held[0] > 55.0
+    held_tension = hand_bench.toy_hand.tension.copy()
+    assert held_tension[0] > 55.0
     hand_bench.tick(STOP_REQUEST)
     while hand_bench.state.mode == HandMode.RELAX:
         hand_bench.tick()
@@ -480,15 +480,15 @@ def test_the_time_of_a_program_stops_during_a_hold_by_safety(
 ) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.run(1.0)
-    before = hand_bench.state
+    state_before = hand_bench.state
     real = Controller._judge_faults
     monkeypatch.setattr(
         Controller, "_judge_faults", lambda self, *words: (SafetyAction.HOLD, real(self, *words)[1])
     )
     hand_bench.run(0.5)
     assert hand_bench.state.mode == HandMode.ACTIVE
-    assert hand_bench.state.goal_time == before.goal_time
-    assert hand_bench.state.progress == before.progress
+    assert hand_bench.state.goal_time == state_before.goal_time
+    assert hand_bench.state.progress == state_before.progress
     monkeypatch.undo()
     hand_bench.tick()
-    assert hand_bench.state.goal_time > before.goal_time
+    assert hand_bench.state.goal_time > state_before.goal_time

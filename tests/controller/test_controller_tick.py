@@ -82,12 +82,12 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
     session_bench: ControllerBench,
 ) -> None:
     model = session_bench.controller.model
-    other = make_controller_bench(
+    other_controller = make_controller_bench(
         HandModel.from_hand(model.hand, model.gains, 1.0 / model.period), LiveProgram()
     ).controller
-    state = other.initial_state()
+    state = other_controller.initial_state()
     for _, entry, out in session_bench.tick_history:
-        state, again = other.tick(state, entry)
+        state, again = other_controller.tick(state, entry)
         assert again.state_hash == out.state_hash, entry.k
 
 
@@ -134,7 +134,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
         run = make_controller_bench(model, LiveProgram())
         run.k = first
         run.state.set_run_integer(s.K, first - 1)
-        run.state.mode_since = first * model.period
+        run.state.mode_start_time = first * model.period
         run.run_until_mode(HandMode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')
@@ -242,8 +242,8 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     )
     run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.run_until_mode(HandMode.DONE)
-    lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
-    assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
+    lost_instances = {mark.instance for mark in run.state.latched if mark.id == "N02"}
+    assert lost_instances == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 
 @pytest.mark.parametrize("non_finite_value", [np.nan, np.inf])
@@ -322,6 +322,6 @@ def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     run.toy_hand.spool_travel[:] = 0.3e-3 + 20.0 / run.toy_hand.tendon_stiffness
     run.toy_hand.locked_when_disabled = True
     run.run_until_mode(HandMode.ACTIVE)
-    first = run.tick_history[-1][2].telemetry
-    np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
-    assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"
+    first_telemetry = run.tick_history[-1][2].telemetry
+    np.testing.assert_allclose(first_telemetry.tension, 20.0, atol=6.0)
+    assert (first_telemetry.motor_torque_goal > 0.0).all(), "no kick backwards"

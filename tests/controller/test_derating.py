@@ -115,15 +115,15 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
 
     At 84 degC, the limit is 14 N instead of 24 N.
     """
-    before = warm_grasp.simulated_hand.truth()["tension"]
+    tension_before = warm_grasp.simulated_hand.truth()["tension"]
     warm_grasp.simulated_hand.inject("hot node=index_motor size=84 for=800ms")
     events = []
     for _ in range(190):
         events += warm_grasp.run_tick().events
-    after = warm_grasp.simulated_hand.truth()["tension"]
-    assert min(before) > 20.0
-    assert after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
-    assert min(after[1:]) > 20.0
+    tension_after = warm_grasp.simulated_hand.truth()["tension"]
+    assert min(tension_before) > 20.0
+    assert tension_after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
+    assert min(tension_after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
     assert warm_grasp.last_output.mode == HandMode.ACTIVE
 
@@ -150,16 +150,20 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         )
         return after
 
-    held = state_of_limited_goals(state, SafetyAction.HOLD, tension)
-    assert held.run_integer(s.SAFETY_HOLD_ACTIVE)
-    assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    again = state_of_limited_goals(held, SafetyAction.HOLD, tension + 50.0)
-    np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
-    assert (tension_limits_of(controller.model, again) <= held.view("limit_held")).all()
+    held_state = state_of_limited_goals(state, SafetyAction.HOLD, tension)
+    assert held_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+    assert held_state.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
+    repeated_state = state_of_limited_goals(held_state, SafetyAction.HOLD, tension + 50.0)
+    np.testing.assert_array_equal(repeated_state.view("limit_held"), held_state.view("limit_held"))
+    assert (
+        tension_limits_of(controller.model, repeated_state) <= held_state.view("limit_held")
+    ).all()
     for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
-        assert not state_of_limited_goals(again, action, tension).run_integer(s.SAFETY_HOLD_ACTIVE)
+        assert not state_of_limited_goals(repeated_state, action, tension).run_integer(
+            s.SAFETY_HOLD_ACTIVE
+        )
     assert not state_of_limited_goals(
-        again, SafetyAction.HOLD, tension, HandMode.RELAX
+        repeated_state, SafetyAction.HOLD, tension, HandMode.RELAX
     ).run_integer(s.SAFETY_HOLD_ACTIVE)
 
 
@@ -169,7 +173,7 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     The state of the control law then contains the HOLD.
     """
     warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
-    before, seen = warm_grasp.simulated_hand.truth()["tension"], []
+    tension_before, seen = warm_grasp.simulated_hand.truth()["tension"], []
     for _ in range(300):
         out = warm_grasp.run_tick()
         seen.append((out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE))))
@@ -179,4 +183,4 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     assert held
     assert all(held)
     assert not any(state_values for action, state_values in seen if action < SafetyAction.HOLD)
-    assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(before) + 5.0
+    assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(tension_before) + 5.0

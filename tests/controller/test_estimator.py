@@ -51,8 +51,8 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
 
 def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    whole = noiseless_readings(model, x, np.full(len(x), 26.0))
-    measurement_with_gap = whole._replace(tension=whole.tension.copy())
+    whole_readings = noiseless_readings(model, x, np.full(len(x), 26.0))
+    measurement_with_gap = whole_readings._replace(tension=whole_readings.tension.copy())
     measurement_with_gap.tension[1] = np.nan
     results = [
         run_unplanned_filter_tick(
@@ -62,7 +62,7 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
             force,
             flags_without_contact(model),
         )[0].filter_states
-        for m in (whole, measurement_with_gap)
+        for m in (whole_readings, measurement_with_gap)
     ]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATE_COUNT).max(axis=1) > 1e-12
     tendons = next(s for s in model.digit_tendons if s.start <= 1 < s.stop)
@@ -118,11 +118,11 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
             np.zeros(n),
             flags_without_contact(model),
         )
-    whole = readings_of(model, np.full(n, 2e-3), cell)
-    state = state_after_first_readings(model, state, whole.travel)
+    whole_readings = readings_of(model, np.full(n, 2e-3), cell)
+    state = state_after_first_readings(model, state, whole_readings.travel)
     for k in range(20):
         state, estimate = run_unplanned_filter_tick(
-            model, state, whole, cell, flags_without_contact(model)
+            model, state, whole_readings, cell, flags_without_contact(model)
         )
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 

@@ -72,8 +72,8 @@ def frictionless_jamia11() -> HandModel:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def frictionless_model(request: pytest.FixtureRequest) -> HandModel:
-    found: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
-    return found
+    parametrised_model: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
+    return parametrised_model
 
 
 MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
@@ -337,12 +337,12 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
-        before = state
+        state_before = state
         state, _ = run_unplanned_filter_tick(
             model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
         )
         assert set(state.regimes) == {regime}
-        if before.covariance is None and state.covariance is None:
+        if state_before.covariance is None and state.covariance is None:
             continue
         for i, block in enumerate(blocks):
             after = joseph_update(block, P[i], missing[:, i])[1]

@@ -69,9 +69,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
         HandAtConstantTension(model).settle(),
         HandAtConstantTension(model).settle(),
     )
-    before = quiet.run_sample(HOLD_TENSION_N).tension
+    tension_before = quiet.run_sample(HOLD_TENSION_N).tension
     after = disturbed_hand.run_sample(HOLD_TENSION_N + 60.0)
-    np.testing.assert_allclose(after.tension, before, atol=0.02)
+    np.testing.assert_allclose(after.tension, tension_before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
         disturbed_hand.run_sample(HOLD_TENSION_N).tension,
@@ -166,18 +166,18 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = HandAtConstantTension(model).settle()
     names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
-        before = hand.state
+        state_before = hand.state
         hand.run_sample(HOLD_TENSION_N, extra_travel=4e-5 * (-1) ** k)
         events += consistency_events(
-            model, state_with_filter(model, before), state_with_filter(model, hand.state)
+            model, state_with_filter(model, state_before), state_with_filter(model, hand.state)
         )
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
     for _ in range(round(5 * NIS_AVERAGING_TIME_S / model.period)):
-        before = hand.state
+        state_before = hand.state
         hand.run_sample(HOLD_TENSION_N)
         events += consistency_events(
-            model, state_with_filter(model, before), state_with_filter(model, hand.state)
+            model, state_with_filter(model, state_before), state_with_filter(model, hand.state)
         )
     assert [event.level for event in events].count("info") == len(names)
     assert len(events) == 2 * len(names)
@@ -238,13 +238,13 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 
     A drive that was reset has, for example, sent its position only in every 11th tick.
     """
-    held = HandAtConstantTension(jamia).settle()
+    held_hand = HandAtConstantTension(jamia).settle()
     chance = np.random.default_rng(7)
     for k in range(100 * ticks_per_position):
         travel = 2e-5 * chance.standard_normal() if k % ticks_per_position == 0 else np.nan
-        estimate = held.run_sample(HOLD_TENSION_N, extra_travel=travel)
-        assert np.abs(estimate.travel - held.travel).max() < 0.05, k
+        estimate = held_hand.run_sample(HOLD_TENSION_N, extra_travel=travel)
+        assert np.abs(estimate.travel - held_hand.travel).max() < 0.05, k
     for _ in range(200):
-        estimate = held.run_sample(HOLD_TENSION_N)
-    np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
+        estimate = held_hand.run_sample(HOLD_TENSION_N)
+    np.testing.assert_allclose(estimate.travel, held_hand.travel, atol=1e-4)
     np.testing.assert_allclose(estimate.tendon_speed, 0.0, atol=2e-3)

@@ -180,10 +180,13 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
         is_length_known=(is_length_known,) * n
     )
-    after = regimes_after_sample(model, state, above + 1e-6)
-    assert after.regimes == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n
-    assert (after.regime_change_evidence == (0,) * n) == is_taut_afterwards
-    assert after.is_length_known == (is_length_known,) * n
+    regimes_after = regimes_after_sample(model, state, above + 1e-6)
+    assert (
+        regimes_after.regimes
+        == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n
+    )
+    assert (regimes_after.regime_change_evidence == (0,) * n) == is_taut_afterwards
+    assert regimes_after.is_length_known == (is_length_known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
@@ -198,9 +201,9 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
     state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(
         stopped=(True,) * model.tendon_count
     )
-    after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
-    assert after.stopped == state.stopped
-    assert (after.filter_states[S::STATE_COUNT] == 0.0).all()
+    regimes_after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
+    assert regimes_after.stopped == state.stopped
+    assert (regimes_after.filter_states[S::STATE_COUNT] == 0.0).all()
     assert (state.filter_states[S::STATE_COUNT] == 1e-4).all(), (
         "of the state before nothing is changed"
     )

@@ -22,9 +22,12 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
     records: list[StageRecord] = []
     while not progress.finished:
         t += model.period
-        before = progress
+        progress_before = progress
         progress, _ = program.advance(model, progress, taut, readings, t)
-        if progress.phase not in ("start", "tighten", "end") and progress.since != before.since:
+        if (
+            progress.phase not in ("start", "tighten", "end")
+            and progress.since != progress_before.since
+        ):
             records.append((progress.phase, progress.goals, progress.contact))
     return records
 

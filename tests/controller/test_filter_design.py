@@ -154,11 +154,11 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 ) -> None:
     n = model.tendon_count
     kinds = rng.integers(0, 2 * len(TendonRegime), n)
-    found = model.filter.transition(kinds.tobytes())
+    transition = model.filter.transition(kinds.tobytes())
     x, u = rng.normal(size=(n, STATE_COUNT)), rng.normal(size=(n, 2))
     moved, driven = (
-        (found.F @ x.T.ravel()).reshape(STATE_COUNT, n).T,
-        (found.B @ u.T.ravel()).reshape(STATE_COUNT, n).T,
+        (transition.F @ x.T.ravel()).reshape(STATE_COUNT, n).T,
+        (transition.B @ u.T.ravel()).reshape(STATE_COUNT, n).T,
     )
     for i, kind in enumerate(kinds.tolist()):
         block = model.filter.blocks[i][kind]
@@ -171,32 +171,32 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
     parts = {
-        "F": h.F_AT,
-        "B": h.B_AT,
-        "K": h.K_AT,
-        "Q": h.Q_AT,
-        "R": h.R_AT,
-        "P": h.P_AT,
-        "H": h.H_AT,
+        "F": h.TRANSITION_MATRIX_OFFSET,
+        "B": h.INPUT_MATRIX_OFFSET,
+        "K": h.KALMAN_GAIN_OFFSET,
+        "Q": h.PROCESS_NOISE_OFFSET,
+        "R": h.MEASUREMENT_NOISE_OFFSET,
+        "P": h.COVARIANCE_OFFSET,
+        "H": h.MEASUREMENT_MATRIX_OFFSET,
     }
     for own, rows in zip(model.filter.blocks, design, strict=True):
         for block, row in zip(own, rows, strict=True):
-            for name, first in {**parts, "tension_row": h.TENSION_ROW_AT}.items():
+            for name, first in {**parts, "tension_row": h.TENSION_ROW_OFFSET}.items():
                 part = getattr(block, name)
                 np.testing.assert_array_equal(
                     row[first : first + part.size].reshape(part.shape), part, err_msg=name
                 )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
-            twice = row[h.INFORMATION_AT : h.INFORMATION_AT + 3]
+            twice = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
             np.testing.assert_allclose(
                 [information[0, 0], 4 * information[0, 1], information[1, 1]], twice
             )
-            assert row[h.TENSION_VARIANCE_AT] == block.tension_variance
+            assert row[h.TENSION_VARIANCE_OFFSET] == block.tension_variance
             np.testing.assert_allclose(
-                row[h.CELL_SIGMA_AT] ** 2, np.linalg.inv(block.innovation_information)[1, 1]
+                row[h.CELL_SIGMA_OFFSET] ** 2, np.linalg.inv(block.innovation_information)[1, 1]
             )
-            assert row[h.CELL_ERROR_VARIANCE_AT] == block.cell_error_variance
-            assert row[h.CELL_ERROR_OBSERVABLE_AT] == block.cell_error_observable
+            assert row[h.CELL_ERROR_VARIANCE_OFFSET] == block.cell_error_variance
+            assert row[h.CELL_ERROR_OBSERVABLE_OFFSET] == block.cell_error_observable
 
 
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
@@ -211,8 +211,8 @@ def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> Non
         weakref.ref(design.transition(kinds_of_tendons.tobytes()).F) for kinds_of_tendons in kinds
     ]
     assert sum(F() is not None for F in transition_references) <= TRANSITION_CACHE_SIZE
-    last = kinds[-1].tobytes()
-    assert design.transition(last) is design.transition(last)
+    last_kinds = kinds[-1].tobytes()
+    assert design.transition(last_kinds) is design.transition(last_kinds)
 
 
 def test_asking_for_other_gains_gives_other_filters() -> None:
@@ -221,11 +221,13 @@ def test_asking_for_other_gains_gives_other_filters() -> None:
     model_with_larger_rate = HandModel.from_hand(
         hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0
     )
-    free = [
+    free_tension_variances = [
         m.filter.blocks[0][TendonRegime.FREE].tension_variance
         for m in (model_with_packaged_gains, model_with_larger_rate)
     ]
-    assert free[1] > free[0], "who trusts the model less knows the tension less"
+    assert free_tension_variances[1] > free_tension_variances[0], (
+        "who trusts the model less knows the tension less"
+    )
 
 
 @pytest.fixture

@@ -52,20 +52,20 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
 
     The computed time is slightly shorter, because the tendon creeps.
     """
-    turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
-    ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
+    turned_tensions = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
+    ticks = int(np.argmax(turned_tensions[:, 0] <= 9.6 + 1e-9)) + 1
     reversal_duration = 5.4 / model.space.stiffness[0] / 5e-3
     assert (
         0.6 * reversal_duration - model.period
         <= ticks * model.period
         <= reversal_duration + model.period
     )
-    assert (np.diff(turned, axis=0) <= 0.0).all(), "and never back"
+    assert (np.diff(turned_tensions, axis=0) <= 0.0).all(), "and never back"
 
 
 def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
-    rest = tensions_at_speeds(model, [0.0] * round(0.5 / model.period), 15.0)
-    np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
+    remaining_tensions = tensions_at_speeds(model, [0.0] * round(0.5 / model.period), 15.0)
+    np.testing.assert_allclose(remaining_tensions[-1], 12.0, atol=0.01)
 
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:

@@ -72,8 +72,8 @@ def bench_with_rising_tension(jamia: HandModel) -> ControllerBench:
 
 def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
     run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
-    used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
-    whole = designs.controller(run, used)
+    gains = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
+    whole = designs.controller(run, gains)
     for force in range(20, 20 + 3 * CACHE_SIZE):
         designs.advance(
             jamia,
@@ -81,9 +81,9 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
                 Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})
             ),
         )
-        assert designs.controller(run, used) is whole
+        assert designs.controller(run, gains) is whole
     assert len(designs.designed_pieces) == CACHE_SIZE
-    assert used in designs.designed_pieces
+    assert gains in designs.designed_pieces
     assert set(designs.controllers) <= set(designs.designed_pieces)
 
 
@@ -93,7 +93,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     bench_with_rising_tension: ControllerBench, unsolvable_gain: tuple[str, float]
 ) -> None:
-    before = bench_with_rising_tension.state.decisions.gains
+    gains_before = bench_with_rising_tension.state.decisions.gains
     outs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
     outs += [bench_with_rising_tension.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
@@ -101,7 +101,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     assert "no controller follows" in said.text
     decisions = bench_with_rising_tension.state.decisions
     assert (decisions.gains, decisions.pending, bench_with_rising_tension.state.mode) == (
-        before,
+        gains_before,
         None,
         HandMode.ACTIVE,
     )
@@ -156,9 +156,9 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedLawCall]:
     def record_call(
         self: Controller, state: ControllerState, action: SafetyAction, ticks: int
     ) -> None:
-        before = state.copy()
+        state_before = state.copy()
         real(self, state, action, ticks)
-        calls.append((self, before, state.copy(), action, ticks))
+        calls.append((self, state_before, state.copy(), action, ticks))
 
     monkeypatch.setattr(Controller, "_compute_torques", record_call)
     return calls
@@ -300,10 +300,10 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
 
 
 def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:
-    known = gain_bounds()
-    assert known.keys() == values_by_key(Gains()).keys()
-    assert len(known) > 20
-    for key, bound in known.items():
+    known_bounds = gain_bounds()
+    assert known_bounds.keys() == values_by_key(Gains()).keys()
+    assert len(known_bounds) > 20
+    for key, bound in known_bounds.items():
         assert np.isfinite([bound.low, bound.high]).all(), key
         assert checked_gain_bounds(key, bound.default, "test") is bound
         with pytest.raises(ConfigError):
@@ -320,14 +320,17 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
     the bound plus one hundredth of the default.
     """
     for key, bound in gain_bounds().items():
-        if bound.live:
+        if bound.is_live_changeable:
             value = (
                 bound.high
                 if uses_upper_bound
                 else bound.low + (0.01 * bound.default if bound.is_low_excluded else 0.0)
             )
             gains = gains_with_values(
-                Gains(), {key: value if not bound.whole else round(value)}, "test", is_live=True
+                Gains(),
+                {key: value if not bound.is_integer else round(value)},
+                "test",
+                is_live=True,
             )
             design = design_motion(jamia.space, gains, jamia.period)
             assert np.isfinite(

@@ -42,10 +42,10 @@ def test_solver_failure_is_one_line(gain_key: str) -> None:
 @settings(max_examples=12)
 @given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str, float]) -> None:
-    known = gain_bounds()
+    known_bounds = gain_bounds()
     gains = gains_with_values(
         Gains(),
-        {key: known[key].high * math.exp(power) for key, power in exponent_by_gain.items()},
+        {key: known_bounds[key].high * math.exp(power) for key, power in exponent_by_gain.items()},
         "test",
     )
     with suppress(ConfigError):

@@ -68,16 +68,18 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
         "the first goal is taken as it is"
     )
     seconds = 0.1
-    after = state_after_goals(0.4, round(seconds / jamia.period), first_state)
-    assert filtered_goal_of(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
-    assert filtered_goal_of(state_after_goals(0.4, 1000, after)) == pytest.approx(
+    state_after = state_after_goals(0.4, round(seconds / jamia.period), first_state)
+    assert filtered_goal_of(state_after) == pytest.approx(
+        arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02
+    )
+    assert filtered_goal_of(state_after_goals(0.4, 1000, state_after)) == pytest.approx(
         arms * 0.4, rel=1e-6
     )
-    slow = state_after_goals(0.4 + 1e-5, 1, state_after_goals(0.4, 1000, after))
-    assert filtered_goal_of(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
+    slow_state = state_after_goals(0.4 + 1e-5, 1, state_after_goals(0.4, 1000, state_after))
+    assert filtered_goal_of(slow_state) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
         "what goes slowly is followed at once"
     )
-    limp = targets_after_command(jamia, after, np.nan)
+    limp = targets_after_command(jamia, state_after, np.nan)
     assert np.isnan(filtered_goal_of(limp)).all()
     assert filtered_goal_of(state_after_goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
         "after a hold it begins anew"
@@ -110,19 +112,21 @@ def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     arms = moment_arms_of(jamia)
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3
-    resting = targets_after_command(jamia, lagging, 0.4, at_goal)
+    resting_targets = targets_after_command(jamia, lagging, 0.4, at_goal)
     np.testing.assert_array_equal(
-        filtered_goal_of(resting), at_goal, "while it still moves, as it arrives"
+        filtered_goal_of(resting_targets), at_goal, "while it still moves, as it arrives"
     )
     np.testing.assert_allclose(
-        target_motion_of(resting),
+        target_motion_of(resting_targets),
         target_motion_of(lagging),
         atol=1e-12,
         err_msg="a leap moved no motor",
     )
-    later_targets = targets_after_command(jamia, resting, 0.4, at_goal)
-    np.testing.assert_array_equal(filtered_goal_of(later_targets), filtered_goal_of(resting))
-    stuck = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
-    assert (filtered_goal_of(stuck) > filtered_goal_of(lagging)).all(), (
+    later_targets = targets_after_command(jamia, resting_targets, 0.4, at_goal)
+    np.testing.assert_array_equal(
+        filtered_goal_of(later_targets), filtered_goal_of(resting_targets)
+    )
+    stuck_targets = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
+    assert (filtered_goal_of(stuck_targets) > filtered_goal_of(lagging)).all(), (
         "one that is elsewhere is judged as before"
     )

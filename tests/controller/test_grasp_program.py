@@ -84,9 +84,9 @@ class ProgramRun:
     def tick(self, estimate: SyntheticEstimate) -> tuple[TickEvent, ...]:
         self.t += self.model.period
         self.state.view("closing")[...] = self.progress.closing or 0
-        detected = detect_contacts(self.model, self.state, estimate)
+        detected_contacts = detect_contacts(self.model, self.state, estimate)
         self.progress, events = self.program.advance(
-            self.model, self.progress, detected, empty_readings(self.model), self.t
+            self.model, self.progress, detected_contacts, empty_readings(self.model), self.t
         )
         self.events += events
         return events
@@ -159,9 +159,9 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
     assert not run.progress.failure
     names = ["home", "preshape", "close", "hold", "release", "open", "task complete"]
     assert run.phase_history == ["tighten: taking up slack", *names]
-    after = run.progress
+    progress_after = run.progress
     run.tick(taut_estimate)
-    assert run.progress is after, "nothing comes after the end"
+    assert run.progress is progress_after, "nothing comes after the end"
 
 
 def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
@@ -260,13 +260,13 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
 
 def tension_for_tip_force(model: HandModel, tip_force_N: float) -> float:
     """Return the tension [N] that a given force [N] at the index fingertip causes in each index tendon."""
-    found = tip_forces_while_closing(
+    tip_forces = tip_forces_while_closing(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(
             external_tension=np.ones(model.tendon_count)
         ),
     )
-    return tip_force_N / float(found[model.hand.digit_names.index("index")])
+    return tip_force_N / float(tip_forces[model.hand.digit_names.index("index")])
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(

@@ -60,11 +60,11 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     ]
     run.run_until_mode(HandMode.INVENTORY)
     run.run(0.5)
-    assert not run.state.started
+    assert not run.state.has_started
     run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != first]
     run.tick()
     run.tick()
-    assert run.state.started
+    assert run.state.has_started
 
 
 def hand_in_inventory(hand_bench: ControllerBench, duration_s: float) -> ControllerState:
@@ -74,24 +74,24 @@ def hand_in_inventory(hand_bench: ControllerBench, duration_s: float) -> Control
     """
     hand_bench.run_until_mode(HandMode.READY)
     state = hand_bench.state.copy()
-    state.mode, state.mode_since = HandMode.INVENTORY, -duration_s
+    state.mode, state.mode_start_time = HandMode.INVENTORY, -duration_s
     return state
 
 
 def mode_after_inventory(
     hand_bench: ControllerBench, state: ControllerState
 ) -> tuple[HandMode, str]:
-    after = state.copy()
+    state_after = state.copy()
     next_mode(
         hand_bench.controller.model,
         hand_bench.controller.drives,
-        after,
+        state_after,
         SafetyAction.PASS,
         OperatorRequests(),
         (),
         0.0,
     )
-    return after.mode, after.failure
+    return state_after.mode, state_after.failure
 
 
 def test_a_ready_drive_that_never_reports_its_position_is_named(
@@ -101,8 +101,11 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
 
     An ODrive, for example, sends heartbeats even if its encoder messages are switched off.
     """
-    known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
-    blind, state_without_position = known.drives[1]._replace(position=math.nan), known.copy()
+    known_hand = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
+    blind, state_without_position = (
+        known_hand.drives[1]._replace(position=math.nan),
+        known_hand.copy(),
+    )
     hand_bench.controller.store_drive_state(state_without_position, 1, blind)
     state_without_position.set_run_integer(s.FILTER_STARTED, 0)
     assert mode_after_inventory(hand_bench, state_without_position) == (
@@ -115,6 +118,6 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(
         HandMode.DONE,
         "middle_motor: not configured in time",
     )
-    state_without_position.mode_since = 0.0
+    state_without_position.mode_start_time = 0.0
     assert mode_after_inventory(hand_bench, state_without_position)[0] == HandMode.INVENTORY
-    assert mode_after_inventory(hand_bench, known) == (HandMode.READY, "")
+    assert mode_after_inventory(hand_bench, known_hand) == (HandMode.READY, "")

@@ -60,10 +60,10 @@ def test_the_ends_of_the_range_are_within_it(angle_deg):
 
 
 def test_reach_is_that_of_the_mean_angle_where_one_tendon_moves_three_joints():
-    low, high = DigitModel.from_hand(JAMIA, "index").reach
+    low, high = DigitModel.from_hand(JAMIA, "index").coordinate_limits
     assert np.degrees(low) == pytest.approx([0.0], abs=1e-9)
     assert np.degrees(high) == pytest.approx([100.0])
-    assert DigitModel.from_hand(JAMIA11, "index").reach[1].shape == (3,)
+    assert DigitModel.from_hand(JAMIA11, "index").coordinate_limits[1].shape == (3,)
 
 
 def test_a_run_is_refused_before_its_bus_is_opened(

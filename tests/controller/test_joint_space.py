@@ -117,9 +117,11 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     curves = [CurveTrajectory.through_points(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
         assert curve.motion_at(t) == pytest.approx(
-            np.hstack([one.motion_at(t) for one in curves]), abs=1e-12
+            np.hstack([diagonal_element.motion_at(t) for diagonal_element in curves]), abs=1e-12
         )
-    assert curve.peak_speed() == pytest.approx(max(one.peak_speed() for one in curves))
+    assert curve.peak_speed() == pytest.approx(
+        max(diagonal_element.peak_speed() for diagonal_element in curves)
+    )
     assert curve.duration == 1.7
 
 

@@ -56,17 +56,19 @@ def test_motion_feedback_applies_each_gain(
 ) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
-    before = motor_force_of(model, estimate, motion_goals)
+    motor_force_before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
         ("motor_disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
         ("tendon_speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
-        after = motor_force_of(
+        motor_force_after = motor_force_of(
             model, estimate._replace(**{name: getattr(estimate, name) + size}), motion_goals
         )
-        np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            motor_force_after - motor_force_before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name
+        )
 
 
 def test_the_planned_acceleration_is_fed_forward(
@@ -74,14 +76,16 @@ def test_the_planned_acceleration_is_fed_forward(
 ) -> None:
     """Without inertia feedforward, the commanded force is smaller by the inertia times the planned acceleration."""
     gains_without_inertia = model.gains.motion.model_copy(update={"inertia_share": 0.0})
-    other = replace(model, gains=model.gains.model_copy(update={"motion": gains_without_inertia}))
+    other_model = replace(
+        model, gains=model.gains.model_copy(update={"motion": gains_without_inertia})
+    )
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
         acceleration[tendons] = (
             digit.reduced_moment_arms @ goal.trajectory.motion_at(EVALUATION_TIME_S)[2]
         )
     found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
-        other, estimate, motion_goals
+        other_model, estimate, motion_goals
     )
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
@@ -204,9 +208,9 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     change = motor_force_of(model, estimate, goals_with_one_motion) - motor_force_of(
         model, estimate, goals_at_rest
     )
-    first = model.digit_tendons[0]
-    np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
-    assert not np.delete(change, first).any(), "no other digit is in motion"
+    first_tendons = model.digit_tendons[0]
+    np.testing.assert_allclose(change[first_tendons], needed[first_tendons], rtol=1e-9)
+    assert not np.delete(change, first_tendons).any(), "no other digit is in motion"
 
 
 def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
@@ -226,7 +230,7 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    free = run_law_tick(
+    free_tension = run_law_tick(
         model,
         LawState.idle_at_tensions(estimate.tension),
         estimate,
@@ -235,12 +239,12 @@ def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     )[1].tension
     state, tension_limits = (
         LawState.idle_at_tensions(estimate.tension),
-        np.maximum(0.5 * free, model.floor),
+        np.maximum(0.5 * free_tension, model.floor),
     )
-    held = run_law_tick(model, state, estimate, motion_goals, EVALUATION_TIME_S, tension_limits)[
-        1
-    ].tension
-    np.testing.assert_allclose(held, tension_limits)
+    held_tension = run_law_tick(
+        model, state, estimate, motion_goals, EVALUATION_TIME_S, tension_limits
+    )[1].tension
+    np.testing.assert_allclose(held_tension, tension_limits)
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:

@@ -74,8 +74,8 @@ def hand_with_position_loop(
     hand = with_position_loop(hand_with_protocol(hand_name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
         return hand
-    other = hand_with_position_loop(hand_name, "mit", kp)
-    gains = servo_constants(HandModel.from_hand(other, packaged_gains(hand_name), RATE_HZ))
+    other_hand = hand_with_position_loop(hand_name, "mit", kp)
+    gains = servo_constants(HandModel.from_hand(other_hand, packaged_gains(hand_name), RATE_HZ))
     stiffness, damping = (
         [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
     )
@@ -225,21 +225,21 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
             out = run.run_tick()
             commands = {frame.can_id: frame.data for frame in out.frames if 0 < frame.can_id < 5}
             for n in range(4):
-                given = decode_command(commands[n + 1], ranges)
+                decoded_command = decode_command(commands[n + 1], ranges)
                 p, v = (
                     run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
                 )
                 predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
                 torque = (
-                    given.kp * (given.position - predicted_position)
-                    + given.kd * (given.velocity - v)
-                    + given.torque
+                    decoded_command.kp * (decoded_command.position - predicted_position)
+                    + decoded_command.kd * (decoded_command.velocity - v)
+                    + decoded_command.torque
                 )
                 # The tolerance is the sum of three torques. The three torques correspond to the
                 # resolutions of position, velocity and torque in the command.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
-                sent += given.kp > 0.0
-                assert given.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
+                sent += decoded_command.kp > 0.0
+                assert decoded_command.kp == pytest.approx(run.state.view("servo_kp")[n], abs=1e-9)
         assert sent > 1500, "nearly all commands carry a position"
 
 

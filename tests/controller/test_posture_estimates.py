@@ -117,34 +117,40 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: st
     """
     is_within_two_sigma = []
     for seed in SIMULATOR_SEEDS:
-        seen = list(run_grasp(packaged_task("jamia"), task_name, scene_name, seed))
-        held = [one for one in seen if one.phase in HELD_PHASES]
-        inside = np.array([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held])
+        grasp_samples = list(run_grasp(packaged_task("jamia"), task_name, scene_name, seed))
+        held = [sample for sample in grasp_samples if sample.phase in HELD_PHASES]
+        inside = np.array(
+            [np.abs(sample.q - sample.true_angles) <= 2.0 * sample.sigma for sample in held]
+        )
         is_within_two_sigma.append(inside.mean())
         assert is_within_two_sigma[-1] >= 1.0 - 1.0 / inside.shape[1], f"seed {seed}"
-        hold = [one for one in seen if one.phase == "hold"]
+        hold = [sample for sample in grasp_samples if sample.phase == "hold"]
         assert len(hold) > 1000
-        error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
-        assumed = root_mean_square(
-            np.array([one.angles_of_free_hand - one.true_angles for one in hold])
+        error = root_mean_square(np.array([sample.q - sample.true_angles for sample in hold]))
+        assumed_rms = root_mean_square(
+            np.array([sample.angles_of_free_hand - sample.true_angles for sample in hold])
         )
-        assert error < 0.7 * assumed, f"seed {seed}: {error:.1f} deg, free digit {assumed:.1f} deg"
-        free = [one for one in seen if one.phase in FREE_PHASES]
-        assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
-        assert root_mean_square(np.array([one.q - one.true_angles for one in free])) < 0.5
+        assert error < 0.7 * assumed_rms, (
+            f"seed {seed}: {error:.1f} deg, free digit {assumed_rms:.1f} deg"
+        )
+        free = [sample for sample in grasp_samples if sample.phase in FREE_PHASES]
+        assert root_mean_square(np.array([sample.sigma for sample in free])) < 1.0
+        assert root_mean_square(np.array([sample.q - sample.true_angles for sample in free])) < 0.5
     assert np.mean(is_within_two_sigma) >= 0.95
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed: int) -> None:
-    seen = list(run_grasp(hand_file_with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
-    hold = [one for one in seen if one.phase == "hold"]
-    error = np.array([one.q - one.true_angles for one in hold])
+    grasp_samples = list(
+        run_grasp(hand_file_with_encoders(tmp_path), "grasp.toml", "cylinder", seed)
+    )
+    hold = [sample for sample in grasp_samples if sample.phase == "hold"]
+    error = np.array([sample.q - sample.true_angles for sample in hold])
     assert root_mean_square(error) < 0.2
-    assert root_mean_square(np.array([one.sigma for one in hold])) < 0.2
-    moving = [one for one in seen if one.phase in ("close", "release", "open")]
+    assert root_mean_square(np.array([sample.sigma for sample in hold])) < 0.2
+    moving = [sample for sample in grasp_samples if sample.phase in ("close", "release", "open")]
     is_within_two_sigma = np.mean(
-        [np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in moving + hold]
+        [np.abs(sample.q - sample.true_angles) <= 2.0 * sample.sigma for sample in moving + hold]
     )
     assert is_within_two_sigma >= 0.9
 
@@ -203,12 +209,12 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 
     constants = constant_tables_of(model)
     free = bool(constants.run_int[h.HAS_NULL_SPACE])
-    first = angles_of_tick(model, state, estimate, zero_force, 1)
+    first_angles = angles_of_tick(model, state, estimate, zero_force, 1)
     if free:
         span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
-        np.testing.assert_array_equal(constants.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
+        np.testing.assert_array_equal(constants.joint[h.ANGLE_RANGE_SIGMA], span / np.sqrt(12.0))
         np.testing.assert_array_equal(
-            first.sigma, constants.joint[h.RANGE_SIGMA], "nothing is known yet"
+            first_angles.sigma, constants.joint[h.ANGLE_RANGE_SIGMA], "nothing is known yet"
         )
     sizes = []
     for force in (0.0, 3.0, 10.0):
@@ -250,16 +256,16 @@ def state_after_fusion(
 
     ``encoder_angles`` (C, J) and ``encoder_sigma`` (J, N) determine the covariance before the fusion.
     """
-    after = state.copy()
+    state_after = state.copy()
     _fuse_encoders(
-        after.block,
-        after.layout.places,
+        state_after.block,
+        state_after.layout.places,
         *controller_of(model).derived.constant_args,
         encoder_angles,
         encoder_sigma,
         t_ns,
     )
-    return after
+    return state_after
 
 
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
@@ -280,14 +286,14 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     state.view("joint_angle")[0] = 0.7
     state.view("group_ns")[...] = 0
     spread = np.zeros((joints, model.tendon_count))
-    after = state_after_fusion(model, state, columns, spread, 0)
+    state_after = state_after_fusion(model, state, columns, spread, 0)
     P = columns.T @ columns
     gain = P[:, 0] / (P[0, 0] + noise[0])
-    np.testing.assert_allclose(after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
+    np.testing.assert_allclose(state_after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
     np.testing.assert_allclose(
-        after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12
+        state_after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12
     )
-    np.testing.assert_array_equal(after.view("q_sigma")[1:], state.view("q_sigma")[1:])
+    np.testing.assert_array_equal(state_after.view("q_sigma")[1:], state.view("q_sigma")[1:])
     old = state_after_fusion(model, state, columns, spread, round(1e9))
     np.testing.assert_array_equal(
         old.block, state.block, "of a reading that is a second old nothing is used"
@@ -317,13 +323,13 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
         rng.normal(size=joints),
     )
     state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
-    heard = rng.integers(
+    heard_ns = rng.integers(
         now - round(1.5 * posture.MAX_READING_AGE_S * 1e9), now, len(state.view("group_ns"))
     )
-    state.view("group_ns")[...] = heard
-    after = state_after_fusion(model, state, columns, spread, now)
+    state.view("group_ns")[...] = heard_ns
+    state_after = state_after_fusion(model, state, columns, spread, now)
 
-    age = (now - heard[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
+    age = (now - heard_ns[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
     read = np.flatnonzero(
         constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
     )
@@ -336,8 +342,8 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     H = np.eye(joints)[read]
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]
-    np.testing.assert_allclose(after.view("q"), q, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(state_after.view("q"), q, rtol=0.0, atol=1e-12)
     if len(read):
         rest = np.eye(joints) - gain @ H
         variance = np.diagonal(rest @ P @ rest.T + gain @ R @ gain.T)
-        np.testing.assert_allclose(after.view("q_sigma") ** 2, variance, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(state_after.view("q_sigma") ** 2, variance, rtol=0.0, atol=1e-12)

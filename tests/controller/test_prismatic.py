@@ -41,7 +41,7 @@ def to_and_fro_task(hand_name: str) -> Task:
         if hand_name == "parallel_gripper"
         else [{"jaw": 15.0, "finger_j1": 12.0, "finger_j2": 40.0}, {"jaw": 3.0, "finger_j1": 2.0, "finger_j2": 10.0}]
     )  # fmt: skip
-    phases = [{"kind": "move", "angle_deg": one, "duration_s": 0.8} for one in angles * 2]
+    phases = [{"kind": "move", "angle_deg": angle, "duration_s": 0.8} for angle in angles * 2]
     return validate_content({"schema": 1, "name": "moves", "phase": phases}, Task, "moves")
 
 
@@ -54,7 +54,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
 
         def begin(program: Program, calibration: Calibration | None, first: int) -> SimulatedRun:
             controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, True)
-            run = SimulatedRun.begin(controller, peer)
+            run = SimulatedRun.start_run(controller, peer)
             run.are_ticks_recorded = False
             run.k = first
             return run
@@ -75,8 +75,8 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
             assert not [event for event in out.events if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 q = peer.world.plant.engine.q
-                errors.append(hand.display_units.displayed(run.state.view("q_goal") - q))
-                largest = np.maximum(largest, hand.display_units.displayed(q))
+                errors.append(hand.display_units.to_displayed(run.state.view("q_goal") - q))
+                largest = np.maximum(largest, hand.display_units.to_displayed(q))
         assert run.state.mode == HandMode.DONE
         # The RMS tracking error is at most 1 mm or 1 deg.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
@@ -87,7 +87,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
 def test_inverse_kinematics_finds_postures_of_prismatic_joints(hand_name: str) -> None:
     rng = np.random.default_rng(0)
     for digit in DigitModel.models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
-        low, high = digit.reach
+        low, high = digit.coordinate_limits
         for _ in range(20):
             theta = rng.uniform(low, high)
             tip = joint_points(digit, digit.coupling @ theta)[-1]

@@ -117,7 +117,7 @@ def target_limits(
             np.array([tendon.tension_max_N for tendon in tendons]),
         )
     if target_space == "digit":
-        reach = [digit.reach for digit in model_of(hand_name).digits]
+        reach = [digit.coordinate_limits for digit in model_of(hand_name).digits]
         low = np.array([np.degrees(bounds[0].max()) for bounds in reach])
         return hand.digit_names, low, np.array([np.degrees(bounds[1].min()) for bounds in reach])
     joints = hand.digit_named(digit).joints

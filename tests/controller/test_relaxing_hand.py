@@ -8,7 +8,7 @@ from handctl.controller.relaxing import (
     RELAX_RATE_N_PER_S,
     SETPOINT_MARGIN_N,
 )
-from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
+from handctl.core.control_law.computed_torque import MIN_RELAXED_TENSION_N
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
@@ -76,10 +76,10 @@ def test_no_request_raises_the_tension_during_relax(
 def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandModel) -> None:
     run = bench_holding_hand(low_rate_jamia)
     run.tick(FAST_HOLD_REQUEST)
-    known = run.tick().telemetry.tension
-    assert run.state.view("setpoint")[0] > known[0] + 30.0, "the set-point is far ahead"
+    known_tension = run.tick().telemetry.tension
+    assert run.state.view("setpoint")[0] > known_tension[0] + 30.0, "the set-point is far ahead"
     out = run.tick(STOP_REQUEST)
-    present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + SETPOINT_MARGIN_N
+    present = np.maximum(out.telemetry.tension, MIN_RELAXED_TENSION_N) + SETPOINT_MARGIN_N
     assert (run.state.view("setpoint") <= present).all()
     while run.tick().mode == HandMode.RELAX:
         assert run.state.view("setpoint").max() <= present.max()

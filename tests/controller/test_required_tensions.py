@@ -40,8 +40,11 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
     found = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
-        own = digit.joints
-        torque = np.array(model.inverse_dynamics(digit, q[own], dq[own], ddq[own])) @ digit.coupling
+        own_joints = digit.joints
+        torque = (
+            np.array(model.inverse_dynamics(digit, q[own_joints], dq[own_joints], ddq[own_joints]))
+            @ digit.coupling
+        )
         low, high = model.floor[tendons], model.ceiling[tendons]
         found[tendons] = tensions_for_torque(digit.reduced_moment_arms, torque, low, high)[0]
     return found
@@ -80,8 +83,9 @@ def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
         *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]),
     )
     motion = joint_motion_at(jamia11, goals, 0.2)
-    own = jamia11.digit_tendons[0]
+    own_tendons = jamia11.digit_tendons[0]
     required_tensions = [
-        required_tensions_of(jamia11, one, motion)[own] for one in (goals, goals_of_one_digit)
+        required_tensions_of(jamia11, goal_set, motion)[own_tendons]
+        for goal_set in (goals, goals_of_one_digit)
     ]
     np.testing.assert_allclose(required_tensions[0], required_tensions[1], rtol=1e-9)

@@ -25,7 +25,9 @@ def test_shutdown_waits_until_each_motor_reports_off(
         assert hand_run.run_until(lambda out: out.mode == HandMode.ACTIVE, 3.0), (
             hand_run.state.failure
         )
-        hand_run.simulated_hand.step(hand_run.k * PERIOD_NS, list(hand_run.controller.cut_frames()))
+        hand_run.simulated_hand.step(
+            hand_run.k * PERIOD_NS, list(hand_run.controller.torque_cut_frames())
+        )
         state, frames, enabled = shutdown_step(
             hand_run.controller, hand_run.state, hand_run.k * PERIOD_NS, []
         )
@@ -33,12 +35,12 @@ def test_shutdown_waits_until_each_motor_reports_off(
         if with_broken_drive:
             hand_run.simulated_hand.inject("off node=index_motor")
         for k in range(hand_run.k + 1, hand_run.k + 251):
-            heard = [
+            heard_frames = [
                 Frame(*answer)
                 for answer in hand_run.simulated_hand.step(k * PERIOD_NS, list(frames))
             ]
             state, frames, enabled = shutdown_step(
-                hand_run.controller, state, (k + 1) * PERIOD_NS, heard
+                hand_run.controller, state, (k + 1) * PERIOD_NS, heard_frames
             )
             if not enabled:
                 break

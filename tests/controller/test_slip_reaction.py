@@ -43,10 +43,10 @@ class GripRun:
             estimate_under_tension(model, HOLD_TENSION_N, 0.5),
         )
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
-        held = [
+        held_digit_goals = [
             DigitGoal(GoalKind.TENSION, tension=np.full(size, HOLD_TENSION_N)) for size in sizes
         ]
-        self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
+        self.goals: tuple[DigitGoal, ...] = (*held_digit_goals[:-1], DigitGoal())
         self.plan = GripPlan(grip_stiffness, np.full(model.tendon_count, grip_limit))
         self.t = 0.0
         self.grip = GripState.at_start_of_hold(model, self.goals, self.resting_estimate, self.t)
@@ -58,7 +58,7 @@ class GripRun:
     def tick(self, estimate: SyntheticEstimate, duration_s: float) -> None:
         for _ in range(round(duration_s / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_run_number(s.SLIP_DETECTION_START, self.grip.ready)
+            self.state.set_run_real(s.SLIP_DETECTION_START, self.grip.ready)
             estimate_with_contacts = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(
@@ -81,57 +81,57 @@ class GripRun:
 
 
 def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
-    held = GripRun(model, grip_limit=30.0)
-    held.tick(held.resting_estimate, 1.0)
-    assert not held.events
-    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
-    assert [event.where for event in held.events] == [model.hand.digit_names[0]]
-    for goal in held.goals[:-1]:
+    grip_run = GripRun(model, grip_limit=30.0)
+    grip_run.tick(grip_run.resting_estimate, 1.0)
+    assert not grip_run.events
+    grip_run.tick(grip_run.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
+    assert [event.where for event in grip_run.events] == [model.hand.digit_names[0]]
+    for goal in grip_run.goals[:-1]:
         np.testing.assert_allclose(goal.tension, grip.TENSION_RAISE_FACTOR * HOLD_TENSION_N)
-    assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
+    assert grip_run.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
 
 
 def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:
-    held = GripRun(model, grip_limit=26.0)
-    held.tick(held.resting_estimate, 1.0)
+    grip_run = GripRun(model, grip_limit=26.0)
+    grip_run.tick(grip_run.resting_estimate, 1.0)
     for step in range(1, 8):
-        held.tick(held.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
-    assert held.commanded_tension == pytest.approx(26.0)
-    assert [("no more" in event.text) for event in held.events] == [False, False, True]
+        grip_run.tick(grip_run.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
+    assert grip_run.commanded_tension == pytest.approx(26.0)
+    assert [("no more" in event.text) for event in grip_run.events] == [False, False, True]
 
 
 def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
-    held = GripRun(model)
-    held.tick(held.resting_estimate, 1.0)
-    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
-    assert [event.level for event in held.events] == ["warn"]
-    assert held.commanded_tension == HOLD_TENSION_N
+    grip_run = GripRun(model)
+    grip_run.tick(grip_run.resting_estimate, 1.0)
+    grip_run.tick(grip_run.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
+    assert [event.level for event in grip_run.events] == ["warn"]
+    assert grip_run.commanded_tension == HOLD_TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
-    held = GripRun(model, grip_limit=30.0)
-    held.tick(held.estimate_after_winding(-5 * SLIP_EXCURSION_M), 0.2)
-    held.tick(held.resting_estimate, 1.0)
-    held.tick(held.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
+    grip_run = GripRun(model, grip_limit=30.0)
+    grip_run.tick(grip_run.estimate_after_winding(-5 * SLIP_EXCURSION_M), 0.2)
+    grip_run.tick(grip_run.resting_estimate, 1.0)
+    grip_run.tick(grip_run.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
     chance = np.random.default_rng(1)
     for k in range(round(20.0 / model.period)):
         creep_distance = -0.02e-3 * k * model.period
-        held.tick(
-            held.estimate_after_winding(
+        grip_run.tick(
+            grip_run.estimate_after_winding(
                 5 * SLIP_EXCURSION_M + creep_distance + chance.normal(0.0, 3.5e-6)
             ),
             model.period,
         )
-    assert not held.events
+    assert not grip_run.events
 
 
 def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
-    held = GripRun(model, grip_limit=np.nan, grip_stiffness=5e3)
-    held.tick(held.resting_estimate, 1.0)
-    held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(HOLD_TENSION_N + 1.0, abs=0.01)
-    held.tick(held.estimate_after_winding(0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(HOLD_TENSION_N - 1.0, abs=0.01)
+    grip_run = GripRun(model, grip_limit=np.nan, grip_stiffness=5e3)
+    grip_run.tick(grip_run.resting_estimate, 1.0)
+    grip_run.tick(grip_run.estimate_after_winding(-0.2e-3), 0.01)
+    assert grip_run.commanded_tension == pytest.approx(HOLD_TENSION_N + 1.0, abs=0.01)
+    grip_run.tick(grip_run.estimate_after_winding(0.2e-3), 0.01)
+    assert grip_run.commanded_tension == pytest.approx(HOLD_TENSION_N - 1.0, abs=0.01)
 
 
 PULLED_CYLINDER_SCENE = """name = "pull"

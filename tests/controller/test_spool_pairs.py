@@ -127,7 +127,7 @@ def begin_run(
 ) -> SimulatedRun:
     """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
-    run = SimulatedRun.begin(controller, simulated_hand)
+    run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
     run.state.set_run_integer(s.K, first_tick - 1)
@@ -205,7 +205,7 @@ class PullProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         if progress.step:
@@ -325,8 +325,8 @@ def test_a_hand_with_pairs_is_ready_and_reads_back_as_itself() -> None:
     hand = spool_finger()
     assert not list(reasons_not_ready(hand))
     assert [tendon.tension_floor_N for tendon in hand.tendon] == [0.0, 0.0]
-    again = hand_from_content(hand.content, "again")
-    assert again.identity == hand.identity
+    repeated_hand = hand_from_content(hand.content, "again")
+    assert repeated_hand.identity == hand.identity
     assert "pretension_N" not in load_hand("jamia").to_toml(), (
         "hands without pairs keep their identity"
     )

@@ -132,9 +132,9 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
     block = layout.initial.copy()
     for field in STATE_SCHEMA.fields:
         part = layout.view(block, field.name)
-        whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
+        is_integer = field.table.endswith(INTEGER_TABLE_SUFFIX)
         part[...] = (
-            rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
+            rng.integers(-(2**40), 2**40, part.shape) if is_integer else rng.normal(size=part.shape)
         )
     return ControllerState(
         layout, block, ControllerDecisions((), ProgramProgress.initial(len(model.digits), "test"))
@@ -153,10 +153,10 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
             and isinstance(node.value, ast.Call)
             and isinstance(node.targets[0], ast.Name)
         ):
-            function, first = node.value.func, node.value.args[:1]
+            function, first_argument = node.value.func, node.value.args[:1]
             if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
-                assert isinstance(first[0], ast.Constant)
-                constant_by_field[str(first[0].value)] = node.targets[0].id
+                assert isinstance(first_argument[0], ast.Constant)
+                constant_by_field[str(first_argument[0].value)] = node.targets[0].id
     return constant_by_field
 
 
@@ -204,26 +204,31 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
 
     The message also names the element that differs, and gives the two values of this element.
     """
-    other = state.copy()
-    values = other.view(field.name).reshape(-1)
+    other_state = state.copy()
+    values = other_state.view(field.name).reshape(-1)
     at = len(values) // 2
-    before, values[at] = values[at].item(), 3
-    assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
+    value_before, values[at] = values[at].item(), 3
+    assert state.layout.difference(state.block, other_state.block) == (
+        field.name,
+        at,
+        value_before,
+        3,
+    )
     for later_field in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
-        other.view(later_field.name)[...] = 3
-    found = state.layout.difference(state.block, other.block)
+        other_state.view(later_field.name)[...] = 3
+    found = state.layout.difference(state.block, other_state.block)
     assert found is not None
     assert found[0] == field.name
 
 
 def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerState) -> None:
-    one, other = state.copy(), state.copy()
-    for changed_state in (one, other):
+    one, other_state = state.copy(), state.copy()
+    for changed_state in (one, other_state):
         changed_state.view("tension")[0] = np.nan
         changed_state.view("sigma")[0] = 0.0
-    assert state.layout.difference(one.block, other.block) is None
-    other.view("sigma")[0] = -0.0
-    found = state.layout.difference(one.block, other.block)
+    assert state.layout.difference(one.block, other_state.block) is None
+    other_state.view("sigma")[0] = -0.0
+    found = state.layout.difference(one.block, other_state.block)
     assert found is not None
     assert found[:2] == ("sigma", 0)
 
@@ -355,14 +360,14 @@ def test_every_element_of_every_field_changes_the_digest(
         if NIGHTLY
         else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()})
     ):
-        changed = state.copy()
-        values = changed.view(field.name).reshape(-1)
+        changed_state = state.copy()
+        values = changed_state.view(field.name).reshape(-1)
         values[at] = (
             values[at] + 1
             if field.table.endswith(INTEGER_TABLE_SUFFIX)
             else np.nextafter(np.nan_to_num(values[at]), 9e9)
         )
-        digest = changed.digest()
+        digest = changed_state.digest()
         assert len(digest) == 8
         assert digest not in seen, at
         seen.add(digest)
@@ -414,7 +419,7 @@ OTHER_STREAM_VALUES = {
 
 def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """For each part of a controller's decisions, yield a copy of the decisions in which only this part is changed."""
-    pending = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
         "progress": [progress for _, progress in changed_progresses(decisions.progress)],
@@ -431,8 +436,12 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
         "unconfirmed": [("x",)],
-        "gains": [pending.gains],
-        "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
+        "gains": [pending_gains.gains],
+        "pending": [
+            pending_gains,
+            replace(pending_gains, step=1),
+            replace(pending_gains, gains=Gains()),
+        ],
         "commander": ["one", "two"],
         "lease": [
             ClientLease(*one)
@@ -506,10 +515,10 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):
         for value in other_values(getattr(drive, drive_field)):
-            changed = state.copy()
+            changed_state = state.copy()
             active_bench.controller.store_drive_state(
-                changed, n, drive._replace(**{drive_field: value})
+                changed_state, n, drive._replace(**{drive_field: value})
             )
-            digest = changed.digest()
+            digest = changed_state.digest()
             assert digest not in seen, (n, value)
             seen.add(digest)

@@ -43,8 +43,10 @@ def filter_table_at(
 ) -> np.ndarray:
     """Return filter states (N, 7) of a hand whose digits have the joint angles ``joint_angles``."""
     table = np.zeros((model.tendon_count, STATE_COUNT))
-    for digit, tendons, one in zip(model.digits, model.digit_tendons, joint_angles, strict=True):
-        table[tendons, S] = digit.reduced_moment_arms @ one
+    for digit, tendons, joint_angle in zip(
+        model.digits, model.digit_tendons, joint_angles, strict=True
+    ):
+        table[tendons, S] = digit.reduced_moment_arms @ joint_angle
     table[:, V] = tendon_speed
     return table
 
@@ -53,10 +55,10 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
-        found = load_statics(
+        resistance = load_statics(
             model, filter_table_at(model, theta), np.zeros(model.tendon_count)
         ).resistance
-        for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
+        for digit, tendons, angle in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
 
             def energy(state_places: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
@@ -64,10 +66,13 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
                 return potential_energy(digit, q) + spring_energy(digit, q)
 
             slope = np.array(
-                [(energy(one + h * e) - energy(one - h * e)) / (2 * h) for e in np.eye(len(one))]
+                [
+                    (energy(angle + h * e) - energy(angle - h * e)) / (2 * h)
+                    for e in np.eye(len(angle))
+                ]
             )
             np.testing.assert_allclose(
-                digit.reduced_moment_arms.T @ found[tendons], slope, rtol=1e-6, atol=1e-9
+                digit.reduced_moment_arms.T @ resistance[tendons], slope, rtol=1e-6, atol=1e-9
             )
 
 
@@ -83,16 +88,16 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     np.testing.assert_allclose(
         closing.force_at_joints * opening.force_at_joints, tension**2, rtol=0.12
     )
-    known = load_statics(
+    known_statics = load_statics(
         model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
     )
     np.testing.assert_allclose(
-        known.force_at_joints,
+        known_statics.force_at_joints,
         closing.force_at_joints,
         err_msg="what is known of friction goes before the speed",
     )
     np.testing.assert_allclose(
-        known.driving_force,
+        known_statics.driving_force,
         opening.force_at_joints,
         err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost",
     )
@@ -107,7 +112,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
     q = np.concatenate(
-        [digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)]
+        [digit.coupling @ angle for digit, angle in zip(model.digits, theta, strict=True)]
     )
     tension, developed_torque = (
         rng.uniform(5.0, 60.0, model.tendon_count),
@@ -115,31 +120,31 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
     )
     torque = np.zeros(len(q))
     for i, tendon in enumerate(model.hand.tendon):
-        passed = tendon.wrap_angle_rad
+        passed_angle = tendon.wrap_angle_rad
         for j, joint in enumerate(model.hand.joints):
             arm = tendon.moment_arm_m.get(joint, 0.0)
-            passed += q[j] if arm else 0.0
+            passed_angle += q[j] if arm else 0.0
             torque[j] += (
                 arm
                 * tension[i]
-                * math.exp(-tendon.friction_coefficient * developed_torque[i] * passed)
+                * math.exp(-tendon.friction_coefficient * developed_torque[i] * passed_angle)
             )
-    found = load_statics(model, filter_table_at(model, theta), tension, developed_torque)
-    np.testing.assert_allclose(found.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
+    load = load_statics(model, filter_table_at(model, theta), tension, developed_torque)
+    np.testing.assert_allclose(load.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
 
 
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
     rng = np.random.default_rng(7)
     q = rng.uniform(0.0, 1.4, len(model.hand.joints))
-    found = winding_efficiency_of(model, q)
+    winding_efficiency = winding_efficiency_of(model, q)
     for i, tendon in enumerate(model.hand.tendon):
-        passed, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
+        passed_angle, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
         for joint, angle in zip(model.hand.joints, q, strict=True):
             arm = abs(tendon.moment_arm_m.get(joint, 0.0))
-            passed += angle if arm else 0.0
-            shares += arm * math.exp(-tendon.friction_coefficient * passed)
+            passed_angle += angle if arm else 0.0
+            shares += arm * math.exp(-tendon.friction_coefficient * passed_angle)
             arms += arm
-        assert found[i] == pytest.approx(shares / arms, rel=1e-12)
+        assert winding_efficiency[i] == pytest.approx(shares / arms, rel=1e-12)
 
 
 def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:

@@ -171,9 +171,9 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
             assert client.reported_faults == set()
             assert stream_status(client.run.state).accepted == 300
             assert stream_status(client.run.state).clipped == 0
-    known = error_of_trajectory(jamia)
-    assert errors["linear"] < 1.5 * known, (errors, known)
-    assert errors["minimum_jerk"] < 1.2 * known, (errors, known)
+    known_error = error_of_trajectory(jamia)
+    assert errors["linear"] < 1.5 * known_error, (errors, known_error)
+    assert errors["minimum_jerk"] < 1.2 * known_error, (errors, known_error)
 
 
 def error_of_trajectory(model: HandModel) -> float:
@@ -388,10 +388,10 @@ def test_a_target_survives_the_log(target_value: float) -> None:
     in both runs, to the last bit.
     """
     target = StreamTarget("17-3", 2**62, -(2**40), (target_value, 1.0 / 3.0))
-    again = parse_target(target_request_text(target))
-    assert again is not None
-    assert again[:3] == target[:3]
-    assert np.array(again.values).tobytes() == np.array(target.values).tobytes()
+    repeated_target = parse_target(target_request_text(target))
+    assert repeated_target is not None
+    assert repeated_target[:3] == target[:3]
+    assert np.array(repeated_target.values).tobytes() == np.array(target.values).tobytes()
 
 
 @pytest.mark.parametrize(
@@ -624,8 +624,8 @@ def test_joint_angles_become_coordinates(model: HandModel) -> None:
         part = angles[digit.joints]
         nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, part, rcond=None)[0]
         np.testing.assert_allclose(q[digit.joints], nearest, atol=1e-9)
-    one = mapping_of_stream(model, "joint", (names[1],))
-    assert one.is_streamed.sum() == 1, "the other joints of the digit stay"
+    mapping = mapping_of_stream(model, "joint", (names[1],))
+    assert mapping.is_streamed.sum() == 1, "the other joints of the digit stay"
 
 
 def test_moves_of_single_joints(jamia: HandModel, jamia11: HandModel) -> None:
@@ -708,13 +708,13 @@ def test_tip_forces_become_tensions(jamia: HandModel, jamia11: HandModel) -> Non
         assert client.open_stream("tip_force", ("index",)).startswith("stream tip_force")
         client.tick(client.target_request(0.0))
         client.wait(0.04)
-        rest = client.tick_outputs[-1].telemetry.tension_goal[:3].copy()
+        resting_tensions = client.tick_outputs[-1].telemetry.tension_goal[:3].copy()
         client.tick(client.target_request(2.0))
         client.wait(0.06)
-        more = client.tick_outputs[-1].telemetry.tension_goal[:3]
-        assert (more >= rest - 0.1).all()
-        assert more.sum() > rest.sum() + 5.0
-        assert (more <= jamia11.ceiling[:3]).all()
+        later_tensions = client.tick_outputs[-1].telemetry.tension_goal[:3]
+        assert (later_tensions >= resting_tensions - 0.1).all()
+        assert later_tensions.sum() > resting_tensions.sum() + 5.0
+        assert (later_tensions <= jamia11.ceiling[:3]).all()
 
 
 @pytest.mark.parametrize("spring_softness", [None, 0.3, 0.05])
@@ -778,8 +778,10 @@ def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
     floor = jamia11.floor[digit.tendons]
     for angles in ([0.0, 25.0, 0.0], [0.0, 0.0, 40.0], [30.0, 30.0, 30.0], [5.0, 60.0, 60.0]):
         expected = np.radians(angles)
-        held = nearest_holdable_posture(digit, expected, floor)
-        tension = digit.torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ held))
+        held_posture = nearest_holdable_posture(digit, expected, floor)
+        tension = digit.torque_to_tension @ np.asarray(
+            static_torque(digit, digit.coupling @ held_posture)
+        )
         assert (tension >= floor).all(), angles
     even_angles = np.radians([30.0, 30.0, 30.0])
     np.testing.assert_array_equal(nearest_holdable_posture(digit, even_angles, floor), even_angles)

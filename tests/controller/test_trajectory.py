@@ -51,13 +51,21 @@ def test_trajectory_derivatives_match_differences(
         1e-5 * duration_s,
         time_fraction * duration_s,
     )
-    before, now, after = move.motion_at(t - h), move.motion_at(t), move.motion_at(t + h)
+    motion_before, now, motion_after = (
+        move.motion_at(t - h),
+        move.motion_at(t),
+        move.motion_at(t + h),
+    )
     distance_rad = np.abs(end_angles - start_angles).max() + 1e-9
     np.testing.assert_allclose(
-        now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * distance_rad / duration_s
+        now[1],
+        (motion_after[0] - motion_before[0]) / (2 * h),
+        atol=1e-6 * distance_rad / duration_s,
     )
     np.testing.assert_allclose(
-        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * distance_rad / duration_s**2
+        now[2],
+        (motion_after[1] - motion_before[1]) / (2 * h),
+        atol=1e-5 * distance_rad / duration_s**2,
     )
 
 
@@ -150,9 +158,17 @@ def test_curve_derivatives_match_differences(
     t = time_fraction * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
-    before, now, after = curve.motion_at(t - h), curve.motion_at(t), curve.motion_at(t + h)
-    np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), rtol=1e-4, atol=1e-3)
+    motion_before, now, motion_after = (
+        curve.motion_at(t - h),
+        curve.motion_at(t),
+        curve.motion_at(t + h),
+    )
+    np.testing.assert_allclose(
+        now[1], (motion_after[0] - motion_before[0]) / (2 * h), rtol=1e-5, atol=1e-5
+    )
+    np.testing.assert_allclose(
+        now[2], (motion_after[1] - motion_before[1]) / (2 * h), rtol=1e-4, atol=1e-3
+    )
 
 
 def test_every_number_of_a_way_is_in_its_plain_form() -> None:

@@ -88,7 +88,7 @@ def test_a_motion_into_a_stop_is_reported_and_presses_gently(
     assert not run.events_named("fault"), (
         "no safety fault: before, the loop wound the rope up to the trip at 140 N"
     )
-    own = model_of(hand).digit_tendons[0]
+    own_tendons = model_of(hand).digit_tendons[0]
     at = run.events_named("blocked")[0][0]
-    real = np.array(run.true_tension)[np.array(run.time_s) > at + 0.1][:, own]
+    real = np.array(run.true_tension)[np.array(run.time_s) > at + 0.1][:, own_tendons]
     assert real.max() < 120.0, "[N]; safety trips at 140"

@@ -153,5 +153,7 @@ def change_first_motor(motor_reply: Frame, reply_letters: str) -> list[Frame]:
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]
-    other = motor_reply._replace(data=motor_reply.data[:7] + bytes([motor_reply.data[7] ^ 1]))
-    return [motor_reply if kind == "A" else other for kind in reply_letters]
+    other_motor_reply = motor_reply._replace(
+        data=motor_reply.data[:7] + bytes([motor_reply.data[7] ^ 1])
+    )
+    return [motor_reply if kind == "A" else other_motor_reply for kind in reply_letters]

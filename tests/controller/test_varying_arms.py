@@ -73,7 +73,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
         state = active_state(model)
         q = np.zeros(len(model.hand.joints))
         for digit in model.digits:
-            low, high = digit.reach
+            low, high = digit.coordinate_limits
             q[digit.joints] = digit.coupling @ chance.uniform(0.7 * low + 0.3 * high, high)
             q[digit.joints] = np.clip(q[digit.joints], digit.joint_min, digit.joint_max)
             q[digit.joints] = digit.coupling @ (digit.joints_to_coordinates @ q[digit.joints])
@@ -86,25 +86,30 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
-            here = digit.with_moment_arms_at(q[digit.joints])
+            digit_at_angles = digit.with_moment_arms_at(q[digit.joints])
             block = np.ix_(
                 range(*digit.joints.indices(len(q))),
                 range(*digit.tendons.indices(model.tendon_count)),
             )
-            np.testing.assert_allclose(view["moment_arms"].T[block], here.moment_arms.T, atol=1e-8)
+            np.testing.assert_allclose(
+                view["moment_arms"].T[block], digit_at_angles.moment_arms.T, atol=1e-8
+            )
             for field in ("excursion_to_joints", "torque_to_tension"):
                 found = view[field] if field == "excursion_to_joints" else view[field].T
                 np.testing.assert_allclose(
-                    found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3
+                    found[block], digit_at_angles.excursion_to_joints, rtol=1e-4, atol=1e-3
                 )
             joint_block = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
             np.testing.assert_allclose(
-                view["compliance"][joint_block], _joint_compliance(here), rtol=1e-4, atol=1e-4
+                view["compliance"][joint_block],
+                _joint_compliance(digit_at_angles),
+                rtol=1e-4,
+                atol=1e-4,
             )
             balance = view["balance"][digit.tendons]
-            if model.redundancy.surplus[digit.tendons.start]:
+            if model.redundancy.has_surplus[digit.tendons.start]:
                 assert (balance > 0.0).all()
-                arms = here.reduced_moment_arms
+                arms = digit_at_angles.reduced_moment_arms
                 np.testing.assert_allclose(
                     arms.T @ balance, 0.0, atol=2e-3 * np.abs(arms).max() * balance.max()
                 )

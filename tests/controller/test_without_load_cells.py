@@ -162,7 +162,7 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
 ) -> None:
     hand = hand_without_cells(*tendons_without_cells)
     with SimulatorSettings(hand, None, seed).simulated_hand(round(1e9 / RATE_HZ)) as peer:
-        run = SimulatedRun.begin(
+        run = SimulatedRun.start_run(
             make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
         )
         events: list[TickEvent] = []
@@ -170,12 +170,12 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
             events += out.events
         assert not [event for event in events if event.level == "error"]
         assert_no_check_of_a_missing_cell(hand, events)
-        found = calibration_of_result(
+        calibration = calibration_of_result(
             model_of(*tendons_without_cells), run.state.progress, "2026-01-01T00:00:00+00:00"
         )
-        assert not found.tare(hand)[~hand.has_cell].any()
+        assert not calibration.tare(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        wrong = (found.zero(hand) - offset) * model_of(*tendons_without_cells).space.spool
+        wrong = (calibration.zero(hand) - offset) * model_of(*tendons_without_cells).space.spool
         np.testing.assert_allclose(wrong, 0.0, atol=5e-5)
 
 
@@ -197,15 +197,15 @@ def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int
 
 def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     file = hand_without_cells()
-    bare = model_of("index_tendon")
-    margin = bare.blind_margin
+    bare_model = model_of("index_tendon")
+    margin = bare_model.blind_margin
     assert margin[0] > 2.0
     assert not margin[1:].any()
-    assert bare.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
-    controller = homed_controller(bare, TaskProgram(CYLINDER_TASK))
+    assert bare_model.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
+    controller = homed_controller(bare_model, TaskProgram(CYLINDER_TASK))
     assert controller.derived.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
     assert controller.derived.limits.tension_trip[1] == file.tendon[1].tension_trip_N
-    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare.filter.held_tension_sigma[0]
+    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter.held_tension_sigma[0]
 
 
 def test_a_hand_without_sensors_sends_no_sync() -> None:

@@ -32,12 +32,12 @@ class FencedBlock(NamedTuple):
 
 def read_blocks(path: Path) -> list[FencedBlock]:
     """Return the fenced blocks of a page in order."""
-    found = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
+    code_blocks = FENCE_PATTERN.finditer(path.read_text(encoding="utf-8"))
     return [
         FencedBlock(
             match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)
         )
-        for match in found
+        for match in code_blocks
     ]
 
 

@@ -25,18 +25,18 @@ def commands_in_text(text: str) -> list[list[str]]:
     lines = re.findall(r"`handctl ([^`\n]+)`", text)
     for block in FENCE_PATTERN.findall(text):
         lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
-    plain = [line for line in lines if not re.search(r"[<>\[\]]|\.\.\.", line)]
-    return [words for words in map(shlex.split, plain) if words[0] in VERB_HELP]
+    plain_lines = [line for line in lines if not re.search(r"[<>\[\]]|\.\.\.", line)]
+    return [words for words in map(shlex.split, plain_lines) if words[0] in VERB_HELP]
 
 
 @pytest.mark.parametrize(
     "path", DOCUMENTS, ids=lambda path: path.relative_to(REPOSITORY_ROOT).as_posix()
 )
 def test_every_argument_is_known(path: Path) -> None:
-    refused = [
+    refusals = [
         parser_refusal(words) for words in commands_in_text(path.read_text(encoding="utf-8"))
     ]
-    assert [text for text in refused if "unknown" in text] == []
+    assert [text for text in refusals if "unknown" in text] == []
 
 
 def parser_refusal(words: list[str]) -> str:

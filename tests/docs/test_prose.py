@@ -38,8 +38,8 @@ def sentence_count(paragraph: str) -> int:
 
     A full stop in code or in an abbreviation does not end a sentence.
     """
-    plain = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
-    return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain))
+    plain_text = re.sub(r"\b(?:e\.g|i\.e|Eq|Fig|Sec)\.", "", re.sub(r"`[^`]*`", "x", paragraph))
+    return len(re.findall(r"[.!?](?=\s|$|\*|\))", plain_text))
 
 
 @pytest.mark.parametrize(

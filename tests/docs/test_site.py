@@ -33,11 +33,11 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     )
     assert build_process.returncode == 0, build_process.stderr
     assert build_process.stderr == ""
-    made = sorted((tmp_path / "site").rglob("*.html"))
+    page_paths = sorted((tmp_path / "site").rglob("*.html"))
     assert (
-        len(made) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
+        len(page_paths) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
     )  # the error page 404.html is added to the pages
-    texts = [page.read_text(encoding="utf-8") for page in made]
+    texts = [page.read_text(encoding="utf-8") for page in page_paths]
     assert [match[0] for text in texts for match in FETCHING_ELEMENT_PATTERN.finditer(text)] == []
     # If there is no empty line before a list, the list becomes a part of the paragraph above.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]

@@ -59,8 +59,10 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
     assert await stream.command(b"conf get servo.timeout_mode", allow_any_response=True) == b"12"
     for item, value in (("position_min", "nan"), ("position_max", "nan")):
         await stream.command(f"conf set servopos.{item} {value}".encode())
-        shown = await stream.command(f"conf get servopos.{item}".encode(), allow_any_response=True)
-        assert shown == b"nan"
+        shown_value = await stream.command(
+            f"conf get servopos.{item}".encode(), allow_any_response=True
+        )
+        assert shown_value == b"nan"
     await stream.command(b"conf set servo.timeout_mode 0")
 
     async def command_torque() -> Any:
@@ -69,31 +71,34 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
             maximum_torque=0.1, watchdog_timeout=1.0, query=True,
         )  # fmt: skip
 
-    turned = await _step_until(
+    turned_state = await _step_until(
         command_torque, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
     )
-    assert turned[register.MODE] == mode.POSITION
-    assert math.isclose(turned[register.TORQUE], 0.05, abs_tol=0.02)
-    goal = turned[register.POSITION] - TRAVEL_TURNS
+    assert turned_state[register.MODE] == mode.POSITION
+    assert math.isclose(turned_state[register.TORQUE], 0.05, abs_tol=0.02)
+    goal = turned_state[register.POSITION] - TRAVEL_TURNS
 
     async def hold() -> Any:
         return await controller.set_position(
             position=goal, velocity=0.0, maximum_torque=0.5, query=True
         )
 
-    held = await _step_until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
+    held_state = await _step_until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
     for _ in range(MAX_STEP_ATTEMPTS):
-        held = (await hold()).values
-        if abs(held[register.POSITION] - goal) < 0.02 and abs(held[register.VELOCITY]) < 0.05:
+        held_state = (await hold()).values
+        if (
+            abs(held_state[register.POSITION] - goal) < 0.02
+            and abs(held_state[register.VELOCITY]) < 0.05
+        ):
             break
         await asyncio.sleep(TRY_INTERVAL_S)
-    assert abs(held[register.POSITION] - goal) < 0.02, "held at a position"
+    assert abs(held_state[register.POSITION] - goal) < 0.02, "held at a position"
     await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
     await asyncio.sleep(0.2)
-    late = await _step_until(
+    late_state = await _step_until(
         controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog"
     )
-    assert late[register.MODE] == mode.TIMEOUT
+    assert late_state[register.MODE] == mode.TIMEOUT
     assert (await hold()).values[register.MODE] == mode.TIMEOUT, "only the stop command leaves it"
     await controller.set_stop(query=True)
     await _step_until(controller.query, lambda seen: seen[register.MODE] == mode.STOPPED, "stopped")

@@ -75,9 +75,9 @@ class PackagedHandBench:
 
 @pytest.fixture
 def bench() -> Iterator[PackagedHandBench]:
-    made = PackagedHandBench()
-    yield made
-    made.simulated_hand.close()
+    hand_bench = PackagedHandBench()
+    yield hand_bench
+    hand_bench.simulated_hand.close()
 
 
 def test_a_drive_goes_from_silent_to_enabled_and_back(bench: PackagedHandBench) -> None:

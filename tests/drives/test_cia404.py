@@ -70,48 +70,50 @@ def hand_with_amplifiers(hand_name: str = "jamia", **changed_keys: Any) -> Hand:
 def test_hand_made_frames_become_newtons() -> None:
     cells = Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES)
     assert cells.ids == (0x1A1, 0x1A2)
-    wired = WiredDrives((), cells)
-    assert wired.begin_tick_with_sync(7) == Frame(0x080, b"")
+    wired_drives = WiredDrives((), cells)
+    assert wired_drives.begin_tick_with_sync(7) == Frame(0x080, b"")
     # In these frames, a count is 0.001 N, and the lowest byte comes first.
     first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
-    wired.receive(
+    wired_drives.receive(
         [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
     )
-    assert wired.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
-    assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
+    assert wired_drives.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
+    assert (wired_drives.field_number("stale"), wired_drives.has_malformed_frame) == (0, False)
 
 
 def test_a_float_is_read_as_it_is() -> None:
-    wired = WiredDrives(
+    wired_drives = WiredDrives(
         (),
         Cia404LoadCells.from_description(AmplifierSection(process_value="real32"), 0, TENDON_NAMES),
     )
-    wired.begin_tick_with_sync(0)
+    wired_drives.begin_tick_with_sync(0)
     first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
-    wired.receive(
+    wired_drives.receive(
         [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
     )
-    assert [wired.tensions[i] for i in (0, 1)] == [12.5, -0.25]
-    assert math.isnan(wired.tensions[2])
+    assert [wired_drives.tensions[i] for i in (0, 1)] == [12.5, -0.25]
+    assert math.isnan(wired_drives.tensions[2])
 
 
 @pytest.mark.parametrize("frame_data", [b"", bytes(4), bytes(7)])
 def test_a_frame_of_another_length_is_malformed(frame_data: bytes) -> None:
-    wired = WiredDrives((), Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES))
-    wired.begin_tick_with_sync(0)
-    wired.receive([Frame(0x1A1, frame_data, t_ns=REPLY_DELAY_NS)])
-    assert (wired.tensions, wired.has_malformed_frame) == ({}, True)
+    wired_drives = WiredDrives(
+        (), Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES)
+    )
+    wired_drives.begin_tick_with_sync(0)
+    wired_drives.receive([Frame(0x1A1, frame_data, t_ns=REPLY_DELAY_NS)])
+    assert (wired_drives.tensions, wired_drives.has_malformed_frame) == ({}, True)
 
 
 def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
     cells = Cia404LoadCells.from_description(AmplifierSection(), 0, TENDON_NAMES)
-    wired = WiredDrives((), cells)
-    wired.field_view("t_ns")[...] = 10_000_000
-    wired.begin_tick_with_sync(0)
-    wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 99_999)])
-    assert (wired.field_number("stale"), wired.tensions) == (1, {})
-    wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 126_000)])
-    assert (wired.field_number("stale"), wired.tensions) == (1, {0: 0.0, 1: 0.0})
+    wired_drives = WiredDrives((), cells)
+    wired_drives.field_view("t_ns")[...] = 10_000_000
+    wired_drives.begin_tick_with_sync(0)
+    wired_drives.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 99_999)])
+    assert (wired_drives.field_number("stale"), wired_drives.tensions) == (1, {})
+    wired_drives.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 126_000)])
+    assert (wired_drives.field_number("stale"), wired_drives.tensions) == (1, {0: 0.0, 1: 0.0})
 
 
 def test_channels_go_to_further_tpdos() -> None:
@@ -146,7 +148,7 @@ class AmplifierBench:
         """Start the simulator of a hand file."""
         self.simulated_hand = LockstepHand(hand_path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
-        self.states = [one.initial_state() for one in self.sensors.amplifiers]
+        self.states = [amplifier.initial_state() for amplifier in self.sensors.amplifiers]
         self.k = 0
         self.sent_frames: list[Frame] = []
         self.answers: list[Frame] = []
@@ -186,9 +188,9 @@ class AmplifierBench:
 
 @pytest.fixture
 def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
-    made = make_bench(tmp_path)
-    yield made
-    made.simulated_hand.close()
+    new_bench = make_bench(tmp_path)
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def make_bench(hand_folder: Any, **changed_keys: Any) -> AmplifierBench:
@@ -220,7 +222,7 @@ def test_a_unit_that_is_right_already_is_not_written(bench: AmplifierBench) -> N
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
     assert bytes.fromhex("316101") in written
-    bench.states = [one.initial_state() for one in bench.sensors.amplifiers]
+    bench.states = [amplifier.initial_state() for amplifier in bench.sensors.amplifiers]
     bench.sent_frames.clear()
     bench.run_until_phase(DrivePhase.READY)
     written = [
@@ -370,11 +372,11 @@ NIGHTLY_CASES = [
 @pytest.mark.parametrize("fault_case", ["mute", *NIGHTLY_CASES])
 def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(fault_case: str) -> None:
     text, row = FAULT_BY_CASE[fault_case]
-    own = faults_of(load_hand("jamia"), 0, fault_injection(text))
+    own_faults = faults_of(load_hand("jamia"), 0, fault_injection(text))
     amplifiers = faults_of(hand_with_amplifiers(), 0, fault_injection(text))
-    assert row in own[0], own
+    assert row in own_faults[0], own_faults
     assert row in amplifiers[0], amplifiers
-    assert 0 <= amplifiers[1] <= own[1] + 1, (own, amplifiers)
+    assert 0 <= amplifiers[1] <= own_faults[1] + 1, (own_faults, amplifiers)
 
 
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
@@ -517,17 +519,17 @@ def test_the_log_s_hand_is_the_same() -> None:
     import tomllib
 
     hand = hand_with_amplifiers(process_value="real32")
-    again = hand_from_content(tomllib.loads(hand.to_toml()), "log")
-    assert again == hand
-    assert again.identity == hand.identity
+    repeated_hand = hand_from_content(tomllib.loads(hand.to_toml()), "log")
+    assert repeated_hand == hand
+    assert repeated_hand.identity == hand.identity
 
 
 def test_a_scan_finds_amplifiers_with_their_channels(bench: AmplifierBench) -> None:
     from tests.cli.test_scan import BenchBus, advance_and_listen
 
     result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
-    found = [node for node in result.found_nodes if node.protocol == "cia404"]
-    assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
+    found_nodes = [node for node in result.found_nodes if node.protocol == "cia404"]
+    assert [(node.node_id, node.options["channels_per_node"]) for node in found_nodes] == [
         (0x21, 2),
         (0x22, 2),
     ]

@@ -148,8 +148,8 @@ def test_register_requests_have_the_bytes_of_the_manual() -> None:
         (3, 0, mit.READ, mit.TIMEOUT)
     ) + bytes(4)
     assert mit.register_request(0x103, mit.REFRESH) == bytes((3, 1, mit.REFRESH, 0)) + bytes(4)
-    written = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)
-    assert written == bytes((3, 0, mit.WRITE, mit.PMAX)) + struct.pack("<f", 12.5)
+    write_request = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)
+    assert write_request == bytes((3, 0, mit.WRITE, mit.PMAX)) + struct.pack("<f", 12.5)
     assert mit.register_request(3, mit.WRITE)[3:] == bytes(5), "register 0, value 0"
 
 

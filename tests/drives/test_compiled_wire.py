@@ -122,10 +122,10 @@ def random_targets(random_source: random.Random) -> Iterator[DriveTarget]:
 def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, seed: int) -> None:
     drive, begin, t_ns, heard = enable_drive(variant_name)
     chance = random.Random(f"{variant_name} {seed}")
-    state, wired, steady = begin, WiredDrives([drive], NO_SENSORS), 0
-    wired.store_drive_state(0, begin)
+    state, wired_drives, steady = begin, WiredDrives([drive], NO_SENSORS), 0
+    wired_drives.store_drive_state(0, begin)
     for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
-        wired.begin_tick()
+        wired_drives.begin_tick()
         for _ in range(chance.randrange(4)):
             known = [*heard, *open_reply(drive, state)]
             good = chance.random() < 0.7
@@ -135,16 +135,16 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
                 else random_frame(chance, known, t_ns)
             )
             state = drive.receive(state, frame)
-            wired.receive([frame])
-            steady += not wired.frames_for_drives
-            assert are_states_equal(wired.drive_state(0), state, drive), frame
+            wired_drives.receive([frame])
+            steady += not wired_drives.frames_for_drives
+            assert are_states_equal(wired_drives.drive_state(0), state, drive), frame
         torque = chance.uniform(-drive.command_limit, drive.command_limit)
         state, frames = drive.advance(state, t_ns, target, torque)
-        assert wired.send(target, [torque], t_ns) == list(frames)
-        assert are_states_equal(wired.drive_state(0), state, drive)
+        assert wired_drives.send(target, [torque], t_ns) == list(frames)
+        assert are_states_equal(wired_drives.drive_state(0), state, drive)
         if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
             state = state_enabled_at(begin, drive.node_id, t_ns)
-            wired.store_drive_state(0, state)
+            wired_drives.store_drive_state(0, state)
         t_ns += PERIOD_NS
     assert steady > TICKS_PER_SEED // 4, "compiled code has hardly read a frame"
 
@@ -181,44 +181,44 @@ def test_compiled_code_reads_every_setting_again(name: str) -> None:
     Only wrong replies reach the Python state machine of the drive.
     """
     drive, state, t_ns, _ = enable_drive(name)
-    wired = WiredDrives([drive], NO_SENSORS)
+    wired_drives = WiredDrives([drive], NO_SENSORS)
     count = len(drive.rechecks)
     for i in range(2 * count):
         recheck = readback.RecheckCursor(step=i % count, due_ns=t_ns)
         state = state_enabled_at(state, drive.node_id, t_ns)._replace(recheck=recheck)
-        wired.store_drive_state(0, state)
+        wired_drives.store_drive_state(0, state)
         one = drive.rechecks[i % count]
-        sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)
+        sent = wired_drives.send(DriveTarget.ENABLE, [0.0], t_ns)
         assert one.request in sent
-        waiting = wired.drive_state(0)
+        waiting = wired_drives.drive_state(0)
         assert waiting.recheck == (i % count, t_ns + readback.RECHECK_PERIOD_NS, 1)
-        wired.begin_tick()
-        wired.receive([one.reply._replace(t_ns=t_ns)])
-        assert not wired.frames_for_drives
+        wired_drives.begin_tick()
+        wired_drives.receive([one.reply._replace(t_ns=t_ns)])
+        assert not wired_drives.frames_for_drives
         right = waiting.recheck._replace(step=(i + 1) % count, tries=0)
-        assert wired.drive_state(0).recheck == right
-        wired.store_drive_state(0, waiting)
+        assert wired_drives.drive_state(0).recheck == right
+        wired_drives.store_drive_state(0, waiting)
         bits = bytearray(one.reply.data)
         bits[one.compared_bytes[1] - 1] ^= 1
-        wrong = one.reply._replace(data=bytes(bits), t_ns=t_ns)
-        wired.receive([wrong])
-        assert wired.frames_for_drives == [wrong]
-        assert wired.drive_state(0).phase == DrivePhase.FAULT
-        assert "settings are lost" in wired.drive_state(0).error_text
+        wrong_reply = one.reply._replace(data=bytes(bits), t_ns=t_ns)
+        wired_drives.receive([wrong_reply])
+        assert wired_drives.frames_for_drives == [wrong_reply]
+        assert wired_drives.drive_state(0).phase == DrivePhase.FAULT
+        assert "settings are lost" in wired_drives.drive_state(0).error_text
 
 
 @pytest.mark.parametrize("name", RECHECKED_VARIANTS)
 def test_compiled_code_leaves_a_setting_without_answers_to_the_state_machine(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
-    wired = WiredDrives([drive], NO_SENSORS)
+    wired_drives = WiredDrives([drive], NO_SENSORS)
     for tries in range(readback.RECHECK_TRIES):
         state = state_enabled_at(state, drive.node_id, t_ns)
         recheck = readback.RecheckCursor(due_ns=t_ns, tries=tries)
-        wired.store_drive_state(0, state._replace(recheck=recheck))
-        sent = wired.send(DriveTarget.ENABLE, [0.0], t_ns)
+        wired_drives.store_drive_state(0, state._replace(recheck=recheck))
+        sent = wired_drives.send(DriveTarget.ENABLE, [0.0], t_ns)
         assert drive.rechecks[0].request in sent
         is_last = tries + 1 == readback.RECHECK_TRIES
-        assert (wired.drive_state(0).phase == DrivePhase.FAULT) == is_last
+        assert (wired_drives.drive_state(0).phase == DrivePhase.FAULT) == is_last
 
 
 @pytest.mark.parametrize("name", DRIVE_VARIANTS)
@@ -226,14 +226,14 @@ def test_invalid_torque_is_never_sent(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
     torque_beyond_limit = math.nextafter(drive.command_limit, math.inf)
     for torque in (math.nan, math.inf, -math.inf, torque_beyond_limit, -torque_beyond_limit):
-        wired = WiredDrives([drive], NO_SENSORS)
-        wired.store_drive_state(0, state)
+        wired_drives = WiredDrives([drive], NO_SENSORS)
+        wired_drives.store_drive_state(0, state)
         with pytest.raises(ValueError, match="expected at most"):
-            wired.send(DriveTarget.ENABLE, [torque], t_ns)
+            wired_drives.send(DriveTarget.ENABLE, [torque], t_ns)
     for torque in (drive.command_limit, -drive.command_limit, 5e-324, -0.0):
-        wired = WiredDrives([drive], NO_SENSORS)
-        wired.store_drive_state(0, state)
-        assert wired.send(DriveTarget.ENABLE, [torque], t_ns) == list(
+        wired_drives = WiredDrives([drive], NO_SENSORS)
+        wired_drives.store_drive_state(0, state)
+        assert wired_drives.send(DriveTarget.ENABLE, [torque], t_ns) == list(
             drive.advance(state, t_ns, DriveTarget.ENABLE, torque)[1]
         )
 
@@ -265,8 +265,8 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(variant_name: str) -> Non
     )
     requests = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
     planned = list(drive.frames_per_tick)
-    for one in command_layouts:
-        planned.remove(one)
+    for command_layout in command_layouts:
+        planned.remove(command_layout)
     assert len(planned) == requests
     assert {message.can_id for message in drive.cyclic_messages.feedback} <= drive.node_ids
     assert {message.can_id for message in drive.cyclic_messages.commands} - {

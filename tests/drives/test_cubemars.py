@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, FeedbackError
+from firmware_sim.nodes.cubemars import FULL_SCALE_BY_MOTOR_TYPE, CubemarsNode, FeedbackError
 from firmware_sim.programs.drive import SimulatedDriveBench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.contract import DriveFaultCause, DrivePhase, DriveTarget
@@ -29,9 +29,9 @@ TORQUE_STEP_N_M = 36.0 / 4095
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[ProtocolBench]:
-    made = ProtocolBench(hand_file(tmp_path, ["cubemars"]))
-    yield made
-    made.simulated_hand.close()
+    new_bench = ProtocolBench(hand_file(tmp_path, ["cubemars"]))
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def first_cubemars_node(bench: ProtocolBench) -> CubemarsNode:
@@ -56,7 +56,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread_frame_count for state in bench.states] == [0] * 4
-    assert world.malformed == 0
+    assert world.malformed_frame_count == 0
 
 
 def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(
@@ -73,7 +73,7 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
         state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
         state, frames = drive.advance(state, bench.k * 2_000_000 + tick, DriveTarget.DISABLE, 0.0)
         assert state.phase == DrivePhase.ENABLED
-        assert frames == drive.cut_frames()
+        assert frames == drive.torque_cut_frames()
 
 
 @pytest.mark.parametrize(
@@ -192,10 +192,10 @@ def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -
 def test_checks_that_need_a_reported_state_are_not_made() -> None:
     place = VirtualBench("cubemars")
     rig = drive_rig_on(place, "cubemars", 0.1)
-    found = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
-    assert [check for check in found if check.verdict is CheckVerdict.FAILED] == []
+    checks = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
+    assert [check for check in checks if check.verdict is CheckVerdict.FAILED] == []
     settings, dead_host, cut = (
-        check for check in found if check.verdict is CheckVerdict.NOT_CHECKED
+        check for check in checks if check.verdict is CheckVerdict.NOT_CHECKED
     )
     assert settings.name == "identifies itself, takes its settings and reads them back"
     assert dead_host.name == "disables itself when the host falls silent, and stays off"
@@ -216,9 +216,9 @@ def test_a_motor_that_does_not_disable_is_detected() -> None:
     assert rig.state.phase == DrivePhase.ENABLED
 
 
-@pytest.mark.parametrize("motor_model", FULL_SCALE)
+@pytest.mark.parametrize("motor_model", FULL_SCALE_BY_MOTOR_TYPE)
 def test_host_and_simulator_have_the_same_ranges(motor_model: str) -> None:
-    assert tuple(MOTOR_MODEL_RANGES[motor_model]) == FULL_SCALE[motor_model]
+    assert tuple(MOTOR_MODEL_RANGES[motor_model]) == FULL_SCALE_BY_MOTOR_TYPE[motor_model]
     assert DriveBench([drive_spec("mit", 1, motor_model)]).receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
 
 

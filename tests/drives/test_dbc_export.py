@@ -36,9 +36,9 @@ def exported_dbc(hand: Hand, bus_index: int = 0) -> Database:
     text = dbc_of_bus(
         bus_index, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints
     )
-    found = cantools.database.load_string(text, "dbc", strict=True)
-    assert isinstance(found, Database)
-    return found
+    database = cantools.database.load_string(text, "dbc", strict=True)
+    assert isinstance(database, Database)
+    return database
 
 
 @pytest.fixture(params=DRIVE_VARIANTS)
@@ -47,9 +47,9 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBe
     path = hand_file(tmp_path, [variant.protocol], variant.options)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith(variant.skipped_option)))
-    made = ProtocolBench(path)
-    yield made
-    made.simulated_hand.close()
+    new_bench = ProtocolBench(path)
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def values_read_by_controller(
@@ -75,34 +75,34 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     dbc, hand = exported_dbc(bench.hand), bench.hand
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    wired, seen = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
+    wired_drives, seen = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
     for i, state in enumerate(bench.states):
-        wired.store_drive_state(i, state)
+        wired_drives.store_drive_state(i, state)
     owners = {
-        one.can_id: (i, one)
+        message.can_id: (i, message)
         for i, drive in enumerate(bench.drives)
-        for one in drive.cyclic_messages.feedback
+        for message in drive.cyclic_messages.feedback
     }
     for k in range(EXCHANGED_TICKS):
         torque = 0.04 * math.sin(0.3 * k)
-        wired.begin_tick_with_sync(bench.k)
+        wired_drives.begin_tick_with_sync(bench.k)
         bench.tick(DriveTarget.ENABLE, torque)
         for frame in bench.received_frames:
-            wired.receive([frame])
+            wired_drives.receive([frame])
             # A reply to a register request has the same identifier as the feedback, but another
             # length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 for name, value in values_read_by_controller(
-                    wired, owners[frame.can_id][1], owners[frame.can_id][0]
+                    wired_drives, owners[frame.can_id][1], owners[frame.can_id][0]
                 ).items():
                     assert decoded_signals[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     seen[name] += 1
             if frame.can_id in bench.sensor_node.node_ids:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 decoded_signals.pop("counter")
-                names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
-                names |= {hand.joints[j]: value for j, value in wired.joints.items()}
+                names = {hand.tendon_names[n]: value for n, value in wired_drives.tensions.items()}
+                names |= {hand.joints[j]: value for j, value in wired_drives.joints.items()}
                 assert decoded_signals == pytest.approx(
                     {name: names[name] for name in decoded_signals}, abs=1e-9
                 )
@@ -161,9 +161,9 @@ def test_each_bus_has_its_own(tmp_path: Path) -> None:
     )
     main, second = (exported_dbc(hand, bus) for bus in (0, 1))
     assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {
-        one.name for one in main.messages
+        message.name for message in main.messages
     }
-    assert {one.name for one in second.messages} == {
+    assert {message.name for message in second.messages} == {
         "ring_motor_tpdo1", "ring_motor_rpdo1", "thumb_motor_feedback"
     }  # fmt: skip
 

@@ -32,10 +32,10 @@ def bench(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[ProtocolBench]:
     folder: Path = tmp_path_factory.mktemp("hand")
-    made = ProtocolBench(hand_file(folder, [request.param]))
-    made.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    yield made
-    made.simulated_hand.close()
+    new_bench = ProtocolBench(hand_file(folder, [request.param]))
+    new_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]:
@@ -46,10 +46,10 @@ def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
-    near = random_source.sample(ours, min(len(ours), 4))
-    changed = {one ^ 1 << bit for one in near for bit in range(29)}
+    near_identifiers = random_source.sample(ours, min(len(ours), 4))
+    changed = {one ^ 1 << bit for one in near_identifiers for bit in range(29)}
     return {
-        *near,
+        *near_identifiers,
         *changed,
         *(EXTENDED_FLAG | random_source.getrandbits(29) for _ in range(RANDOM_ID_COUNT)),
     }
@@ -81,28 +81,31 @@ def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
     bench: ProtocolBench, state_index: int
 ) -> None:
     drive, before = bench.drives[0], silent_ready_and_enabled_states(bench)[state_index]
-    receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
+    receive, own_node_ids, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
     for frame in frames_of_all_kinds(bench, state_index, t_ns):
-        after = receive(before, frame)
-        if frame.can_id not in ours:
-            assert after is before, frame
-        elif after is not before:
-            drive.advance(after, t_ns, DriveTarget.DISABLE, 0.0)
+        state_after = receive(before, frame)
+        if frame.can_id not in own_node_ids:
+            assert state_after is before, frame
+        elif state_after is not before:
+            drive.advance(state_after, t_ns, DriveTarget.DISABLE, 0.0)
 
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBench) -> None:
-    wired, ours = (
+    wired_drives, ours = (
         WiredDrives((), bench.sensor_node),
         bench.sensor_node.node_ids | bench.sensor_node.host_ids,
     )
-    wired.begin_tick_with_sync(0)
+    wired_drives.begin_tick_with_sync(0)
     frames = list(frames_of_all_kinds(bench, 9, bench.k * 2_000_000))
-    others, before = [frame for frame in frames if frame.can_id not in ours], wired.block.copy()
-    assert wired.receive(others).field_number("strange") == len(others)
-    wired.field_view("strange")[...] = 0
-    assert wired.block.tobytes() == before.tobytes()
-    assert [frame.can_id for frame in wired.receive(frames).foreign_frames] == [
+    other_frames, block_before = (
+        [frame for frame in frames if frame.can_id not in ours],
+        wired_drives.block.copy(),
+    )
+    assert wired_drives.receive(other_frames).field_number("strange") == len(other_frames)
+    wired_drives.field_view("strange")[...] = 0
+    assert wired_drives.block.tobytes() == block_before.tobytes()
+    assert [frame.can_id for frame in wired_drives.receive(frames).foreign_frames] == [
         bench.sensor_node.sync_id
     ] * len(PAYLOAD_LENGTHS)
 

@@ -76,9 +76,15 @@ def test_payloads_are_the_vendors(vendor_dbc: cantools.database.can.Database) ->
 @pytest.mark.parametrize("error_bit", sorted(codec.ERROR_TEXTS))
 def test_errors_are_the_vendors(vendor_dbc: cantools.database.can.Database, error_bit: int) -> None:
     data = struct.pack("<IBBBB", 1 << error_bit, codec.IDLE, 3, 0, 0)
-    known = vendor_dbc.decode_message(f"Axis{ODRIVE_NODE_ID}_Heartbeat", data, decode_choices=False)
+    vendor_message = vendor_dbc.decode_message(
+        f"Axis{ODRIVE_NODE_ID}_Heartbeat", data, decode_choices=False
+    )
     heartbeat = codec.decode_heartbeat(data)
-    assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == heartbeat
+    assert (
+        vendor_message["Axis_Error"],
+        vendor_message["Axis_State"],
+        vendor_message["Procedure_Result"],
+    ) == heartbeat
 
 
 def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
@@ -86,7 +92,7 @@ def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
 ) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", ODRIVE_NODE_ID)])
     bench.advance(150_000_000)
-    frames = bench.take_unsolicited()
+    frames = bench.take_unsolicited_frames()
     for message in vendor_dbc.messages:
         if message.name.startswith(f"Axis{ODRIVE_NODE_ID}_Get_"):
             frames += bench.receive(Frame(message.frame_id | REMOTE_FLAG, b""))
@@ -132,7 +138,7 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
 
 
 def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
-    foreign, ours = (
+    foreign, own_dictionary = (
         canopen.import_od(str(EDS_PATH), ODRIVE_NODE_ID),
         ObjectDictionary(ODRIVE_NODE_ID),
     )
@@ -143,8 +149,12 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
             if isinstance(entry, canopen.objectdictionary.ODVariable)
             else entry[step.sub_index]
         )
-        assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub_index))
-        assert variable.default == ours[step.number, step.sub_index] or step.number == 0x6076
+        assert (
+            len(variable) == 8 * step.size == 8 * own_dictionary.size((step.number, step.sub_index))
+        )
+        assert (
+            variable.default == own_dictionary[step.number, step.sub_index] or step.number == 0x6076
+        )
         assert variable.writable == (
             step.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
         )

@@ -86,7 +86,7 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(
 ):
     virtual_bench = VirtualBench(protocol)
     if guarded_setting == 10:
-        virtual_bench.bench.nodes[0].registers.show(10, 2.0)
+        virtual_bench.bench.nodes[0].registers.set_measured(10, 2.0)
     if guarded_setting == (0x6007, 0):
         virtual_bench.bench.nodes[0].objects[guarded_setting] = 0
     if guarded_setting == "servo.fixed_voltage_mode":

@@ -218,15 +218,15 @@ def firmware_library(tmp_path_factory: pytest.TempPathFactory) -> Any:
         str(path),
     ]
     subprocess.run([*words, *map(str, sorted(FIRMWARE_FOLDER.glob("*.c")))], check=True)
-    loaded = ctypes.CDLL(str(path))
-    loaded.node_init.restype = loaded.ads131m04_setup.restype = ctypes.c_bool
-    loaded.node_receive.argtypes = [
+    library = ctypes.CDLL(str(path))
+    library.node_init.restype = library.ads131m04_setup.restype = ctypes.c_bool
+    library.node_receive.argtypes = [
         ctypes.c_void_p,
         ctypes.c_uint16,
         ctypes.c_char_p,
         ctypes.c_uint8,
     ]
-    return loaded
+    return library
 
 
 def test_the_firmware_has_at_most_300_lines() -> None:
@@ -346,12 +346,12 @@ def test_a_chip_that_keeps_other_settings_is_never_ready(
     firmware_library: Any, unwritable_register: int
 ) -> None:
     bench = FirmwareBench(firmware_library, 4)
-    broken = Ads131m04Chip(
+    broken_chip = Ads131m04Chip(
         writable_registers=frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
         - {unwritable_register}
     )
-    broken.registers[unwritable_register] = 0x0001
-    bench.chips[0] = broken
+    broken_chip.registers[unwritable_register] = 0x0001
+    bench.chips[0] = broken_chip
     assert not firmware_library.ads131m04_setup(ctypes.byref(bench.adc), 0)
     assert bench.tension_codes() == [RAIL_CODE] * 4
 
@@ -361,11 +361,16 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
 ) -> None:
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([20.0] * 4)
-    good = tension_code(20.0)
+    good_tension_code = tension_code(20.0)
     bench.chips[0].new_channels = 0b1101
-    assert [bench.tension_codes()[1] for _ in range(4)] == [good, good, RAIL_CODE, RAIL_CODE]
+    assert [bench.tension_codes()[1] for _ in range(4)] == [
+        good_tension_code,
+        good_tension_code,
+        RAIL_CODE,
+        RAIL_CODE,
+    ]
     bench.chips[0].new_channels = 0xF
-    assert bench.tension_codes() == [good] * 4
+    assert bench.tension_codes() == [good_tension_code] * 4
 
 
 @pytest.mark.parametrize(

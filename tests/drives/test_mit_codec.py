@@ -133,10 +133,10 @@ def test_direction_turns_every_sign(torque: float, direction: int) -> None:
     drive = mit_drive_of(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND_TABLE.pack(direction * torque)
     state = DriveState(phase=DrivePhase.READY, private=MitProgress(configured=True))
-    seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
-    assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
-    assert seen.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
-    assert seen.torque == pytest.approx(direction * 0.8 * (2 * 0xC00 / 4095 - 1))
+    frames = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
+    assert frames.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
+    assert frames.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
+    assert frames.torque == pytest.approx(direction * 0.8 * (2 * 0xC00 / 4095 - 1))
 
 
 @given(st.integers(0, 15), st.integers(0, 0xFFFF), st.integers(0, 0xFFF), st.integers(0, 0xFFF))
@@ -152,10 +152,10 @@ def test_feedback_of_the_simulated_firmware_reads_back(
         firmware.from_code(torque, TORQUE_MAX_N_M, 12),
     )
     data = firmware.encode_feedback(state_nibble, 3, motion, ranges, (30.0, 40.0))
-    seen = codec.decode_feedback(data, FEEDBACK_TABLE)
-    assert seen[0] == state_nibble
+    decoded_feedback = codec.decode_feedback(data, FEEDBACK_TABLE)
+    assert decoded_feedback[0] == state_nibble
     steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
-    for value, true, step in zip(seen[1:4], motion, steps, strict=True):
+    for value, true, step in zip(decoded_feedback[1:4], motion, steps, strict=True):
         assert abs(value - true) <= step * 1.001
 
 
@@ -214,26 +214,26 @@ def test_any_frame_is_survived_in_any_state(
     state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
 ) -> None:
     drive = mit_drive_of()
-    after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
+    state_after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
     if can_id != 0x11 or bus != 0:
-        assert after is state
-    _, frames = drive.advance(after, 10, target, 0.0)
+        assert state_after is state
+    _, frames = drive.advance(state_after, 10, target, 0.0)
     acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
-    assert not acting or (target == DriveTarget.ENABLE and after.phase == DrivePhase.ENABLED)
+    assert not acting or (target == DriveTarget.ENABLE and state_after.phase == DrivePhase.ENABLED)
 
 
 def test_frames_of_every_identifier_and_length_are_survived() -> None:
     drive, state = mit_drive_of(), mit_drive_of().initial_state()
     for can_id in range(2048):
         for length in range(65):
-            after = drive.receive(state, Frame(can_id, b"\x01" * length))
-            assert (after is state) == (can_id != 0x11), (can_id, length)
+            state_after = drive.receive(state, Frame(can_id, b"\x01" * length))
+            assert (state_after is state) == (can_id != 0x11), (can_id, length)
 
 
 def test_options_set_reply_identifier_and_can_fd() -> None:
     drive = mit_drive_of(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
-    assert drive.cut_frames()[0].flags & FDF
+    assert drive.torque_cut_frames()[0].flags & FDF
     assert drive.frames_per_tick == ((8, True), (8, True))
     assert mit_drive_of().frames_per_tick == ((8, False), (8, False))
     assert mit_drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}

@@ -127,10 +127,10 @@ def test_an_enabled_motor_that_is_only_to_be_polled_is_disabled(rig: MotorRig) -
 
 def test_late_register_replies_are_not_feedback(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    late = Frame(0x11, bytes([1, 0, 0x33, 23, 0, 0, 0x80, 0x3F]), 0, 0, rig.t_ns)
-    after = rig.drive.receive(rig.state, late)
-    assert after.phase == DrivePhase.ENABLED
-    assert after.feedback_count == rig.state.feedback_count
+    late_frame = Frame(0x11, bytes([1, 0, 0x33, 23, 0, 0, 0x80, 0x3F]), 0, 0, rig.t_ns)
+    state_after = rig.drive.receive(rig.state, late_frame)
+    assert state_after.phase == DrivePhase.ENABLED
+    assert state_after.feedback_count == rig.state.feedback_count
 
 
 def test_a_reply_that_comes_twice_does_not_answer_the_next_request(rig: MotorRig) -> None:
@@ -143,8 +143,11 @@ def test_a_reply_that_comes_twice_does_not_answer_the_next_request(rig: MotorRig
 
 
 def test_short_replies_and_those_of_another_motor_are_counted_and_not_read(rig: MotorRig) -> None:
-    short, other = Frame(0x11, b"\x01" + bytes(5), t_ns=5), Frame(0x11, b"\x12" + bytes(7), t_ns=5)
-    for frame in (short, other):
+    short_frame, other_frame = (
+        Frame(0x11, b"\x01" + bytes(5), t_ns=5),
+        Frame(0x11, b"\x12" + bytes(7), t_ns=5),
+    )
+    for frame in (short_frame, other_frame):
         rig.state = rig.drive.receive(rig.state, frame)
     assert rig.state.misread_frame_count == 2
     assert (rig.state.phase, rig.state.feedback_count) == (DrivePhase.SILENT, 0)
@@ -209,9 +212,9 @@ def test_a_motor_whose_number_looks_like_a_state_is_read_near_the_end_of_its_ran
     state = DriveState(
         phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
     )
-    seen = drive.receive(state, Frame(0x21, bytes([0x11, 0x00, 0x33, 0x80, 0x08, 0, 30, 30])))
-    assert seen.feedback_count == 1
-    assert seen.position == pytest.approx(-12.5 + 25 * 0x33 / 65535)
+    frames = drive.receive(state, Frame(0x21, bytes([0x11, 0x00, 0x33, 0x80, 0x08, 0, 30, 30])))
+    assert frames.feedback_count == 1
+    assert frames.position == pytest.approx(-12.5 + 25 * 0x33 / 65535)
 
 
 def test_frames_of_another_bus_are_ignored(rig: MotorRig) -> None:

@@ -67,11 +67,11 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         path.write_text(re.sub(r"\ndirection = 1", "\ndirection = -1", path.read_text()))
         bench = ProtocolBench(path)
         bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-        before = [state.position for state in bench.states]
+        positions_before = [state.position for state in bench.states]
         for _ in range(100):
             bench.tick(DriveTarget.ENABLE, 0.05)
         motors = bench.simulated_hand.world.plant.motors
-        for drive, state, start in zip(bench.drives, bench.states, before, strict=True):
+        for drive, state, start in zip(bench.drives, bench.states, positions_before, strict=True):
             assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), (
                 "in the hand's sign, at the spool"
             )
@@ -141,9 +141,9 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     path.write_text(
         text.replace("bitrate = 1000000", "bitrate = 1000000\ndata_bitrate = 5_000_000")
     )
-    busy = bus_loads(load_hand(str(path)))[0].tick_s
+    busy_tick_s = bus_loads(load_hand(str(path)))[0].tick_s
     sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
-    assert busy - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
+    assert busy_tick_s - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
 
 
 @pytest.mark.parametrize(
@@ -215,9 +215,11 @@ def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
     In each case of this test, another motor or the SYNC frame already has this identifier.
     """
     sensors = make_sensors(load_hand("jamia"))
-    first = make_drive(motor_on_bench("cubemars", cubemars_node, 0.8, {"motor_type": "ak80-9"}), 0)
-    second = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 0)
+    first_drive = make_drive(
+        motor_on_bench("cubemars", cubemars_node, 0.8, {"motor_type": "ak80-9"}), 0
+    )
+    second_drive = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 0)
     with pytest.raises(ConfigError, match=r"^second: identifier .* has two meanings"):
-        check_identifiers([("sensor", sensors), ("first", first), ("second", second)])
+        check_identifiers([("sensor", sensors), ("first", first_drive), ("second", second_drive)])
     elsewhere = make_drive(motor_on_bench("mit", mit_node, 0.8, {"reply_id": reply_id}), 1)
-    check_identifiers([("first", first), ("second", elsewhere)])
+    check_identifiers([("first", first_drive), ("second", elsewhere)])

@@ -142,9 +142,10 @@ def test_a_restart_is_found_by_two_reads() -> None:
     After a restart of the drive, one of any two consecutive settings has another value than before.
     """
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
-    for one, two in zip(items, items[1:] + items[:1], strict=True):
+    for item, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
-            setting.is_required_value(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two)
+            setting.is_required_value(FACTORY_CONFIGURATION[setting.name])
+            for setting in (item, two)
         )
 
 
@@ -188,12 +189,12 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
             target_value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
-        good = sent_frames(block, layout, tables, torque)[1]
+        good_sent_frame = sent_frames(block, layout, tables, torque)[1]
         layout.table(block, "servo")[target_row, 1] = target_value
         frames = sent_frames(block, layout, tables, torque)
         drive = run.controller.drives[1]
         assert isinstance(drive, MoteusDrive)
-        assert good[17:19] == b"\x0f\x23"
+        assert good_sent_frame[17:19] == b"\x0f\x23"
         assert frames[1] == drive.command.pack(torque[1])
         assert layout.table(block, "servo")[s.SERVO_KP, 1] == 0.0
         assert moteus_command(frames[0])[3] > 0.0
@@ -214,7 +215,7 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
 def test_every_signal_has_its_range() -> None:
     message = drive_with_loop().cyclic_messages.position
     assert message is not None
-    ends = {signal.quantity: signal.ends for signal in message.signals}
+    ends = {signal.quantity: signal.value_limits for signal in message.signals}
     assert ends[SignalQuantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
     assert ends[SignalQuantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
     assert ends[SignalQuantity.VELOCITY] == pytest.approx((-30.0, 30.0))

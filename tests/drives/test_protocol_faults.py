@@ -28,16 +28,16 @@ from tests.drives.protocol_bench import (
 
 @pytest.fixture
 def odrive_bench(tmp_path: Path) -> Iterator[ProtocolBench]:
-    made = ProtocolBench(hand_file(tmp_path, ["odrive"]))
-    yield made
-    made.simulated_hand.close()
+    bench = ProtocolBench(hand_file(tmp_path, ["odrive"]))
+    yield bench
+    bench.simulated_hand.close()
 
 
 @pytest.fixture
 def cia402_bench(tmp_path: Path) -> Iterator[ProtocolBench]:
-    made = ProtocolBench(hand_file(tmp_path, ["cia402"]))
-    yield made
-    made.simulated_hand.close()
+    bench = ProtocolBench(hand_file(tmp_path, ["cia402"]))
+    yield bench
+    bench.simulated_hand.close()
 
 
 def first_odrive_node(bench: ProtocolBench) -> OdriveNode:
@@ -72,7 +72,7 @@ def lose_first_frames(
 
     If ``payload_start`` is given, drop only frames whose data begin with ``payload_start``.
     """
-    taken, lost = node.receive, list[WireFrame]()
+    original_receive, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
         is_lost_frame = (
@@ -82,7 +82,7 @@ def lose_first_frames(
         if is_lost_frame and len(lost) < frame_count:
             lost.append(frame)
             return []
-        return taken(frame, t_ns)
+        return original_receive(frame, t_ns)
 
     node.receive = receive  # type: ignore[method-assign]  # this one node alone is to lose them
     return lost
@@ -123,12 +123,12 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
     An ODrive that has stayed in position control would jump at the first torque command.
     """
     node = first_odrive_node(odrive_bench)
-    lost = lose_first_frames(node, command_number)
-    before = node.velocity_limit
+    lost_frames = lose_first_frames(node, command_number)
+    velocity_limit_before = node.velocity_limit
     odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    assert lost
+    assert lost_frames
     assert node.mode == (1, 1)
-    assert node.velocity_limit != before
+    assert node.velocity_limit != velocity_limit_before
 
 
 @pytest.mark.parametrize("lost_frames", [1, 2, 3])
@@ -220,9 +220,9 @@ def test_a_watchdog_that_cannot_be_verified_is_reported(tmp_path: Path) -> None:
     assert isinstance(bench.drives[0], OdriveDrive)
     assert bench.drives[0].unverified_protections == ()
     path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
-    bare = ProtocolBench(path).drives[0]
-    assert isinstance(bare, OdriveDrive)
-    assert "watchdog not verified" in bare.unverified_protections[0]
+    bare_drive = ProtocolBench(path).drives[0]
+    assert isinstance(bare_drive, OdriveDrive)
+    assert "watchdog not verified" in bare_drive.unverified_protections[0]
 
 
 def test_another_protocol_version_is_refused(odrive_bench: ProtocolBench) -> None:

@@ -24,9 +24,9 @@ def protocol(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def bench(protocol: str, tmp_path: Path) -> Iterator[ProtocolBench]:
-    made = ProtocolBench(hand_file(tmp_path, [protocol]))
-    yield made
-    made.simulated_hand.close()
+    new_bench = ProtocolBench(hand_file(tmp_path, [protocol]))
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: ProtocolBench) -> None:
@@ -44,7 +44,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread_frame_count for state in bench.states] == [0] * 4
-    assert bench.simulated_hand.world.malformed == 0
+    assert bench.simulated_hand.world.malformed_frame_count == 0
 
 
 @pytest.mark.parametrize("period_ms", [1, 25])
@@ -52,12 +52,12 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
     """A setting that was verified in the last tick counts as verified, even if a tick takes long."""
-    slow = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
-    slow.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    slow_bench = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
+    slow_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
-        slow.tick(DriveTarget.POLL)
-    slow.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED, max_ticks=200)
-    slow.simulated_hand.close()
+        slow_bench.tick(DriveTarget.POLL)
+    slow_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED, max_ticks=200)
+    slow_bench.simulated_hand.close()
 
 
 def test_dead_host_loses_torque_until_an_operator_clears(bench: ProtocolBench) -> None:
@@ -85,7 +85,7 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBe
     assert 0.0 not in servo_torques(bench)
     bench.tick(
         DriveTarget.LISTEN,
-        extra_frames=[frame for drive in bench.drives for frame in drive.cut_frames()],
+        extra_frames=[frame for drive in bench.drives for frame in drive.torque_cut_frames()],
     )
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
@@ -100,7 +100,7 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Prot
     its motor when it leaves this state.
     """
     for drive in bench.drives:
-        orders = [frame.can_id for frame in drive.cut_frames()]
+        orders = [frame.can_id for frame in drive.torque_cut_frames()]
         assert 0 not in orders[:1], "an NMT order comes after the control word"
 
 
@@ -127,7 +127,7 @@ def test_an_enabled_drive_is_cut_as_soon_as_a_repeated_read_back_fails(
         assert state.phase == DrivePhase.FAULT
         assert "not answered while enabled" in state.error_text
         _, frames = drive.advance(state, t_ns + bench.period_ns, target, 0.0)
-        assert set(drive.cut_frames()) <= set(frames)
+        assert set(drive.torque_cut_frames()) <= set(frames)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
@@ -142,19 +142,22 @@ def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -
 def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: DrivePhase) -> None:
     if phase == DrivePhase.ENABLED:
         bench.run_until_phase(DriveTarget.ENABLE, phase)
-    chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
+    chance, drive, known_state = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
         for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
             frame = Frame(
                 can_id, chance.randbytes(length), FDF if length > 8 else 0, 0, bench.k * 2_000_000
             )
-            after = drive.receive(known, frame)
+            state_after = drive.receive(known_state, frame)
             if can_id not in drive.node_ids:
-                assert after is known
-            drive.advance(after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
+                assert state_after is known_state
+            drive.advance(state_after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
             for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED_FLAG)):
-                assert drive.receive(known, other) is known
-            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE_FLAG)) is known
+                assert drive.receive(known_state, other) is known_state
+            assert (
+                drive.receive(known_state, frame._replace(can_id=can_id | REMOTE_FLAG))
+                is known_state
+            )
 
 
 def test_simulated_nodes_survive_any_bytes(bench: ProtocolBench) -> None:

@@ -25,9 +25,9 @@ MILLISECOND_NS = 1_000_000
 
 @pytest.fixture
 def bench(tmp_path: Path) -> Iterator[ProtocolBench]:
-    made = ProtocolBench(hand_file(tmp_path, ["robstride_mit"]))
-    yield made
-    made.simulated_hand.close()
+    new_bench = ProtocolBench(hand_file(tmp_path, ["robstride_mit"]))
+    yield new_bench
+    new_bench.simulated_hand.close()
 
 
 def first_robstride_node(bench: ProtocolBench) -> RobstrideMitNode:
@@ -59,7 +59,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
     bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, max_ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread_frame_count for state in bench.states] == [0] * 4
-    assert world.malformed == 0
+    assert world.malformed_frame_count == 0
 
 
 @pytest.mark.parametrize(
@@ -99,11 +99,11 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
         (DriveTarget.DISABLE, DrivePhase.READY),
     ):
         for _ in range(100):
-            before = [state.phase for state in bench.states]
+            phases_before = [state.phase for state in bench.states]
             bench.tick(target)
             read_requests = [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
             seen += read_requests
-            assert not read_requests or DrivePhase.ENABLED not in before
+            assert not read_requests or DrivePhase.ENABLED not in phases_before
         assert {state.phase for state in bench.states} == {phase}
     for _ in range(20):
         bench.tick(DriveTarget.POLL)

@@ -111,9 +111,9 @@ def test_no_age_of_a_frame_makes_it_fresh(joint_decimation: int) -> None:
 
 def state_after_sync(node: SensorNode, tick_index: int) -> WiredDrives:
     """Return the state that the host keeps about the sensor node, after the SYNC frame of tick k."""
-    wired = WiredDrives((), node)
-    wired.begin_tick_with_sync(tick_index)
-    return wired
+    wired_drives = WiredDrives((), node)
+    wired_drives.begin_tick_with_sync(tick_index)
+    return wired_drives
 
 
 @given(
@@ -132,23 +132,25 @@ def test_every_value_reads_as_the_dbc_says(
         TENDON_NAMES,
         JOINT_NAMES,
     )
-    wired, sync = state_after_sync(node, tick_index), node.sync(tick_index)
+    wired_drives, sync = state_after_sync(node, tick_index), node.sync(tick_index)
     assert SENSOR_NODE_DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
     frames = encode_frames(0x1A0, "tension", nibble, tension_codes) + encode_frames(
         0x1B0, "joint", nibble, joint_codes
     )
-    wired.receive(frames)
+    wired_drives.receive(frames)
     decoded_signals: dict[str, Any] = {}
     for frame in frames:
         decoded_signals.update(
             SENSOR_NODE_DBC.decode_message(frame.can_id, frame.data, allow_truncated=True)
         )  # type: ignore[arg-type]
-    assert wired.tensions == {i: decoded_signals[f"tension_{i}"] for i in range(len(tension_codes))}
-    assert wired.joints == pytest.approx(
+    assert wired_drives.tensions == {
+        i: decoded_signals[f"tension_{i}"] for i in range(len(tension_codes))
+    }
+    assert wired_drives.joints == pytest.approx(
         {i: decoded_signals[f"joint_{i}"] for i in range(len(joint_codes))}, abs=1e-12
     )
-    assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
+    assert (wired_drives.field_number("stale"), wired_drives.has_malformed_frame) == (0, False)
 
 
 def test_sensor_frames_are_decoded_to_known_values() -> None:
@@ -163,26 +165,26 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     sync = node.sync(tick_with_counter_nibble(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
         [Frame(0x1A0, bytes.fromhex("070600f1ff"))]
     )
-    assert wired.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
+    assert wired_drives.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 7)).receive(
         [Frame(0x1B0, bytes.fromhex("0780"))]
     )
-    assert wired.joints == {4: 0.0}
+    assert wired_drives.joints == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(tick_index: int, counter: int) -> None:
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
-    wired = state_after_sync(node, tick_index).receive(
+    wired_drives = state_after_sync(node, tick_index).receive(
         encode_frames(0x1A0, "tension", counter, [100] * CHANNEL_COUNT)
     )
     fresh = counter == node.sync(tick_index).data[0] % 16
-    assert len(wired.tensions) == (CHANNEL_COUNT if fresh else 0)
-    assert wired.field_number("stale") == (0 if fresh else 3)
-    assert wired.field_number("tension_frames") == (3 if fresh else 0)
+    assert len(wired_drives.tensions) == (CHANNEL_COUNT if fresh else 0)
+    assert wired_drives.field_number("stale") == (0 if fresh else 3)
+    assert wired_drives.field_number("tension_frames") == (3 if fresh else 0)
 
 
 @pytest.mark.parametrize(("first_id", "message_prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
@@ -203,33 +205,33 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
         ([fresh, stale_frame], 2),
         ([fresh, stale_frame, stale_frame], 2),
     ):
-        wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
-        assert (wired.field_number("stale_now"), wired.field_number("stale")) == (
+        wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
+        assert (wired_drives.field_number("stale_now"), wired_drives.field_number("stale")) == (
             stale_now,
             frames.count(stale_frame),
         )
-        assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
-    wired.begin_tick_with_sync(tick_with_counter_nibble(node, 4))
-    assert (wired.field_number("stale_now"), wired.field_number("stale")) == (0, 2)
+        assert len(wired_drives.tensions or wired_drives.joints) == (5 if fresh in frames else 0)
+    wired_drives.begin_tick_with_sync(tick_with_counter_nibble(node, 4))
+    assert (wired_drives.field_number("stale_now"), wired_drives.field_number("stale")) == (0, 2)
 
 
 def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(
         encode_frames(0x1A0, "tension", 3, [160] * CHANNEL_COUNT, t_ns=5)
     )
-    wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNEL_COUNT, t_ns=6))
-    assert set(wired.tensions.values()) == {4.0}
-    assert set(wired.field_view("group_ns")[:3].tolist()) == {5}
-    assert wired.field_view("group_frames")[:3].tolist() == [1, 1, 1]
+    wired_drives.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNEL_COUNT, t_ns=6))
+    assert set(wired_drives.tensions.values()) == {4.0}
+    assert set(wired_drives.field_view("group_ns")[:3].tolist()) == {5}
+    assert wired_drives.field_view("group_frames")[:3].tolist() == [1, 1, 1]
 
 
 def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 1))
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 1))
     first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNEL_COUNT))
-    assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
-    wired.begin_tick()
-    assert wired.tensions == {}
-    assert list(wired.receive([first]).tensions) == [0, 1, 2, 3, 4]
+    assert list(wired_drives.receive([second]).tensions) == [5, 6, 7, 8, 9]
+    wired_drives.begin_tick()
+    assert wired_drives.tensions == {}
+    assert list(wired_drives.receive([first]).tensions) == [0, 1, 2, 3, 4]
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
@@ -239,13 +241,13 @@ def test_times_are_in_the_order_of_the_hand() -> None:
         TENDON_NAMES[:7],
         JOINT_NAMES,
     )
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 0))
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 0))
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
-    assert wired.field_view("group_ns").tolist() == [-1] * 5
+    assert wired_drives.field_view("group_ns").tolist() == [-1] * 5
     first, second = encode_frames(0x1A0, "tension", 0, [0] * 6)
-    wired.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
-    assert [int(wired.field_view("group_ns")[group]) for group in groups[:6]] == [
+    wired_drives.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
+    assert [int(wired_drives.field_view("group_ns")[group]) for group in groups[:6]] == [
         10,
         10,
         10,
@@ -279,26 +281,31 @@ def without_unknown_counters(wired_drives: WiredDrives) -> bytes:
 )
 def test_any_sensor_frame_is_survived(can_id: int, frame_flags: int, data: bytes, bus: int) -> None:
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
-    wired = state_after_sync(node, 5)
-    before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
-    wired.receive([Frame(can_id | frame_flags, data, bus=bus)])
+    wired_drives = state_after_sync(node, 5)
+    state_before, here = (
+        without_unknown_counters(wired_drives),
+        bus == 0 and can_id in node.node_ids,
+    )
+    wired_drives.receive([Frame(can_id | frame_flags, data, bus=bus)])
     if frame_flags or not here:
-        assert without_unknown_counters(wired) == before
-    assert len(wired.foreign_frames) == (bus == 0 and not frame_flags and can_id in node.host_ids)
-    assert wired.field_number("strange") == (
-        not wired.foreign_frames and not (here and frame_flags in (0, ERROR_FLAG))
+        assert without_unknown_counters(wired_drives) == state_before
+    assert len(wired_drives.foreign_frames) == (
+        bus == 0 and not frame_flags and can_id in node.host_ids
+    )
+    assert wired_drives.field_number("strange") == (
+        not wired_drives.foreign_frames and not (here and frame_flags in (0, ERROR_FLAG))
     )
     fits = here and frame_flags == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired.has_malformed_frame == (here and frame_flags != ERROR_FLAG and not fits)
+    assert wired_drives.has_malformed_frame == (here and frame_flags != ERROR_FLAG and not fits)
 
 
 @pytest.mark.parametrize("frame_length", [0, 1, 7, 9, 64])
 def test_a_frame_of_a_wrong_length_is_counted_and_not_read(
     node: SensorNode, frame_length: int
 ) -> None:
-    wired = state_after_sync(node, 0).receive([Frame(0x1A0, bytes(frame_length))])
-    assert wired.has_malformed_frame
-    assert wired.tensions == {}
+    wired_drives = state_after_sync(node, 0).receive([Frame(0x1A0, bytes(frame_length))])
+    assert wired_drives.has_malformed_frame
+    assert wired_drives.tensions == {}
 
 
 def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
@@ -322,47 +329,53 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
         Frame(0x1B0, pack(3, [joint_code(angle) for angle in angles])),
     ]
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
-    assert list(wired.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
-    assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 3)).receive(frames)
+    assert list(wired_drives.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
+    assert list(wired_drives.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
 
 def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
-    wired = WiredDrives((), node)
+    wired_drives = WiredDrives((), node)
     for k in (5, 6):
-        sync = wired.begin_tick_with_sync(tick_with_counter_nibble(node, k))
-        wired.receive(encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNEL_COUNT, t_ns=k))
-    assert wired.field_number("sync_asked") == 6
-    assert wired.field_number("syncs") == 2
-    assert wired.field_view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
-    assert wired.field_view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
-    assert wired.field_view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
-    other = SensorNode.from_description(SensorNodeSection(), 1, TENDON_NAMES, JOINT_NAMES)
-    assert other.sync(0x1FF) == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
+        sync = wired_drives.begin_tick_with_sync(tick_with_counter_nibble(node, k))
+        wired_drives.receive(
+            encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNEL_COUNT, t_ns=k)
+        )
+    assert wired_drives.field_number("sync_asked") == 6
+    assert wired_drives.field_number("syncs") == 2
+    assert wired_drives.field_view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
+    assert wired_drives.field_view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
+    assert wired_drives.field_view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
+    other_node = SensorNode.from_description(SensorNodeSection(), 1, TENDON_NAMES, JOINT_NAMES)
+    assert other_node.sync(0x1FF) == Frame(0x080, other_node.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
 
 def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) -> None:
-    wired = state_after_sync(node, tick_with_counter_nibble(node, 1)).receive(
+    wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 1)).receive(
         [Frame(0x1A0, bytes(3))]
     )
     (good, *_) = encode_frames(0x1A0, "tension", 2, [1.0] * CHANNEL_COUNT)
-    wired.receive([good])
-    assert (wired.has_malformed_frame, wired.field_number("stale")) == (True, 1)
+    wired_drives.receive([good])
+    assert (wired_drives.has_malformed_frame, wired_drives.field_number("stale")) == (True, 1)
     (fresh, *_) = encode_frames(0x1A0, "tension", 1, [1.0] * CHANNEL_COUNT)
-    wired.receive([fresh])
-    assert (wired.has_malformed_frame, wired.field_number("stale")) == (True, 1), (
+    wired_drives.receive([fresh])
+    assert (wired_drives.has_malformed_frame, wired_drives.field_number("stale")) == (True, 1), (
         "neither is forgotten with the next good frame"
     )
 
 
 def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
     low, top = TENSION_ZERO_N, TENSION_MAX_N
-    wired = state_after_sync(node, 0)
-    assert not wired.observe_readings().field_view("saturated").any()
+    wired_drives = state_after_sync(node, 0)
+    assert not wired_drives.observe_readings().field_view("saturated").any()
     for i, cell in {0: low, 1: low + 0.1, 3: top - 0.1, 4: top, 7: math.nan}.items():
-        wired.field_view("cell")[i], wired.field_view("cell_fresh")[i] = cell, 1
-    assert np.flatnonzero(wired.observe_readings().field_view("saturated")).tolist() == [0, 4, 7]
+        wired_drives.field_view("cell")[i], wired_drives.field_view("cell_fresh")[i] = cell, 1
+    assert np.flatnonzero(wired_drives.observe_readings().field_view("saturated")).tolist() == [
+        0,
+        4,
+        7,
+    ]
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
@@ -371,7 +384,8 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
     The host does not wait for joint encoders.
     """
     wired, bare = (
-        WiredDrives((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
+        WiredDrives((), sensor_interface)
+        for sensor_interface in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
     )
     for hand in (wired, bare):
         hand.field_view("position")[...] = 0.0
@@ -391,18 +405,20 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
 
 
 def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: SensorNode) -> None:
-    wired = WiredDrives((), node)
-    counter = wired.begin_tick_with_sync(1).data[0] & 0xF
+    wired_drives = WiredDrives((), node)
+    counter = wired_drives.begin_tick_with_sync(1).data[0] & 0xF
     assert [node.group_of_joint(j) for j in range(CHANNEL_COUNT)] == [3] * 5 + [4] * 5 + [5]
     first, second, _ = encode_frames(0x1B0, "joint", counter, range(CHANNEL_COUNT), t_ns=30)
-    assert wired.receive([second._replace(t_ns=20)]).field_view("group_ns")[3:].tolist() == [
+    assert wired_drives.receive([second._replace(t_ns=20)]).field_view("group_ns")[3:].tolist() == [
         -1,
         20,
         -1,
     ]
-    wired.receive(encode_frames(0x1A0, "tension", counter, range(CHANNEL_COUNT), t_ns=40))
-    assert wired.field_view("group_ns")[3:].tolist() == [-1, 20, -1], "load cells are no joints"
-    assert wired.receive([first]).field_view("group_ns")[3:].tolist() == [30, 20, -1]
+    wired_drives.receive(encode_frames(0x1A0, "tension", counter, range(CHANNEL_COUNT), t_ns=40))
+    assert wired_drives.field_view("group_ns")[3:].tolist() == [-1, 20, -1], (
+        "load cells are no joints"
+    )
+    assert wired_drives.receive([first]).field_view("group_ns")[3:].tolist() == [30, 20, -1]
 
 
 def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:

@@ -138,12 +138,12 @@ def test_other_protocols_have_no_sync(tmp_path: Path) -> None:
 def test_the_bus_load_has_the_sync_without_sensors() -> None:
     (load,) = bus_loads(hand_without_sensors())
     (sync,) = [row for row in load.rows if row.size == 0]
-    assert (sync.per_tick, sync.frame_s) == (1.0, frame_time_s(0, False, 1e6))
+    assert (sync.frames_per_tick, sync.frame_s) == (1.0, frame_time_s(0, False, 1e6))
 
 
 def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
     for rate in range(200, 1000, 80):
         hand = hand_with_protocol("jamia11", "cia402")
-        changed = with_more_buses(hand, rate)
-        loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
+        hand_with_buses = with_more_buses(hand, rate)
+        loads = bus_loads(hand_from_content(tomllib.loads(hand_with_buses.to_toml()), "split"))
         assert max(load.load_at(rate) for load in loads) <= MAX_BUS_LOAD, rate

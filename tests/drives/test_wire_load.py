@@ -40,14 +40,14 @@ def measured_tick_s(
     simulated_wires = bench.simulated_hand.wired.wires
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    before = [one.busy_ns for one in simulated_wires]
+    busy_ns_before = [wire.busy_ns for wire in simulated_wires]
     for _ in range(MEASURED_TICKS):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * len(bench.states)
     bench.simulated_hand.close()
     return [
-        (one.busy_ns - start) * 1e-9 / MEASURED_TICKS
-        for one, start in zip(simulated_wires, before, strict=True)
+        (wire.busy_ns - start) * 1e-9 / MEASURED_TICKS
+        for wire, start in zip(simulated_wires, busy_ns_before, strict=True)
     ]
 
 
@@ -135,9 +135,9 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)
     silent = longest = 0
     for _ in range(100):
-        before = bench.states[0].feedback_count
+        feedback_count_before = bench.states[0].feedback_count
         bench.tick(DriveTarget.POLL)
-        silent = silent + 1 if bench.states[0].feedback_count == before else 0
+        silent = silent + 1 if bench.states[0].feedback_count == feedback_count_before else 0
         longest = max(longest, silent)
     assert delay_ticks // 2 - 1 <= longest < delay_ticks
     bench.simulated_hand.close()

@@ -72,7 +72,7 @@ class VirtualBench:
 
     def drain(self):
         """Return the frames that the drive has sent ``delay_ticks`` ticks ago."""
-        self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited())
+        self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited_frames())
         self.frames_on_bus = []
         return [
             Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns)

@@ -84,12 +84,13 @@ class WiredDrives:
 
     def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
         """Receive frames in the same way as a tick does, and return this object."""
-        frames, known, at = frames_as_records(frames), self.tables, 0
+        frames, known_tables, at = frames_as_records(frames), self.tables, 0
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries,
-                known.signal_integers, known.signal_reals, known.recheck_ranges, known.rechecks, at,
+                self.block, self.layout.places, *self._constants, frames.rows, known_tables.keys, known_tables.entries,
+                known_tables.signal_integers, known_tables.signal_reals, known_tables.recheck_ranges,
+                known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
@@ -155,14 +156,14 @@ class WiredDrives:
     @property
     def tensions(self) -> dict[int, float]:
         """Return the load-cell readings that arrived in this tick [N], by tendon."""
-        fresh, cells = self.field_view("cell_fresh"), self.field_view("cell")
-        return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
+        fresh_field_values, cells = self.field_view("cell_fresh"), self.field_view("cell")
+        return {i: float(cells[i]) for i in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
         """Return the joint-encoder readings that arrived in this tick [rad], by joint."""
-        fresh, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
-        return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
+        fresh_field_values, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
+        return {j: float(angles[j]) for j in np.flatnonzero(fresh_field_values).tolist()}
 
     @property
     def has_malformed_frame(self) -> bool:
@@ -194,5 +195,5 @@ class WiredDrives:
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
-        layout.table(block, "run")[[h.CELL_LOW, h.CELL_HIGH], 0] = self.sensors.cell_range
+        layout.table(block, "run")[[h.CELL_MIN, h.CELL_MAX], 0] = self.sensors.cell_range
         return block, layout.places

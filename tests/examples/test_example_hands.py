@@ -52,7 +52,7 @@ def test_the_example_hand_is_valid_with_its_gains(
     assert (len(hand.digit), len(hand.joints), len(hand.tendon)) == (7, 24, 20)
     assert hand.is_pair.all()
     gains = load_gains_file(Path("shadow_like.gains.toml")).gains
-    assert {one.name for one in gains.tendon} <= set(hand.tendon_names)
+    assert {tendon_gains.name for tendon_gains in gains.tendon} <= set(hand.tendon_names)
 
 
 @pytest.mark.nightly

@@ -58,8 +58,8 @@ def work_folder(tmp_path, monkeypatch):
 
     The sockets are in another folder, because the path of a Unix socket must be short.
     """
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
         monkeypatch.chdir(tmp_path)
         yield tmp_path
 
@@ -220,10 +220,10 @@ def test_each_joint_of_a_plotted_grasp_has_its_own_line(grasp_log, monkeypatch):
     looks = [
         {
             (line.get_color(), line.get_linestyle())
-            for line in one.lines
+            for line in axis.lines
             if line.get_label()[0] != "_"
         }
-        for one in axes
+        for axis in axes
     ]
     assert [len(look) for look in looks] == [11, 4, 4]
 

@@ -27,7 +27,7 @@ from handctl.campaign.fault_matrix import (
     texts_of_fault,
 )
 from handctl.campaign.run_stages import (
-    FREE_STAGE_DELAY_S,
+    DELAY_OF_FREE_STAGE_S,
     MIN_CONTROL_RATE_HZ,
     advance_to_stage,
     hand_with_protocol,
@@ -68,7 +68,12 @@ def test_only_existing_load_cells_fail():
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
-        texts = [text for one in found for text in (one.fault, one.second_fault) if "cell=" in text]
+        texts = [
+            text
+            for result in found
+            for text in (result.fault, result.second_fault)
+            if "cell=" in text
+        ]
         assert bool(texts) == bool(cells)
         assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
 
@@ -196,14 +201,16 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     row_without_reaction = MatrixRow(
         "B01", "drop node=index_motor p=0", SafetyAction.WARN, 3, accepted_faults=("B01",)
     )
-    slow = MatrixRow(
+    slow_row = MatrixRow(
         "T04", "drift cell=index_tendon size=1", SafetyAction.RELAX, 3, accepted_faults=("T04",)
     )
     results = []
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.run_tick()
-        todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow)]
+        todo = [
+            FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow_row)
+        ]
         run_in_branches(
             simulation,
             todo,
@@ -239,7 +246,7 @@ def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
         advance_to_stage(simulation, FREE_STAGE)
         free = [out for _, out in simulation.recorded_ticks if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(
-            FREE_STAGE_DELAY_S * 1e9, abs=2 * simulation.period_ns
+            DELAY_OF_FREE_STAGE_S * 1e9, abs=2 * simulation.period_ns
         )
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
@@ -248,8 +255,12 @@ def test_a_free_motion_is_disturbed_while_it_moves(fault_name, rate_hz):
 def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
     hand = hand_with_protocol("jamia", "mit")
     thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
-    other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
-    texts = {one.fault for one in scenarios_of_hand(other, "mit", 2.0) if one.row.id == "T03"}
+    other_hand = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
+    texts = {
+        scenario.fault
+        for scenario in scenarios_of_hand(other_hand, "mit", 2.0)
+        if scenario.row.id == "T03"
+    }
     assert {"offset cell=thumb_tendon size=90", "offset cell=thumb_tendon size=95.5"} <= texts
     assert {"offset cell=index_tendon size=140", "offset cell=index_tendon size=160"} <= texts
 
@@ -284,9 +295,9 @@ def results_of_hand(
         for stage, rows in faults_by_stage.items():
             advance_to_stage(simulation, stage)
             todo = [
-                one
-                for one in scenarios_of_hand(hand, protocol, 1e3 / rate)
-                if one.stage == stage and one.row.fault.startswith(rows)
+                scenario
+                for scenario in scenarios_of_hand(hand, protocol, 1e3 / rate)
+                if scenario.stage == stage and scenario.row.fault.startswith(rows)
             ]
             run_in_branches(
                 simulation,
@@ -403,7 +414,7 @@ def test_only_missing_sensors_extend_a_time_limit():
     ):
         hand = hand_with_protocol(name, "mit")
         one = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
-        assert any(scenario.sensing_ticks for scenario in one) == some
+        assert any(scenario.missing_sensor_ticks for scenario in one) == some
 
 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
@@ -425,12 +436,12 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
     """At 500 Hz and below, the limit is ``max_ticks``. Other rows keep their ticks at every rate."""
     for row in FAULT_MATRIX:
-        fixed = row._replace(max_extra_ms=0.0, extra_ms={}, extra_ticks={})
-        slow = [fixed.bound_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
+        fixed_row = row._replace(max_extra_ms=0.0, extra_ms={}, extra_ticks={})
+        slow = [fixed_row.bound_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
         assert slow == 3 * [row.max_ticks]
-        fast = 2 * row.max_ticks if row.keeps_time else row.max_ticks
-        assert fixed.bound_ticks("mit", 1.0) == fast
-    assert {row.id for row in FAULT_MATRIX if row.keeps_time} == {"B04", "N14"}
+        fast_ticks = 2 * row.max_ticks if row.scales_with_period else row.max_ticks
+        assert fixed_row.bound_ticks("mit", 1.0) == fast_ticks
+    assert {row.id for row in FAULT_MATRIX if row.scales_with_period} == {"B04", "N14"}
 
 
 @pytest.mark.parametrize("seed", [0, 2])
@@ -530,9 +541,9 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
 def test_instances_are_the_first_and_the_last():
     hand = hand_with_protocol("jamia", "mit")
     texts = [
-        one.fault
-        for one in scenarios_of_hand(hand, "mit", 2.0)
-        if one.row.id == "B17" and one.stage == GRASP_STAGE
+        scenario.fault
+        for scenario in scenarios_of_hand(hand, "mit", 2.0)
+        if scenario.row.id == "B17" and scenario.stage == GRASP_STAGE
     ]
     assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
     assert len(fault_pairs(hand, "mit", 2.0)) == 66
@@ -553,9 +564,9 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
         campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=True, seed=seed)
         for seed in range(campaign.QUICK_SCENARIO_STEP)
     ]
-    whole = campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=False)
-    assert sorted(one.name for sample in samples for one in sample) == sorted(
-        one.name for one in whole
+    all_scenarios = campaign.campaign_scenarios(hand, "mit", 200.0, is_quick=False)
+    assert sorted(sample_result.name for sample in samples for sample_result in sample) == sorted(
+        full_result.name for full_result in all_scenarios
     )
 
 

@@ -63,23 +63,23 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
     hand = hand_with_protocol("jamia11", protocol)
     path = tmp_path / "jamia11.toml"
     path.write_text(hand.to_toml())
-    simulated = load_hand(str(path))
-    drawn = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
-    assert drawn == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
-    assert {one.stage for one in drawn} == set(RUN_STAGES)
-    assert len({one.steps for one in drawn}) == len(drawn)
-    for step in [step for one in drawn for step in one.steps]:
+    simulated_hand = load_hand(str(path))
+    drawn_sequences = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert drawn_sequences == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert {one.stage for one in drawn_sequences} == set(RUN_STAGES)
+    assert len({one.steps for one in drawn_sequences}) == len(drawn_sequences)
+    for step in [step for one in drawn_sequences for step in one.steps]:
         assert 0 <= step.tick < SEQUENCE_TICKS
         if not step.fault.startswith(HOST_PREFIX):
-            parse_fault(step.fault, simulated)
+            parse_fault(step.fault, simulated_hand)
 
 
 def test_sequence_violates_no_rule():
     results = run_sequences(
         hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NO_CALLBACKS
     )
-    assert [(one.scenario, one.problem) for one in results if not one.ok] == []
-    assert sum(one.effects for one in results) >= 5
+    assert [(result.scenario, result.problem) for result in results if not result.ok] == []
+    assert sum(result.effects for result in results) >= 5
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
@@ -106,21 +106,21 @@ def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monke
 
 
 def test_violated_rule_of_a_tick_is_found(copy_of_arming_simulation):
-    before = copy_of_arming_simulation.state.copy()
-    before.mode = HandMode.RELAX
-    before.decide(latched=(LatchedFault("T03", "index_tendon"),))
-    after = before.copy()
+    state_before = copy_of_arming_simulation.state.copy()
+    state_before.mode = HandMode.RELAX
+    state_before.decide(latched=(LatchedFault("T03", "index_tendon"),))
+    after = state_before.copy()
     after.view("setpoint")[...] += 1.0
-    assert violations_in_tick(before, after, is_cleared=False) == [
+    assert violations_in_tick(state_before, after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
-    gone = before.copy()
+    gone = state_before.copy()
     gone.decide(latched=())
-    assert violations_in_tick(before, gone, is_cleared=False) == ["no longer latched: T03"]
-    assert violations_in_tick(before, gone, is_cleared=True) == []
-    back = before.copy()
+    assert violations_in_tick(state_before, gone, is_cleared=False) == ["no longer latched: T03"]
+    assert violations_in_tick(state_before, gone, is_cleared=True) == []
+    back = state_before.copy()
     back.mode = HandMode.ACTIVE
-    assert violations_in_tick(before, back, is_cleared=False) == [
+    assert violations_in_tick(state_before, back, is_cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
 
@@ -145,9 +145,9 @@ def test_a_tick_with_another_result_is_found(copy_of_arming_simulation):
     for _ in range(5):
         copy_of_arming_simulation.run_tick()
     assert violations_on_replay(copy_of_arming_simulation, start, first) == []
-    other = start.copy()
-    other.goal_time += 1e-9
-    assert violations_on_replay(copy_of_arming_simulation, other, first) == [
+    other_start = start.copy()
+    other_start.goal_time += 1e-9
+    assert violations_on_replay(copy_of_arming_simulation, other_start, first) == [
         f"tick {copy_of_arming_simulation.recorded_ticks[first][0].k} does not repeat with the same inputs"
     ]
 
@@ -161,8 +161,13 @@ def test_a_tick_with_another_result_is_found(copy_of_arming_simulation):
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
     """With each hand and each drive protocol, 334 random sequences of faults violate no rule."""
-    described = hand_with_protocol(hand, protocol)
+    hand_description = hand_with_protocol(hand, protocol)
     results = run_sequences(
-        described, protocol, default_control_rate(described), range(334), jobs=2, **NO_CALLBACKS
+        hand_description,
+        protocol,
+        default_control_rate(hand_description),
+        range(334),
+        jobs=2,
+        **NO_CALLBACKS,
     )
-    assert [(one.scenario, one.problem) for one in results if not one.ok] == []
+    assert [(result.scenario, result.problem) for result in results if not result.ok] == []

@@ -33,8 +33,8 @@ HANDS_AND_PROTOCOLS = [
     (hand, protocol) for hand in ("jamia", "jamia11") for protocol in VERIFIABLE_PROTOCOLS
 ]
 SAMPLED_CASES = [
-    (*one, seed)
-    for i, one in enumerate(HANDS_AND_PROTOCOLS)
+    (*hand_and_protocol, seed)
+    for i, hand_and_protocol in enumerate(HANDS_AND_PROTOCOLS)
     for seed in SIMULATOR_SEEDS
     if NIGHTLY or seed == i % 5
 ]
@@ -137,12 +137,12 @@ def check_relaxing(
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decision_state = recent[-2]
-    before = np.nanmax(
+    force_before = np.nanmax(
         [*(one.force for one in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]], axis=0
     )
     last = simulation.state.view("asked").copy()
     peak = decision_state.tension
-    force = before
+    force = force_before
     for _ in range(2000):
         mode = simulation.state.mode
         if mode == HandMode.DONE:
@@ -158,10 +158,10 @@ def check_relaxing(
         force = np.maximum(force, now.force)
     # A faulty drive may make more force than commanded. Even then, the force must not exceed the
     # force before the decision to relax.
-    assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
-        f"{fault_command}: {force} after {before}"
+    assert (force <= np.maximum(force_before, 0.0) + COMMAND_ROUNDING_N).all(), (
+        f"{fault_command}: {force} after {force_before}"
     )
-    bound = tension_bound(simulation, decision_state, before)
+    bound = tension_bound(simulation, decision_state, force_before)
     assert (peak <= bound).all(), (
         f"{fault_command}: {peak} N, at most {bound} N are explained, from {decision_state}"
     )
@@ -197,7 +197,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
         assert found & {"T04b", "T03", "T01"}
         if "T04b" in found:
             table, model = simulation.state.tendon, simulation.controller.model
-            explained = np.maximum(table[s.TENSION], model.relaxed) + model.space.coulomb
+            explained = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
             assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
         if fault_command.startswith("cross"):
             peak = 0.0

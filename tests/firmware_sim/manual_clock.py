@@ -24,8 +24,8 @@ class ManualClock:
     def ticks_sent(self) -> int:
         return self.sent
 
-    def note_answered(self, ticks: int) -> None:
+    def publish_answered_ticks(self, ticks: int) -> None:
         self.answered = ticks
 
-    def note_reached(self, t_ns: int) -> None:
+    def publish_reached_time(self, t_ns: int) -> None:
         self.reached_ns = t_ns

@@ -126,7 +126,7 @@ def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
     assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
 
 
-@pytest.mark.parametrize("motor_type", sorted(cubemars.FULL_SCALE))
+@pytest.mark.parametrize("motor_type", sorted(cubemars.FULL_SCALE_BY_MOTOR_TYPE))
 def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(motor_type: str) -> None:
     shaft = cubemars.shaft_of_motor(motor_type)
     _, speed = bench_and_speed_at("mit", 0.1 * shaft.peak, motor_type)
@@ -265,7 +265,9 @@ def test_an_odrive_calibrates() -> None:
 
     def beat() -> tuple[int, int]:
         bench.advance(bench.t_ns + 200 * NS_PER_MS)
-        beats = [frame for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 0x01]
+        beats = [
+            frame for frame in bench.take_unsolicited_frames() if frame.can_id == 3 << 5 | 0x01
+        ]
         return beats[-1].data[4], beats[-1].data[5]
 
     send_to_odrive(bench, CLOSED_LOOP_MESSAGE)
@@ -362,7 +364,7 @@ def test_no_frame_ends_a_drive(protocol: str, drive_fault: str) -> None:
                     Frame(number & (0x1FFFFFFF if flags & EXTENDED_FLAG else 0x7FF) | flags, data)
                 )
         bench.advance(bench.t_ns + 2 * NS_PER_MS)
-        bench.take_unsolicited()
+        bench.take_unsolicited_frames()
 
 
 def bench_in_mode(control_mode: int) -> SimulatedDriveBench:
@@ -475,7 +477,7 @@ def test_frames_for_no_node_are_counted() -> None:
     assert bench.receive(Frame(0x123, b"")) == []
     assert bench.foreign == 1
     bench.advance(5 * NS_PER_MS)
-    assert [frame.can_id for frame in bench.take_unsolicited()] == [0x720]
+    assert [frame.can_id for frame in bench.take_unsolicited_frames()] == [0x720]
 
 
 @pytest.mark.parametrize(

@@ -137,11 +137,11 @@ def test_each_factor_changes_only_its_parameters(
     sensor_fields: set[str],
 ) -> None:
     hand = load_hand("jamia11")
-    other = perturbed_hand(hand, {factor_name: 1.2})
-    assert changed_fields(hand.digits[0], other.digits[0]) == digit_fields
-    assert changed_fields(hand.tendons[0], other.tendons[0]) == tendon_fields
-    assert changed_fields(hand.motors[0], other.motors[0]) == motor_fields
-    assert changed_fields(hand.sensors, other.sensors) == sensor_fields
+    other_perturbed_hand = perturbed_hand(hand, {factor_name: 1.2})
+    assert changed_fields(hand.digits[0], other_perturbed_hand.digits[0]) == digit_fields
+    assert changed_fields(hand.tendons[0], other_perturbed_hand.tendons[0]) == tendon_fields
+    assert changed_fields(hand.motors[0], other_perturbed_hand.motors[0]) == motor_fields
+    assert changed_fields(hand.sensors, other_perturbed_hand.sensors) == sensor_fields
 
 
 def test_every_perturbation_key_is_tested() -> None:

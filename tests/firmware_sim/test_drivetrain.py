@@ -58,13 +58,16 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     Python.
     """
     block, single = closing_hand(hand), closing_hand(hand)
-    bindings, plain = closing_hand(hand, with_mj_step=False), closing_hand(hand, with_kernel=False)
+    bindings, plain_closing_hand = (
+        closing_hand(hand, with_mj_step=False),
+        closing_hand(hand, with_kernel=False),
+    )
     block.advance(401)
     for _ in range(401):
-        for plant in (single, bindings, plain):
+        for plant in (single, bindings, plain_closing_hand):
             plant.step()
     assert max(block.tensions()) > 5.0, "tendons were under tension"
-    for plant in (single, bindings, plain):
+    for plant in (single, bindings, plain_closing_hand):
         assert plant.steps == block.steps == 401
         assert exact_state_texts(plant) == exact_state_texts(block)
 
@@ -173,7 +176,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
         )  # a speed of this sign unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
-            world.reach(k * period_ns)
+            world.advance_exactly(k * period_ns)
             assert world.t_ns == k * period_ns
             angles.append(motor.theta)
         steps = [after - before for before, after in pairwise(angles)]

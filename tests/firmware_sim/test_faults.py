@@ -114,9 +114,9 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
     assert state["state"] == "over"
     assert state["felt"] > 0, "the disturbance had an effect"
     assert 14_000_000 <= state["first_ns"] <= 54_000_000
-    before = state["felt"]
+    felt_before = state["felt"]
     answers_of_ticks(run, 10)
-    assert run.fault_states()[0]["felt"] == before
+    assert run.fault_states()[0]["felt"] == felt_before
 
 
 @pytest.mark.parametrize("fault_text", LAST_INSTANCES)
@@ -204,7 +204,7 @@ def test_blocks_of_steps_end_at_every_event():
             frames += [
                 *world.receive(REFRESH_FRAME),
                 *world.receive(Frame(SYNC_ID, bytes((k,)))),
-                *world.take_unsolicited(),
+                *world.take_unsolicited_frames(),
             ]
         state = [
             {key: value for key, value in fault.items() if key != "state"}

@@ -144,7 +144,8 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     reader, idle_client = connect_client(), connect_client()
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
-    while hub.dropped < 70_000:  # more dropped records than the counter in a record can count
+    # There are more dropped records than the counter in a record can count.
+    while hub.dropped_record_count < 70_000:
         hub.send(
             b"".join(
                 frame_record(5, number.to_bytes(4, "little"))
@@ -162,9 +163,9 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     assert rows == [(number, 0) for number in range(len(rows))], (
         "the first records are kept, complete and in order"
     )
-    assert len(rows) + hub.dropped == total
+    assert len(rows) + hub.dropped_record_count == total
     hub.send(frame_record(5, total.to_bytes(4, "little")))
-    assert record_numbers(read_all(idle_client)) == [(total, hub.dropped % 65536)]
+    assert record_numbers(read_all(idle_client)) == [(total, hub.dropped_record_count % 65536)]
 
 
 def test_an_incomplete_record_is_completed_before_the_next(
@@ -174,11 +175,11 @@ def test_an_incomplete_record_is_completed_before_the_next(
     batch = b"".join(frame_record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.write_sockets():
         hub.send(batch)
-        assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
+        assert hub.dropped_record_count < 1_000_000, "the kernel accepted no part of a record"
         batch += frame_record(0, b"")  # with this size, Linux splits the data at another byte
-    dropped = hub.dropped
+    dropped = hub.dropped_record_count
     hub.send(frame_record(1, b"while one is half sent"))
-    assert hub.dropped == dropped + 1
+    assert hub.dropped_record_count == dropped + 1
     first_part = read_all(idle_client)
     assert len(first_part) % RECORD_BYTES
     hub.serve([])
@@ -186,21 +187,23 @@ def test_an_incomplete_record_is_completed_before_the_next(
     hub.send(frame_record(0x7FF, b"next"))
     data = first_part + read_all(idle_client)
     assert len(data) % RECORD_BYTES == 0
-    assert data[-RECORD_BYTES:] == frame_record(0x7FF, b"next", dropped_frames=hub.dropped % 65536)
+    assert data[-RECORD_BYTES:] == frame_record(
+        0x7FF, b"next", dropped_frames=hub.dropped_record_count % 65536
+    )
 
 
 def test_drops_of_a_disconnected_client_still_count(
     hub: BusHub, connect_client: Callable[[], socket.socket]
 ) -> None:
     stays, leaves = connect_client(), connect_client()
-    while not hub.dropped:
+    while not hub.dropped_record_count:
         hub.send(frame_record(1, b"") * 100)
         read_all(stays)
-    before = hub.dropped
+    dropped_before = hub.dropped_record_count
     leaves.close()
     serve_until_idle(hub)
     assert hub.clients == 1
-    assert hub.dropped == before
+    assert hub.dropped_record_count == dropped_before
     hub.send(frame_record(2, b"still here"))
     assert read_all(stays) == frame_record(2, b"still here")
 

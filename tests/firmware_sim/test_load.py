@@ -82,12 +82,12 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
         load_scene(write_scene(tmp_path, load_start=100.0, support_text=TABLE_TEXT)),
         homed=True,
     )
-    assert plant.measured_grip() == [0.0] * 5
+    assert plant.measured_grip_forces() == [0.0] * 5
     for motor in plant.motors.values():
         motor.servo.limit, motor.servo.torque = 0.8, 0.17
     for _ in range(4000):
         plant.step()
-    normals = plant.measured_grip()[1:]
+    normals = plant.measured_grip_forces()[1:]
     net = np.reshape(plant.contact_forces(), (4, 3))
     assert min(normals) > 1.0
     for normal, force in zip(normals, net, strict=True):

@@ -170,7 +170,7 @@ def test_invalid_writes_are_ignored(bench: MotorBench) -> None:
 def test_unknown_registers_and_short_frames_are_not_answered(bench: MotorBench) -> None:
     assert bench.node.receive(Frame(0x7FF, struct.pack("<HBB4x", MOTOR_ID, 0x33, 200)), 0) == []
     assert bench.node.receive(Frame(MOTOR_ID, b"\x01\x02"), 0) == []
-    assert bench.node.malformed == 2
+    assert bench.node.malformed_frame_count == 2
 
 
 def test_registers_are_lost_at_power_off_unless_saved(bench: MotorBench) -> None:
@@ -216,7 +216,7 @@ def test_over_temperature_trips_the_motor(bench: MotorBench) -> None:
         bench.t_ns = bench.node.wake_ns
         bench.motor.heat += MOTOR_SPEC.torque_peak**2 * elapsed_ns * 1e-9
         bench.node.wake(bench.t_ns)
-    assert bench.state() == FeedbackState.WINDING_HOT
+    assert bench.state() == FeedbackState.WINDING_OVERHEATED
     assert bench.t_ns > 20_000 * NS_PER_MS
     assert bench.reply_to(FULL_TORQUE)[7] >= 100
 

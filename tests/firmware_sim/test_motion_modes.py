@@ -50,10 +50,10 @@ def test_a_trapezoid_arrives_within_speed_and_ramps_and_never_overshoots(seed: i
     side = math.copysign(1.0, target - setpoint.position)
     step_s = 1e-3
     for _ in range(1_000_000):
-        before = setpoint.velocity
+        velocity_before = setpoint.velocity
         arrived = setpoint.trapezoid(target, speed, rise, fall, step_s)
         assert abs(setpoint.velocity) <= speed * (1 + 1e-9)
-        slope = abs(setpoint.velocity - before) / step_s
+        slope = abs(setpoint.velocity - velocity_before) / step_s
         assert slope <= max(rise, fall) * (1 + 1e-9) or arrived
         assert side * (target - setpoint.position) >= -1e-9
         if arrived:
@@ -138,15 +138,15 @@ def test_the_largest_speed_of_a_damiao_motor_acts() -> None:
 
 def test_a_deceleration_is_negative() -> None:
     bench = damiao_bench(2)
-    before = read_register(bench, 5)
+    register_before = read_register(bench, 5)
     for value in (3.0, 0.0, math.nan, -math.inf):
         write_register(bench, 5, struct.pack("<f", value))
-        assert read_register(bench, 5) == before
+        assert read_register(bench, 5) == register_before
     for register in (4, 6):
-        before = read_register(bench, register)
+        register_before = read_register(bench, register)
         for value in (-3.0, 0.0, math.nan, math.inf):
             write_register(bench, register, struct.pack("<f", value))
-            assert read_register(bench, register) == before
+            assert read_register(bench, register) == register_before
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_a_deceleration_is_negative() -> None:
 def test_force_position_codes_end_at_10000(speed_code: int, current_code: int) -> None:
     bench = damiao_bench(4)
     assert bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, speed_code, current_code))) == []
-    assert bench.malformed == 1
+    assert bench.malformed_frame_count == 1
     bench.advance(100 * NS_PER_MS)
     assert bench.motors[0].theta == 0.0
 
@@ -235,9 +235,11 @@ def write_endpoint(bench: SimulatedDriveBench, endpoint: int, value: float) -> N
 
 def next_heartbeat(bench: SimulatedDriveBench) -> tuple[int, int, int]:
     """Return the errors, the axis state and the trajectory flag in the next heartbeat of the ODrive."""
-    bench.take_unsolicited()
+    bench.take_unsolicited_frames()
     bench.advance(bench.t_ns + 200 * NS_PER_MS)
-    data = [frame.data for frame in bench.take_unsolicited() if frame.can_id == 3 << 5 | 1][-1]
+    data = [frame.data for frame in bench.take_unsolicited_frames() if frame.can_id == 3 << 5 | 1][
+        -1
+    ]
     return int.from_bytes(data[:4], "little"), data[4], data[6]
 
 
@@ -335,7 +337,7 @@ def test_a_setpoint_that_is_not_finite_disarms(
 
 def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
-    before = bench.nodes[0].motion.settings  # type: ignore[attr-defined]
+    settings_before = bench.nodes[0].motion.settings  # type: ignore[attr-defined]
     send_messages(
         bench,
         (0x11, struct.pack("<f", 0.0)),
@@ -344,7 +346,7 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
         (0x1A, struct.pack("<f", -1.0)),
         (0x1B, struct.pack("<ff", math.inf, 0.0)),
     )
-    assert bench.nodes[0].motion.settings == before  # type: ignore[attr-defined]
+    assert bench.nodes[0].motion.settings == settings_before  # type: ignore[attr-defined]
 
 
 # Tests of the modes of a CiA 402 drive.
@@ -363,8 +365,8 @@ def cia402_bench(
     spec = drive_spec("cia402", 33)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, **drive_options})])
     write_object(bench, 0x6060, 0, operation_mode, 1)
-    for one in object_values:
-        write_object(bench, *one)
+    for object_value in object_values:
+        write_object(bench, *object_value)
     for word in (0x06, 0x07, 0x0F):
         write_object(bench, 0x6040, 0, word, 2)
     return bench
@@ -456,13 +458,13 @@ def test_a_following_error_is_a_fault() -> None:
     bench = cia402_bench(8, (0x6065, 0, 1000, 4), (0x6066, 0, 50, 2))
     motor = bench.motors[0]
     write_object(bench, 0x607A, 0, 5000, 4)
-    bench.take_unsolicited()
+    bench.take_unsolicited_frames()
     for _ in range(100):
         motor.theta = motor.omega = 0.0
         bench.advance(bench.t_ns + NS_PER_MS)
     assert read_object(bench, 0x6041) & 0x4F == 0x08
     emergency_messages = [
-        frame.data for frame in bench.take_unsolicited() if frame.can_id == 0x80 + 33
+        frame.data for frame in bench.take_unsolicited_frames() if frame.can_id == 0x80 + 33
     ]
     assert [int.from_bytes(data[:2], "little") for data in emergency_messages] == [0x8611]
     assert motor.command == 0.0

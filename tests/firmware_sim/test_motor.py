@@ -96,10 +96,10 @@ def test_gains_of_the_whole_range_are_stable(kp: float, kd: float) -> None:
     servo = motor.servo
     servo.kp, servo.kd, servo.position, servo.limit = kp, kd, 0.5, 1.25
     spin_motor(motor, 2.0)
-    before = motor.theta
+    theta_before = motor.theta
     spin_motor(motor, 0.05)
     assert abs(motor.omega) < 2.0
-    assert abs(motor.theta - before) < 0.02
+    assert abs(motor.theta - theta_before) < 0.02
 
 
 @pytest.mark.parametrize("target_speed", [4.0, -15.0])
@@ -157,15 +157,15 @@ def test_a_released_servo_makes_no_torque() -> None:
 
 
 def test_the_torque_gain_changes_the_true_torque_only() -> None:
-    motor_with_gain, plain = (
+    motor_with_gain, plain_motor = (
         Motor(replace(FRICTIONLESS_SPEC, torque_gain=1.2), STEP_S),
         Motor(FRICTIONLESS_SPEC, STEP_S),
     )
-    for motor in (motor_with_gain, plain):
+    for motor in (motor_with_gain, plain_motor):
         motor.servo.torque, motor.servo.limit = 0.05, 1.0
         spin_motor(motor, 0.1)
-    assert motor_with_gain.torque == plain.torque
-    assert motor_with_gain.omega == pytest.approx(1.2 * plain.omega)
+    assert motor_with_gain.torque == plain_motor.torque
+    assert motor_with_gain.omega == pytest.approx(1.2 * plain_motor.omega)
 
 
 def test_heat_is_torque_squared_over_time() -> None:

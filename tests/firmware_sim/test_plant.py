@@ -91,11 +91,11 @@ def test_friction_makes_the_far_joints_lag() -> None:
 
 def test_a_slack_tendon_makes_no_force() -> None:
     plant = free_hand(homed=False)
-    before = [motor.theta for motor in plant.motors.values()]
-    assert all(-0.6 <= theta <= -0.2 for theta in before), (
+    thetas_before = [motor.theta for motor in plant.motors.values()]
+    assert all(-0.6 <= theta <= -0.2 for theta in thetas_before), (
         "a slack of 1 to 3 mm on a spool of 5 mm radius"
     )
-    assert len(set(before)) == 4
+    assert len(set(thetas_before)) == 4
     for motor in plant.motors.values():
         motor.omega = 2.0
     for _ in range(100):
@@ -182,11 +182,11 @@ def test_eleven_motors_move_joints_one_by_one() -> None:
     hand = load_hand("jamia11")
     plant = free_hand({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
-    first = hand.tendons[0]
-    assert list(first.arms) == ["index_j1"]
+    first_tendon = hand.tendons[0]
+    assert list(first_tendon.arms) == ["index_j1"]
     for name in motors:
         plant.motors[name].servo.torque = 0.0
-    plant.motors[first.motor].servo.torque = 0.005 * 32.0
+    plant.motors[first_tendon.motor].servo.torque = 0.005 * 32.0
     for _ in range(2000):
         plant.step()
     q = plant.engine.q
@@ -262,12 +262,12 @@ def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> 
     content = json.loads(json.dumps(hand_content("orca_like")))
     missing_tendon_suffixes = ("pip",) if len(joint_coupling[0]) == 2 else ("pip", "abd")
     missing = {f"{finger}_{name}" for finger in COUPLED_FINGERS for name in missing_tendon_suffixes}
-    content["tendon"] = [one for one in content["tendon"] if one["name"] not in missing]
-    content["motor"] = [one for one in content["motor"] if one["name"] not in missing]
+    content["tendon"] = [tendon for tendon in content["tendon"] if tendon["name"] not in missing]
+    content["motor"] = [motor for motor in content["motor"] if motor["name"] not in missing]
     for finger in COUPLED_FINGERS:
         digit = next(one for one in content["digit"] if one["name"] == finger)
         digit["coupling"] = joint_coupling
-        flexor = next(one for one in content["tendon"] if one["name"] == f"{finger}_mcp")
+        flexor = next(tendon for tendon in content["tendon"] if tendon["name"] == f"{finger}_mcp")
         flexor["moment_arm_m"] = {f"{finger}_j2": 0.0075, f"{finger}_j3": 0.0075}
         if len(joint_coupling[0]) == 1:
             flexor["moment_arm_m"][f"{finger}_j1"] = 0.002

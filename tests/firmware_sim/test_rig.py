@@ -76,12 +76,14 @@ def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
     rigs = [LockstepHand("jamia", seed=3), LockstepHand("jamia", seed=3)]
     for rig in rigs:
         rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])
-    first = [step_with_torque(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
-    assert first[0] == first[1]
-    second = [
+    first_steps = [
+        step_with_torque(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)
+    ]
+    assert first_steps[0] == first_steps[1]
+    second_steps = [
         step_with_torque(rig, 2, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)
     ]
-    assert second[0] != second[1]
+    assert second_steps[0] != second_steps[1]
 
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:

@@ -52,10 +52,10 @@ def test_no_scene_is_a_free_hand() -> None:
 @pytest.mark.parametrize("scene_name", packaged_scenes())
 def test_objects_rest_on_their_table_until_grasped(scene_name: str) -> None:
     plant = Plant(load_hand("jamia"), load_scene(scene_name))
-    before = plant.engine.object_pose()
+    object_pose_before = plant.engine.object_pose()
     for _ in range(1000):
         plant.step()
-    assert np.abs(np.subtract(plant.engine.object_pose(), before)).max() < 2e-4
+    assert np.abs(np.subtract(plant.engine.object_pose(), object_pose_before)).max() < 2e-4
     assert plant.contact_forces() == [0.0] * 12
     assert plant.table is None or plant.table.depth == 0.0
 

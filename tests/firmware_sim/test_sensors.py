@@ -81,7 +81,7 @@ def test_the_node_answers_sync_alone() -> None:
     sensors = make_node()
     assert sensors.receive(Frame(SYNC_ID + 1, b"\0"), 0) is None
     assert sensors.receive(Frame(SYNC_ID, b""), 0) == []
-    assert sensors.malformed == 1
+    assert sensors.malformed_frame_count == 1
 
 
 def test_frames_and_counters_after_sync() -> None:

@@ -15,7 +15,7 @@ from firmware_sim.bus.frame import FDF, Frame, pack_record
 from firmware_sim.bus.local_ports import HubPort, JoinedPort
 from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
 from firmware_sim.hand_description import SimulatorError, load_hand
-from firmware_sim.realtime_priority import ORDINARY_PRIORITY_S, RealTimePriority
+from firmware_sim.realtime_priority import ORDINARY_PRIORITY_DURATION_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld
@@ -40,7 +40,7 @@ class FakePort:
     due_ns = 1 << 62
 
     def __init__(self) -> None:
-        self.lost = 0
+        self.lost_frame_count = 0
         self.coming: list[Frame] = []
         self.sent: list[Frame] = []
 
@@ -201,24 +201,26 @@ class GrantedPriority:
 
 
 def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
-    granted = GrantedPriority()
-    priority = RealTimePriority(granted.take, granted.restore, lambda: granted.now_s)
+    granted_priority = GrantedPriority()
+    priority = RealTimePriority(
+        granted_priority.take, granted_priority.restore, lambda: granted_priority.now_s
+    )
     for _ in range(10):
-        priority.note_slip()
-    assert granted.requests == 0, "no priority before the first frame of a host"
+        priority.count_clock_slip()
+    assert granted_priority.requests == 0, "no priority before the first frame of a host"
     priority.note_host_frames()
-    assert granted.active
-    priority.note_slip()
-    assert granted.active, "one slip does not restore the priority"
+    assert granted_priority.active
+    priority.count_clock_slip()
+    assert granted_priority.active, "one slip does not restore the priority"
     for _ in range(2):
-        granted.now_s += 0.2
-        priority.note_slip()
-    assert not granted.active
+        granted_priority.now_s += 0.2
+        priority.count_clock_slip()
+    assert not granted_priority.active
     priority.note_host_frames()
-    assert not granted.active, "no second request shortly after the slips"
-    granted.now_s += ORDINARY_PRIORITY_S
+    assert not granted_priority.active, "no second request shortly after the slips"
+    granted_priority.now_s += ORDINARY_PRIORITY_DURATION_S
     priority.note_host_frames()
-    assert granted.active
+    assert granted_priority.active
 
 
 def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None:
@@ -235,7 +237,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
         now["wall"] += 0.1
         now["cpu"] += 0.1
         plant_ns += 10 * NS_PER_MS
-        pace.slipped(90 * NS_PER_MS, plant_ns)
+        pace.count_slip(90 * NS_PER_MS, plant_ns)
     assert 9 <= len(lines) <= 11
     assert sum(int(line.split(" times")[0].rsplit(" ", 1)[1]) for line in lines[1:]) >= 80
     assert pace.advice == pytest.approx(0.08)
@@ -246,7 +248,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
 def test_one_stall_gives_no_advice() -> None:
     lines: list[str] = []
     pace = PaceCounter(0, lambda: 0.0, lambda: 0.0, lines.append)
-    pace.slipped(200 * NS_PER_MS, NS_PER_MS)
+    pace.count_slip(200 * NS_PER_MS, NS_PER_MS)
     assert lines == ["firmware_sim: 200 ms behind, clock slipped"]
     assert pace.advice is None
 
@@ -373,12 +375,12 @@ def test_an_invalid_record_is_counted_and_ignored(
     port = HubPort("odd", 0)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.connect(str(tmp_path / "odd.bus"))
-    good = pack_record(Frame(1, b"12345678"))
-    too_long_record = bytearray(good)
+    good_record = pack_record(Frame(1, b"12345678"))
+    too_long_record = bytearray(good_record)
     too_long_record[4] = 9  # a classical frame of nine bytes
-    link.sendall(good + too_long_record + good)
+    link.sendall(good_record + too_long_record + good_record)
     port.receive(port.read_sockets())
     assert [frame.data for frame in port.receive(port.read_sockets())] == [b"12345678"] * 2
-    assert port.lost == 1
+    assert port.lost_frame_count == 1
     link.close()
     port.close()

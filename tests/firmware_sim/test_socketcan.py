@@ -99,11 +99,11 @@ def test_a_full_queue_and_an_interface_that_is_down_count_as_losses(interface: F
     port = SocketCanPort("vcan7", 0)
     interface.refusal = os_error(errno.ENOBUFS)
     port.send([FD_FRAME])
-    assert port.lost == 1
+    assert port.lost_frame_count == 1
     interface.refusal, interface.waiting = None, [os_error(errno.ENETDOWN), CLASSICAL_FRAME]
     assert port.receive(port.read_sockets()) == []
     assert len(port.receive(port.read_sockets())) == 1
-    assert port.lost == 2
+    assert port.lost_frame_count == 2
 
 
 def test_a_missing_interface_comes_with_the_command(interface: FakeSocket) -> None:

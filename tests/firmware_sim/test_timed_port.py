@@ -34,11 +34,11 @@ class TimedBus:
 
     def __init__(self, wire_words: list[str], has_hand: bool = True) -> None:
         self.clock = ManualClock(START_NS)
-        made = timed_port_maker(
+        make_port = timed_port_maker(
             wire_words, [DEFAULT_BITRATES], self.clock.now_ns, is_node_side=has_hand
         )
-        assert made
-        self.port = made("lab", 0)
+        assert make_port
+        self.port = make_port("lab", 0)
         self.world = SimulatedWorld(
             load_hand("jamia"), load_scene(None), homed=True, origin_ns=START_NS
         )
@@ -66,10 +66,10 @@ def _run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def timed_bus() -> Iterator[TimedBus]:
-    made = TimedBus(["queue=8"])
-    yield made
-    made.host.close()
-    made.port.close()
+    new_bus = TimedBus(["queue=8"])
+    yield new_bus
+    new_bus.host.close()
+    new_bus.port.close()
 
 
 def frame_time_us(payload_size: int) -> float:
@@ -185,19 +185,19 @@ def test_a_client_alone_gets_no_acknowledge() -> None:
         else set()
     )
     assert "error_passive" in kinds
-    second = open_bus("local:lab", 0, 1_000_000)
+    second_bus = open_bus("local:lab", 0, 1_000_000)
     bus_without_hand.serve_clients()
     bus_without_hand.clock.t_ns += 10 * NS_PER_MS
     bus_without_hand.port.receive([])
-    assert [frame.can_id for frame in second.drain()] == [1]
+    assert [frame.can_id for frame in second_bus.drain()] == [1]
     bus_without_hand.host.close()
-    second.close()
+    second_bus.close()
     bus_without_hand.port.close()
 
 
 def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
     assert isinstance(timed_bus.port, TimedPort)
-    other = open_bus("local:lab", 0, 1_000_000)
+    other_bus = open_bus("local:lab", 0, 1_000_000)
     timed_bus.serve_clients()
     timed_bus.host.send([Frame(0x700, b"")] * 5)
     timed_bus.frames_at(0.0)
@@ -205,9 +205,9 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
     timed_bus.serve_clients()
     timed_bus.clock.t_ns += 10 * NS_PER_MS
     timed_bus.port.receive([])
-    assert len(other.drain()) <= 1
+    assert len(other_bus.drain()) <= 1
     assert timed_bus.port.wire.next_ns() > timed_bus.clock.t_ns
-    other.close()
+    other_bus.close()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.hand_description import load_hand
-from firmware_sim.plant.drivetrain import _taken_up_length, step_drivetrain
+from firmware_sim.plant.drivetrain import _wrapped_tendon_length, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
 from tests.hand.varying_arms import hand_with_varying_arms
@@ -25,7 +25,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
     path = tmp_path / "hand.toml"
     path.write_text(hand_with_varying_arms(hand_name, 0.3).to_toml())
     hand = load_hand(str(path))
-    specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
+    specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.all_tendons]
     names = [motor.name for motor in hand.motors]
     routing = TendonRouting(
         specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False
@@ -47,7 +47,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
         for row in routing.tendons:
             ends = [
                 sum(
-                    _taken_up_length(
+                    _wrapped_tendon_length(
                         routing.arms, i, q[routing.joints[i]] + sign * small * dq[routing.joints[i]]
                     )
                     for i in range(row.first, row.end)

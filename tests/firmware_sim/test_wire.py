@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_sim.bus.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, AdapterLatency
 from firmware_sim.wire.can_controller import CanController, CanErrorState
-from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_number
+from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_priority
 from firmware_sim.wire.simulated_wire import NEVER_NS, SimulatedWire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
@@ -88,10 +88,10 @@ def test_an_extended_identifier_takes_twenty_bits_more() -> None:
 def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
     a, b, ears = add_controllers(wire, 3)
-    a.controller.offer(Frame(0x300, b""), 0)
+    a.controller.queue_frame(Frame(0x300, b""), 0)
     for can_id in (0x200, 0x100):
-        b.controller.offer(Frame(can_id, b""), 1000)
-    a.controller.offer(Frame(0x150, b""), 1000)
+        b.controller.queue_frame(Frame(can_id, b""), 1000)
+    a.controller.queue_frame(Frame(0x150, b""), 1000)
     wire.advance(10**9)
     assert ears.ids == [0x300, 0x150, 0x200, 0x100], "the first frames of the queues compete"
     assert [frame.t_ns for frame in ears.received] == [55_000 * n for n in (1, 2, 3, 4)]
@@ -107,7 +107,7 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     ],
 )
 def test_arbitration_is_bit_by_bit(first_id: int, second_id: int) -> None:
-    assert arbitration_number(first_id) < arbitration_number(second_id)
+    assert arbitration_priority(first_id) < arbitration_priority(second_id)
 
 
 def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
@@ -116,7 +116,7 @@ def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
     frames = [Frame(rng.randrange(0x800), rng.randbytes(rng.randrange(9))) for _ in range(200)]
     frames = list({frame.can_id: frame for frame in frames}.values())
     for frame in frames:
-        rng.choice(senders).controller.offer(frame, 0)
+        rng.choice(senders).controller.queue_frame(frame, 0)
     wire.advance(10**9)
     assert wire.busy_ns == sum(map(ACTUAL_RATES.frame_ns, frames))
     assert wire.frames == len(frames)
@@ -126,19 +126,21 @@ def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
 def test_a_full_queue_refuses_and_reports() -> None:
     wire = SimulatedWire(WORST_CASE_RATES, WireOptions(queue=3))
     a, b = add_controllers(wire, 2)
-    assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
+    assert [a.controller.queue_frame(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [
+        False
+    ] * 2
     assert a.controller.refused == 2
     assert a.error_class_bits == [0x04, 0x04]
     assert [frame.data[1] for frame in a.errors] == [0x02, 0x02], "CAN_ERR_CRTL_TX_OVERFLOW"
     wire.advance(10**9)
     assert b.ids == [0, 1, 2]
-    assert a.controller.offer(Frame(5, b""), 10**9)
+    assert a.controller.queue_frame(Frame(5, b""), 10**9)
 
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
     lonely_member = BusMember(wire)
-    lonely_member.controller.offer(Frame(1, bytes(8)), 0)
+    lonely_member.controller.queue_frame(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
     assert wire.frames == 0
     assert lonely_member.controller.tx_errors == 128
@@ -148,15 +150,15 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     )
     assert [frame.data[1] for frame in lonely_member.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
-    other = BusMember(wire)
+    other_bus_member = BusMember(wire)
     wire.advance(2 * 10**9)
-    assert other.ids == [1]
+    assert other_bus_member.ids == [1]
     assert lonely_member.controller.tx_errors == 127
 
 
 def destroy_frames(wire: SimulatedWire, sender: CanController, frame_count: int, t_ns: int) -> None:
     wire.disturbed = frame_count
-    sender.offer(Frame(1, b"x"), t_ns)
+    sender.queue_frame(Frame(1, b"x"), t_ns)
     wire.advance(t_ns + 10**8)
 
 
@@ -169,13 +171,13 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
     assert [frame.data[1] for frame in sender.errors] == [0, 0x08, 0x20, 0]
     assert [frame.data[6] for frame in sender.errors] == [8, 96, 128, 255]
     assert receiver.controller.rx_errors == 32
-    assert not sender.controller.offer(Frame(2, b""), 10**8)
+    assert not sender.controller.queue_frame(Frame(2, b""), 10**8)
     assert receiver.ids == [], "waiting frames are lost"
     wire.advance(10**9)
     assert sender.error_class_bits[-1] == 0x100
     assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
-    sender.controller.offer(Frame(3, b""), 10**9)
+    sender.controller.queue_frame(Frame(3, b""), 10**9)
     wire.advance(2 * 10**9)
     assert receiver.ids == [3]
 
@@ -187,7 +189,7 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     wire.advance(10**10)
     assert sender.controller.state == CanErrorState.BUS_OFF
     assert wire.next_ns() == NEVER_NS
-    receiver.controller.offer(Frame(1, b""), 10**10)
+    receiver.controller.queue_frame(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
     assert receiver.controller.state == CanErrorState.PASSIVE, "the receiver gets no acknowledge"
 
@@ -199,7 +201,7 @@ def test_successful_frames_reduce_the_error_counters() -> None:
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
     assert sender.controller.state == CanErrorState.WARNING
     for n in range(8):
-        sender.controller.offer(Frame(n, b""), 10**9)
+        sender.controller.queue_frame(Frame(n, b""), 10**9)
     wire.advance(2 * 10**9)
     assert sender.controller.state == CanErrorState.ACTIVE
     assert sender.errors[-1].data[1] == 0x40, "CAN_ERR_CRTL_ACTIVE"
@@ -210,12 +212,12 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
     a, b, ears = add_controllers(wire, 3)
     for party, data in ((a, b"a"), (b, b"b")):
-        party.controller.offer(Frame(7, data), 0)
+        party.controller.queue_frame(Frame(7, data), 0)
     wire.advance(10**9)
     assert ears.received == []
     assert a.controller.state == b.controller.state == CanErrorState.BUS_OFF
     for party in add_controllers(wire, 2):
-        party.controller.offer(Frame(8, b"same"), 10**9)
+        party.controller.queue_frame(Frame(8, b"same"), 10**9)
     wire.advance(2 * 10**9)
     assert ears.ids == [8], "two equal frames are one frame"
 
@@ -226,7 +228,7 @@ def test_the_error_rate_is_met_and_repeats() -> None:
         wire = SimulatedWire(WORST_CASE_RATES, WireOptions(error_rate=0.05, queue=10_000, seed=3))
         sender, receiver = add_controllers(wire, 2)
         for n in range(4000):
-            sender.controller.offer(Frame(n & 0x7FF, b""), 0)
+            sender.controller.queue_frame(Frame(n & 0x7FF, b""), 0)
         wire.advance(10**12)
         assert len(receiver.received) == 4000
         errors.append(wire.errors)
@@ -236,8 +238,8 @@ def test_the_error_rate_is_met_and_repeats() -> None:
 def test_removing_a_controller_during_its_frame_is_harmless() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
     leaves, stays, ears = add_controllers(wire, 3)
-    leaves.controller.offer(Frame(1, bytes(8)), 0)
-    stays.controller.offer(Frame(2, b""), 0)
+    leaves.controller.queue_frame(Frame(1, bytes(8)), 0)
+    stays.controller.queue_frame(Frame(2, b""), 0)
     wire.advance(50_000)
     wire.remove(leaves.controller)
     wire.advance(10**9)

@@ -97,9 +97,9 @@ def test_environments_pass_the_gymnasium_checker(
 @pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])
 def test_equal_seeds_and_actions_give_equal_episodes(environment_id: str) -> None:
     env = make_env(environment_id)
-    first = [run_episode(env, seed, 12) for seed in range(20)]
-    assert [run_episode(make_env(environment_id), seed, 12) for seed in range(20)] == first
-    assert len(set(first)) == 20
+    first_episodes = [run_episode(env, seed, 12) for seed in range(20)]
+    assert [run_episode(make_env(environment_id), seed, 12) for seed in range(20)] == first_episodes
+    assert len(set(first_episodes)) == 20
 
 
 @pytest.mark.parametrize(

@@ -15,13 +15,13 @@ def fifteen_motor_hand() -> dict[str, Any]:
     """
     raw = hand_content("jamia11")
     parts = {
-        name: [one for one in raw[name] if "thumb" not in one["name"]]
+        name: [section for section in raw[name] if "thumb" not in section["name"]]
         for name in ("digit", "tendon", "motor")
     }
     for number, name in enumerate(("little", "outer")):
         for section, entries in parts.items():
             entries += [
-                _renamed_section(one, name) for one in raw[section] if "index" in one["name"]
+                _renamed_section(entry, name) for entry in raw[section] if "index" in entry["name"]
             ]
         parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
     for node, motor in enumerate(parts["motor"], start=1):

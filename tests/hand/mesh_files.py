@@ -89,7 +89,8 @@ def hand_without_meshes(hand_name: str) -> Hand:
     content = load_hand(hand_name).content
     content["mount"] = {key: value for key, value in content["mount"].items() if "mesh" not in key}
     content["digit"] = [
-        {key: value for key, value in one.items() if "mesh" not in key} for one in content["digit"]
+        {key: value for key, value in digit.items() if "mesh" not in key}
+        for digit in content["digit"]
     ]
     return hand_from_content(content, hand_name)
 

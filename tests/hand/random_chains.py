@@ -63,7 +63,10 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
             )
             motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
     gravity = rng.normal(size=3)
-    node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons], "joints": []}
+    node = content["sensor_node"] | {
+        "tendons": [tendon["name"] for tendon in tendons],
+        "joints": [],
+    }
     parts = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
     mount = {"gravity_m_s2": (9.81 * gravity / np.linalg.norm(gravity)).tolist()}
     return hand_from_content(

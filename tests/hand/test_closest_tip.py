@@ -34,15 +34,15 @@ def tip_position(digit: DigitModel, joint_angles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
     for digit in palm_digits(hand):
-        low, high = digit.reach
+        low, high = digit.coordinate_limits
         for seed in range(SEED_COUNT):
             theta = np.random.default_rng(seed).uniform(low, high)
-            found = closest_tip(
+            solution = closest_tip(
                 digit, tip_position(digit, theta), 0.5 * (theta + 0.5 * (low + high))
             )
-            assert found.distance < 1e-6, (digit.name, seed)
-            assert (found.coordinates >= low).all()
-            assert (found.coordinates <= high).all()
+            assert solution.distance < 1e-6, (digit.name, seed)
+            assert (solution.coordinates >= low).all()
+            assert (solution.coordinates <= high).all()
 
 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
@@ -53,25 +53,25 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
     """
     worse = 0
     for digit in palm_digits(hand):
-        low, high = digit.reach
+        low, high = digit.coordinate_limits
         for seed in range(SEED_COUNT):
             random = np.random.default_rng(seed)
             target = tip_position(digit, random.uniform(low, high)) + random.normal(
                 scale=0.03, size=3
             )
             start = 0.5 * (low + high)
-            found = closest_tip(digit, target)
+            solution = closest_tip(digit, target)
             scipy_result = least_squares(
                 lambda theta, d=digit, x=target: tip_position(d, theta) - x,
                 start,
                 bounds=(low, high),
             )
-            assert found.distance == pytest.approx(
-                np.linalg.norm(tip_position(digit, found.coordinates) - target), abs=1e-12
+            assert solution.distance == pytest.approx(
+                np.linalg.norm(tip_position(digit, solution.coordinates) - target), abs=1e-12
             )
-            assert (found.coordinates >= low).all()
-            assert (found.coordinates <= high).all()
-            worse += found.distance > np.linalg.norm(scipy_result.fun) + 1e-5
+            assert (solution.coordinates >= low).all()
+            assert (solution.coordinates <= high).all()
+            worse += solution.distance > np.linalg.norm(scipy_result.fun) + 1e-5
     assert worse <= 1, "another local minimum in at most one case"
 
 
@@ -79,7 +79,7 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
     for digit in palm_digits("jamia"):
         for seed in range(SEED_COUNT):
             random = np.random.default_rng(seed)
-            target = tip_position(digit, random.uniform(*digit.reach)) + random.normal(
+            target = tip_position(digit, random.uniform(*digit.coordinate_limits)) + random.normal(
                 scale=0.01, size=3
             )
             if digit.coupling.shape[1] == 1:
@@ -91,7 +91,7 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
 
 def test_a_path_of_points_gives_postures_without_jumps() -> None:
     digit = palm_digits("jamia11")[0]
-    low, high = digit.reach
+    low, high = digit.coordinate_limits
     rows = np.linspace(low, 0.9 * high, 200)
     theta = closest_tip(digit, tip_position(digit, rows[0])).coordinates
     trajectory = [theta]
@@ -106,24 +106,24 @@ def test_tips_of_random_chains_are_closest(seed: int) -> None:
     random = np.random.default_rng(seed)
     description = random_hand(seed)
     digit = DigitModel.from_hand(description, description.digit_names[0])
-    low, high = digit.reach
+    low, high = digit.coordinate_limits
     theta = random.uniform(low, high)
-    found = closest_tip(
+    solution = closest_tip(
         digit, tip_position(digit, theta), theta + random.normal(scale=0.05, size=len(theta))
     )
-    assert found.distance < 1e-6
-    assert ((found.coordinates >= low) & (found.coordinates <= high)).all()
+    assert solution.distance < 1e-6
+    assert ((solution.coordinates >= low) & (solution.coordinates <= high)).all()
 
 
 def test_a_digit_takes_less_than_a_millisecond_per_target() -> None:
     digit = palm_digits("jamia11")[0]
-    low, high = digit.reach
+    low, high = digit.coordinate_limits
     theta = 0.5 * (low + high)
     took = []
     for i in range(100):
         target = tip_position(digit, 0.5 * (low + high) + 0.2 * np.sin(0.1 * i))
-        began = time.process_time()
+        start_cpu_s = time.process_time()
         theta = closest_tip(digit, target, theta).coordinates
-        took.append(time.process_time() - began)
+        took.append(time.process_time() - start_cpu_s)
     print(f"{1e3 * np.median(took):.2f} ms")
     assert np.median(took) < 5e-3

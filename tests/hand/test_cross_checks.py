@@ -437,5 +437,5 @@ def edit_on_a_wrist(content_edit):
 )
 def test_a_tendon_passes_only_carriers_of_its_digit(refusal_of_edit, moment_arms, expected_message):
     index = {"moment_arm_m": moment_arms}
-    found = refusal_of_edit(edit_on_a_wrist(lambda content: content["tendon"][1].update(index)))
-    assert expected_message in found
+    refusal = refusal_of_edit(edit_on_a_wrist(lambda content: content["tendon"][1].update(index)))
+    assert expected_message in refusal

@@ -45,10 +45,10 @@ def test_packaged_hands_are_listed():
 def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):
     path = tmp_path / "copy.toml"
     path.write_text(hand.to_toml())
-    again = load_hand(path)
-    assert again == hand
-    assert again.identity == hand.identity
-    assert again.to_toml() == hand.to_toml()
+    repeated_hand = load_hand(path)
+    assert repeated_hand == hand
+    assert repeated_hand.identity == hand.identity
+    assert repeated_hand.to_toml() == hand.to_toml()
 
 
 def test_options_and_awkward_text_survive(tmp_path):
@@ -65,8 +65,10 @@ def test_options_and_awkward_text_survive(tmp_path):
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     plain = CONTENT_BY_HAND[hand.name]
     assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
-    whole = content_with_value(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
-    assert hand_from_content(whole, "x").identity == hand.identity
+    whole_content = content_with_value(
+        plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"])
+    )
+    assert hand_from_content(whole_content, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
         hand_from_content(content_with_value(plain, path, value * 1.0001), "x").identity
@@ -80,10 +82,12 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
     The log of a hand with the default stream limits did not contain these limits.
     """
-    slow = hand_from_content(CONTENT_BY_HAND[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
-    assert slow.stream != hand.stream
-    assert slow.identity == hand.identity
-    for one in (slow, hand):
+    slow_hand = hand_from_content(
+        CONTENT_BY_HAND[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x"
+    )
+    assert slow_hand.stream != hand.stream
+    assert slow_hand.identity == hand.identity
+    for one in (slow_hand, hand):
         path = tmp_path / "copy.toml"
         path.write_text(one.to_toml())
         assert "speed_deg_s" in one.to_toml()

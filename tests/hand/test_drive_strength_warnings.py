@@ -78,11 +78,12 @@ def test_the_bound_is_exact(hand_name):
         max_force = largest_safe_force(breaking_force)
         assert breaking_force == pytest.approx(MIN_STRENGTH_RATIO * runaway_tension(max_force))
         for factor, warning_lines in ((0.999, False), (1.001, True)):
-            other = hand_with_ratings(
+            other_hand = hand_with_ratings(
                 hand, peak_torque=factor * max_force * spool, breaking_strength=breaking_force
             )
             assert (
-                any("torque_peak_N_m" in line for line in strength_warnings(other)) == warning_lines
+                any("torque_peak_N_m" in line for line in strength_warnings(other_hand))
+                == warning_lines
             )
 
 
@@ -118,11 +119,11 @@ def test_a_hand_without_a_rating_keeps_its_identity():
     rated = [
         digit | {"joint_rated_torque_N_m": (1.0,) * len(digit["link_length_m"])} for digit in digits
     ]
-    other = hand_from_content(hand.content | {"digit": rated}, "rated")
-    assert other.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
+    other_hand = hand_from_content(hand.content | {"digit": rated}, "rated")
+    assert other_hand.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
     assert (
-        hand_from_content(tomllib.loads(other.to_toml()), "again").identity
-        == other.identity
+        hand_from_content(tomllib.loads(other_hand.to_toml()), "again").identity
+        == other_hand.identity
         != hand.identity
     )
     with pytest.raises(

@@ -40,10 +40,10 @@ def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     model, parent = pinocchio.Model(), 0
     place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
-        turned = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
+        turned_pose = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
         kinds = (pinocchio.JointModelRevoluteUnaligned, pinocchio.JointModelPrismaticUnaligned)
         joint = kinds[int(digit.is_prismatic[i])](np.array(digit.axes[i]))
-        parent = model.addJoint(parent, joint, place * turned, digit.joint_names[i])
+        parent = model.addJoint(parent, joint, place * turned_pose, digit.joint_names[i])
         body = pinocchio.Inertia(
             digit.masses[i], np.array(digit.centres_of_mass[i]), np.array(digit.inertias[i])
         )

@@ -138,9 +138,9 @@ def test_no_two_sections_share_a_list() -> None:
 
 def test_resolving_templates_does_not_change_its_argument() -> None:
     content = jamia_content()
-    before = copy.deepcopy(content)
+    content_before = copy.deepcopy(content)
     resolve_templates(content)
-    assert content == before
+    assert content == content_before
 
 
 def test_resolved_content_is_resolved_already() -> None:

@@ -58,9 +58,9 @@ def test_good_files_of_both_schemas_suit_it(hand_name: str) -> None:
     SCHEMA_VALIDATOR.validate(
         content_with_lists(parse_toml(load_hand(hand_name).to_toml(), "resolved"))
     )
-    first = path.read_text("utf-8").splitlines()[0]
+    first_line = path.read_text("utf-8").splitlines()[0]
     assert (
-        PACKAGED_HANDS_FOLDER / first.removeprefix("#:schema ")
+        PACKAGED_HANDS_FOLDER / first_line.removeprefix("#:schema ")
     ).resolve() == PACKAGED_SCHEMA_FILE.resolve()
 
 

@@ -76,10 +76,10 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
             for transform in link_transforms(digit, q):
                 place = data.oMf[model.getFrameId(transform.frame)]
                 assert np.allclose(transform.position, place.translation, atol=1e-14)
-                turned = pinocchio.Quaternion(
+                turned_rotation = pinocchio.Quaternion(
                     np.array(transform.quaternion_xyzw)
                 ).toRotationMatrix()
-                assert np.allclose(turned, place.rotation, atol=1e-13)
+                assert np.allclose(turned_rotation, place.rotation, atol=1e-13)
             world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
             pinocchio_result = pinocchio.computeFrameJacobian(
                 model, data, configuration, tip, world
@@ -140,8 +140,10 @@ def test_the_paper_s_finger_at_thirty_degrees():
 
 def test_the_inverse_of_the_palm_frame_gives_the_points_back(digits, rng):
     for digit in digits:
-        own = rng.normal(size=(20, 3))
-        assert np.allclose(from_palm_frame(digit, to_palm_frame(digit, own)), own, atol=1e-14)
+        own_vectors = rng.normal(size=(20, 3))
+        assert np.allclose(
+            from_palm_frame(digit, to_palm_frame(digit, own_vectors)), own_vectors, atol=1e-14
+        )
 
 
 def test_quaternions_of_all_rotations(rng):

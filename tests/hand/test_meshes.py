@@ -297,13 +297,13 @@ def exported_models(hand, mesh_folder: Path) -> dict[str, mujoco.MjModel]:
     (output / "hand.xml").write_text(mjcf_text(hand, meshes))
     (output / "hand.urdf").write_text(urdf_text(hand, meshes))
     (mesh_folder / "hand.toml").write_text(hand.to_toml())
-    drawn = model_text(
+    drawn_text = model_text(
         simulated_hand(str(mesh_folder / "hand.toml")), load_scene(None), meshes=True
     )
     return {
         "mjcf": mujoco.MjModel.from_xml_path(str(output / "hand.xml")),
         "urdf": mujoco.MjModel.from_xml_path(str(output / "hand.urdf")),
-        "simulator": mujoco.MjModel.from_xml_string(drawn),
+        "simulator": mujoco.MjModel.from_xml_string(drawn_text),
     }
 
 
@@ -324,12 +324,12 @@ def test_exports_put_each_mesh_where_its_link_is(
 def test_meshes_have_no_effect_on_the_dynamics(
     mesh_folder: Path, hand_name: str, rng: np.random.Generator
 ) -> None:
-    hand, bare = hand_with_meshes(hand_name), hand_without_meshes(hand_name)
-    (mesh_folder / "bare.toml").write_text(bare.to_toml())
+    hand, bare_hand = hand_with_meshes(hand_name), hand_without_meshes(hand_name)
+    (mesh_folder / "bare.toml").write_text(bare_hand.to_toml())
     models = exported_models(hand, mesh_folder)
     simulated = simulated_hand(str(mesh_folder / "bare.toml"))
     models_without_meshes = {
-        "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
+        "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare_hand)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
     # The MuJoCo text that a run simulates is the same with and without meshes.
@@ -376,9 +376,9 @@ def test_meshes_of_a_copied_file_are_found(
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
     hand = hand_with_meshes("t42")
-    moved = hand_from_content(with_meshes_from(hand.content, mesh_folder), "t42")
+    moved_hand = hand_from_content(with_meshes_from(hand.content, mesh_folder), "t42")
     assert list(mesh_mistakes(hand, elsewhere))
-    assert not list(mesh_mistakes(moved, elsewhere))
-    assert [mesh.link for mesh in meshes_of_hand(moved)] == [
+    assert not list(mesh_mistakes(moved_hand, elsewhere))
+    assert [mesh.link for mesh in meshes_of_hand(moved_hand)] == [
         mesh.link for mesh in meshes_of_hand(hand)
     ]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.hand_description import load_hand as load_simulated
-from firmware_sim.plant.drivetrain import _moment_arm_at, _taken_up_length
+from firmware_sim.plant.drivetrain import _moment_arm_at, _wrapped_tendon_length
 from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -30,7 +30,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
     hand_name: str, polynomial_kind: str
 ) -> None:
     hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
-    for digit in (DigitModel.from_hand(hand, one) for one in hand.digit_names):
+    for digit in (DigitModel.from_hand(hand, digit_name) for digit_name in hand.digit_names):
         for seed in ANGLE_SEEDS:
             # The test includes angles outside the joint limits. Beyond a joint limit, a moment arm
             # is constant.
@@ -43,8 +43,8 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
             np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
             assert digit.with_moment_arms_at(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
-            found = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
-            np.testing.assert_allclose(found, theta, atol=1e-9)
+            coordinates = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
+            np.testing.assert_allclose(coordinates, theta, atol=1e-9)
 
 
 @pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
@@ -53,9 +53,9 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(hand_name: str) -> No
     hand = hand_with_varying_arms(hand_name, 0.0)
     np.testing.assert_allclose(hand.moment_arms, constant_hand.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
-    for one in hand.digit_names:
-        digit = DigitModel.from_hand(hand, one)
-        constant_model = DigitModel.from_hand(constant_hand, one)
+    for digit_name in hand.digit_names:
+        digit = DigitModel.from_hand(hand, digit_name)
+        constant_model = DigitModel.from_hand(constant_hand, digit_name)
         np.testing.assert_allclose(
             excursions(digit, q[digit.joints]),
             excursions(constant_model, q[digit.joints]),
@@ -85,8 +85,8 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
         q = np.random.default_rng(seed).uniform(
             hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1
         )
-        for one in hand.digit_names:
-            digit = DigitModel.from_hand(hand, one)
+        for digit_name in hand.digit_names:
+            digit = DigitModel.from_hand(hand, digit_name)
             angles = q[digit.joints]
             arms = np.zeros_like(digit.moment_arms)
             lengths = np.zeros(len(arms))
@@ -96,7 +96,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
                     arms[n, joint - digit.joints.start] = _moment_arm_at(
                         routing.arms, i, float(q[joint])
                     )
-                    lengths[n] += _taken_up_length(routing.arms, i, float(q[joint]))
+                    lengths[n] += _wrapped_tendon_length(routing.arms, i, float(q[joint]))
             np.testing.assert_allclose(arms, digit.moment_arms_at(angles), atol=1e-12)
             np.testing.assert_allclose(lengths, excursions(digit, angles), atol=1e-12)
 
@@ -181,9 +181,9 @@ def test_a_mistake_in_a_moment_arm_is_one_line(mistake_name: str) -> None:
 
 def test_a_hand_with_varying_arms_is_written_and_read_back() -> None:
     hand: Hand = hand_with_varying_arms("jamia11", 0.3, "table")
-    again = hand_from_content(parse_toml(hand.to_toml(), "again"), "again")
-    assert again.identity == hand.identity
-    assert again.content == hand.content
+    repeated_hand = hand_from_content(parse_toml(hand.to_toml(), "again"), "again")
+    assert repeated_hand.identity == hand.identity
+    assert repeated_hand.content == hand.content
 
 
 def test_graph_and_warnings_include_varying_arms() -> None:

@@ -81,9 +81,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             )
         )
         data = model.createData()
-        bare = model.copy()
-        bare.armature = np.zeros(digit.joint_count)
-        model_data = bare.createData()
+        bare_model = model.copy()
+        bare_model.armature = np.zeros(digit.joint_count)
+        model_data = bare_model.createData()
         world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -109,9 +109,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             )
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
             # The kinetic energy in pinocchio 3 includes the armature only for some joint types.
-            kinetic_energy = pinocchio.computeKineticEnergy(bare, model_data, q, dq) + 0.5 * np.dot(
-                digit.armature, dq**2
-            )
+            kinetic_energy = pinocchio.computeKineticEnergy(
+                bare_model, model_data, q, dq
+            ) + 0.5 * np.dot(digit.armature, dq**2)
             assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic_energy, rtol=1e-9)
 
 
@@ -143,8 +143,10 @@ def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
             pinocchio_result, mass_matrix = inverse_by_mujoco(model, q, dq, ddq)
             assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), pinocchio_result)
             for digit in digits:
-                own = digit.joints
-                assert arrays_agree(dynamics.mass_matrix(digit, q[own]), mass_matrix[own, own])
+                own_joints = digit.joints
+                assert arrays_agree(
+                    dynamics.mass_matrix(digit, q[own_joints]), mass_matrix[own_joints, own_joints]
+                )
 
 
 def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
@@ -167,10 +169,10 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
             for transform in link_transforms(digit, q[digit.joints]):
                 place = data.oMf[model.getFrameId(transform.frame)]
                 assert np.allclose(transform.position, place.translation, atol=1e-12)
-                turned = pinocchio.Quaternion(
+                turned_rotation = pinocchio.Quaternion(
                     np.array(transform.quaternion_xyzw)
                 ).toRotationMatrix()
-                assert np.allclose(turned, place.rotation, atol=1e-12)
+                assert np.allclose(turned_rotation, place.rotation, atol=1e-12)
 
 
 def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
@@ -188,10 +190,10 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
             @ link_position(link, q)
             + position
         )
-        own = (
+        own_link_quaternion = (
             tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
         )
-        place[link.child] = here, multiply_quaternions(turn, own)
+        place[link.child] = here, multiply_quaternions(turn, own_link_quaternion)
     return place
 
 
@@ -350,6 +352,8 @@ def test_each_number_of_a_table_matters(rng):
     for row in range(rigid_body.LENGTH_ROW):
         table = digit.table.copy()
         table[row, 1] *= 1.001
-        wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)
+        wrong_torques = rigid_body.rigid_body_torques(
+            table, digit.parent, digit.gravity, q, dq, ddq
+        )
         is_unused = table[row, 1] == 0.0
-        assert is_unused != (not arrays_agree(wrong, right)), row
+        assert is_unused != (not arrays_agree(wrong_torques, right)), row

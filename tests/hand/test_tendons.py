@@ -145,9 +145,9 @@ def test_friction_follows_the_capstan_equation(digits, rng):
                 )
         paying_out_factors = pulley_factors(digit, q, np.full(count, -1.0))
         assert np.allclose(winding_factors * paying_out_factors, 1.0, rtol=1e-12)
-        slow = pulley_factors(digit, q, np.full(count, 1e-3))
-        assert (winding_factors < slow).all()
-        assert (slow < 1.0).all()
+        slow_pulley_factors = pulley_factors(digit, q, np.full(count, 1e-3))
+        assert (winding_factors < slow_pulley_factors).all()
+        assert (slow_pulley_factors < 1.0).all()
 
 
 def test_friction_of_a_closed_grasp_is_a_fifth_to_a_third():

@@ -22,8 +22,8 @@ def work_folder(tmp_path, monkeypatch):
 
     The sockets are in another folder, because the path of a Unix socket must be short.
     """
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
         monkeypatch.setenv("HF_HUB_OFFLINE", "1")
         monkeypatch.chdir(tmp_path)
         write_homed_calibration(tmp_path / "c.toml", load_hand("jamia"))

@@ -85,14 +85,17 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
         pytest.skip(f"torchcodec finds no FFmpeg libraries: {str(error).splitlines()[0]}")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
-        spans = [active_time_range(log) for log in (one, two)]
+    with (
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
+    ):
+        spans = [active_time_range(log) for log in (fault_log, two)]
         starts = (0.0, 0.25)
         videos = [
             write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], starts, 2)
-        frames = export_lerobot([one, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
+        frames = export_lerobot([fault_log, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data", video_backend="torchcodec")
     assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (
         frames,
@@ -148,24 +151,27 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
 
 
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
-    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one, RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two:
-        ends = [active_time_range(log)[1] for log in (one, two)]
+    with (
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as fault_log,
+        RunLog(GOLDEN_FOLDER / LOG_NAMES[1]) as two,
+    ):
+        ends = [active_time_range(log)[1] for log in (fault_log, two)]
         videos = [
             write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, IMAGE_WIDTH_PX + 16 * i)
             for i in range(2)
         ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
         with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
-            export_lerobot([one, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
+            export_lerobot([fault_log, two], tmp_path / "data", VIDEO_FRAMES_PER_S, cameras)
 
 
 def test_the_description_is_that_of_lerobot(tmp_path) -> None:
     from lerobot.datasets.video_utils import get_video_info
 
-    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as one:
-        video = write_video(tmp_path / "one.mp4", active_time_range(one)[1] + 0.2)
+    with RunLog(GOLDEN_FOLDER / LOG_NAMES[0]) as log:
+        video = write_video(tmp_path / "one.mp4", active_time_range(log)[1] + 0.2)
         export_lerobot(
-            [one],
+            [log],
             tmp_path / "data",
             VIDEO_FRAMES_PER_S,
             make_cameras(["wrist"], [[video]], (0.0,), 1),
@@ -173,5 +179,5 @@ def test_the_description_is_that_of_lerobot(tmp_path) -> None:
     info = json.loads((tmp_path / "data" / "meta" / "info.json").read_text())
     key = "observation.images.wrist"
     path = tmp_path / "data" / info["video_path"].format(video_key=key, chunk_index=0, file_index=0)
-    found = get_video_info(path)
-    assert {name: info["features"][key]["info"][name] for name in found} == found
+    video_info = get_video_info(path)
+    assert {name: info["features"][key]["info"][name] for name in video_info} == video_info

@@ -63,19 +63,21 @@ def test_a_robot_observes_follows_limits_and_rests_in_pauses(robot_options) -> N
         robot.get_observation()
     robot.connect()
     try:
-        seen = robot.get_observation()
-        assert seen.keys() == robot.observation_features.keys()
+        observation = robot.get_observation()
+        assert observation.keys() == robot.observation_features.keys()
         goal = dict.fromkeys(robot.action_features, 9.0)  # beyond all joint limits
-        sent = robot.send_action({**goal, "index_tendon.tension_N": 5.0})
-        assert sent.keys() == robot.action_features.keys()
-        assert max(sent.values()) < np.radians(4.0), "at most 120 deg/s at 50 Hz"
+        sent_action = robot.send_action({**goal, "index_tendon.tension_N": 5.0})
+        assert sent_action.keys() == robot.action_features.keys()
+        assert max(sent_action.values()) < np.radians(4.0), "at most 120 deg/s at 50 Hz"
         goal = {name: np.radians(20.0) for name in goal}
         for _ in range(40):
             robot.send_action(goal)
             time.sleep(0.02 / TIME_SCALE)
         time.sleep(1.5 / TIME_SCALE)  # a stream without new targets makes the hand relax
-        seen = robot.get_observation()
-        assert np.degrees([seen[name] for name in goal]).mean() == pytest.approx(20.0, abs=2.0)
+        observation = robot.get_observation()
+        assert np.degrees([observation[name] for name in goal]).mean() == pytest.approx(
+            20.0, abs=2.0
+        )
         robot.send_action(goal)
         with pytest.raises(ValueError, match=r"no thumb_j2.pos_rad"):
             robot.send_action({name: 0.0 for name in goal if name != "thumb_j2.pos_rad"})
@@ -92,7 +94,7 @@ def test_keys_close_and_open_digits() -> None:
     from lerobot_robot_handctl import HandctlKeyboard, HandctlKeyboardConfig
 
     reading, writing = os.pipe()
-    before = os.dup(0)
+    stdin_copy = os.dup(0)
     os.dup2(reading, 0)
     try:
         keys = HandctlKeyboard(HandctlKeyboardConfig())
@@ -106,8 +108,8 @@ def test_keys_close_and_open_digits() -> None:
         assert set(keys.get_action().values()) == {0.0}
         keys.disconnect()
     finally:
-        os.dup2(before, 0)
-        for descriptor in (reading, writing, before):
+        os.dup2(stdin_copy, 0)
+        for descriptor in (reading, writing, stdin_copy):
             os.close(descriptor)
 
 

@@ -89,10 +89,10 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(robot_options, work_fo
         assert not fault_texts(log)
         active = log.mode == HandMode.ACTIVE
         highest = np.degrees(np.nanmax(log.field("q_goal")[active][:, :3].mean(axis=1)))
-    first = actions[: int(dataset.meta.episodes[0]["length"])]
+    first_actions = actions[: int(dataset.meta.episodes[0]["length"])]
     # The joints of a finger are coupled, so all of them get the same angle. This common angle is
     # the one nearest to the recorded angles.
-    expected = np.degrees(first[:, :3].mean(axis=1).max())
+    expected = np.degrees(first_actions[:, :3].mean(axis=1).max())
     assert highest == pytest.approx(expected, abs=2.0)
 
     words = [word.replace("run.mcap", "again.mcap") for word in robot_options]
@@ -115,10 +115,10 @@ def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     with (
-        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as log,
         RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
     ):
-        frames = export_lerobot([one, two, one], tmp_path / "data")
+        frames = export_lerobot([log, two, log], tmp_path / "data")
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
     assert (dataset.num_frames, dataset.num_episodes, dataset.fps) == (frames, 3, 200)
     for i in (0, frames // 2, frames - 1):
@@ -138,10 +138,10 @@ def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     with (
-        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as log,
         RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
     ):
-        export_lerobot([one, two], tmp_path / "data")
+        export_lerobot([log, two], tmp_path / "data")
     steps = [0.0, 0.005, 0.01]
     dataset = LeRobotDataset(
         "me/exported", root=tmp_path / "data", episodes=[1], delta_timestamps={"action": steps}
@@ -156,10 +156,10 @@ def test_episodes_split_by_lerobot(tmp_path) -> None:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     with (
-        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as log,
         RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
     ):
-        export_lerobot([one, two], tmp_path / "data")
+        export_lerobot([log, two], tmp_path / "data")
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
     parts = split_dataset(dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts")
     assert {name: part.num_episodes for name, part in parts.items()} == {"train": 1, "val": 1}

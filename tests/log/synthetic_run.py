@@ -49,11 +49,11 @@ def synthetic_header(
     hand_name: str = "jamia", rate_hz: int = 500, **other_fields: object
 ) -> RunHeader:
     """Create the header of a deterministic run of a packaged hand."""
-    described = load_hand(hand_name)
+    hand = load_hand(hand_name)
     attachments = {
         "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
         "initial_state": bytes(range(64)),
-        "hand.urdf": urdf_text(described).encode(),
+        "hand.urdf": urdf_text(hand).encode(),
     }
     given: dict[str, object] = {
         "metadata": {"hand": hand_name, "note": "synthetic", "seed": "0"},
@@ -61,7 +61,7 @@ def synthetic_header(
         "attachments": attachments,
         "deterministic": True,
     }
-    return RunHeader.from_hand(described.to_toml(), 10**9 // rate_hz, **(given | other_fields))
+    return RunHeader.from_hand(hand.to_toml(), 10**9 // rate_hz, **(given | other_fields))
 
 
 def _phase_name_at(run_fraction: float) -> str:

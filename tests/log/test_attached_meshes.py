@@ -31,9 +31,9 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
     recovered_log = tmp_path / "recovered.mcap"
     recover_log(log, recovered_log)
     for path in (log, recovered_log):
-        with RunLog(path) as opened:
+        with RunLog(path) as opened_log:
             found, missing = attached_meshes(
-                described_hand(opened.header, "the log"), opened.header.attachments
+                described_hand(opened_log.header, "the log"), opened_log.header.attachments
             )
         assert not missing
         assert {link: one.data for link, one in found.items()} == {

@@ -26,14 +26,14 @@ def _write_log(
 
 def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:
     with RunLog(small_log) as log:
-        before, digests = first_hash_of_run(log.header), list(log.tick_digests())
+        hash_before, digests = first_hash_of_run(log.header), list(log.tick_digests())
         assert len(digests) == len(log) == len(set(digests))
         for message, numbers, digest in zip(
             log.tick_messages(), log.packed_telemetry(), digests, strict=True
         ):
-            assert digest == tick_hash(before, message, numbers)
-            before = digest
-        assert log.end["chain"] == before.hex()
+            assert digest == tick_hash(hash_before, message, numbers)
+            hash_before = digest
+        assert log.end["chain"] == hash_before.hex()
 
 
 def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:

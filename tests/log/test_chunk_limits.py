@@ -22,7 +22,7 @@ def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
     """
     large_byte_limit = 1 << 30
     allowed = channel_record(7) * 2 * MAX_CHANNELS + message_record(7)
-    assert [one.channel for one in iter_messages(allowed, large_byte_limit)] == [7]
+    assert [message.channel for message in iter_messages(allowed, large_byte_limit)] == [7]
     with pytest.raises(ValueError, match=f"more than {MAX_CHANNELS} channels"):
         list(iter_messages(channel_record(7) + allowed, large_byte_limit))
 

@@ -26,14 +26,22 @@ def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
         {1: 2700, 2: 2740},
         {2: 3700},
     ]
-    last = indexes[-1]
-    assert (last.chunk_start_offset, last.chunk_length, last.message_index_length) == (
+    last_index = indexes[-1]
+    assert (
+        last_index.chunk_start_offset,
+        last_index.chunk_length,
+        last_index.message_index_length,
+    ) == (
         3000,
         700,
         100,
     )
-    assert (last.compression, last.compressed_size, last.uncompressed_size) == ("lz4", 650, 2000)
-    assert (last.message_start_time, last.message_end_time) == (750, 999)
+    assert (last_index.compression, last_index.compressed_size, last_index.uncompressed_size) == (
+        "lz4",
+        650,
+        2000,
+    )
+    assert (last_index.message_start_time, last_index.message_end_time) == (750, 999)
 
 
 @pytest.mark.parametrize(

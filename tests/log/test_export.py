@@ -36,8 +36,8 @@ GOLDEN_FOLDER = Path(__file__).parents[2] / "logs" / "golden"
 
 @pytest.fixture
 def golden_log():  # type: ignore[no-untyped-def]
-    with RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as opened:
-        yield opened
+    with RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as opened_log:
+        yield opened_log
 
 
 def table_of(golden_log: RunLog) -> np.ndarray:
@@ -153,7 +153,7 @@ def test_time_stamps_of_the_candump_rise(
     path = tmp_path / "x.log"
     ticks = [tick for tick, _ in zip(golden_log.ticks(), range(500), strict=False)]
     for bus_delay in (0, 40_000):
-        late = [
+        late_ticks = [
             tick._replace(
                 tick_in=tick.tick_in._replace(
                     frames=[
@@ -169,7 +169,7 @@ def test_time_stamps_of_the_candump_rise(
             )
             for tick in ticks
         ]
-        monkeypatch.setattr(golden_log, "ticks", lambda late=late: iter(late))
+        monkeypatch.setattr(golden_log, "ticks", lambda late=late_ticks: iter(late))
         count = export_candump(golden_log, path)
         stamps = [message.timestamp for message in can.CanutilsLogReader(path)]
         assert len(stamps) == count > 3000

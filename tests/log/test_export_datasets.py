@@ -29,8 +29,8 @@ GOLDEN_LOG = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 
 @pytest.fixture
 def golden_log() -> Iterator[RunLog]:
-    with RunLog(GOLDEN_LOG) as opened:
-        yield opened
+    with RunLog(GOLDEN_LOG) as opened_log:
+        yield opened_log
 
 
 def table_of(golden_log: RunLog) -> np.ndarray:
@@ -121,7 +121,7 @@ def test_every_feature_is_declared_as_it_is(exported_dataset: Path) -> None:
 
 def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
     """When LeRobot splits a dataset, it computes the statistics of each part from the statistics of the episodes."""
-    whole = json.loads((exported_dataset / "meta" / "stats.json").read_text())
+    whole_content = json.loads((exported_dataset / "meta" / "stats.json").read_text())
     table = polars.read_parquet(exported_dataset / "meta/episodes/chunk-000/file-000.parquet")
     names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
     features = json.loads((exported_dataset / "meta" / "info.json").read_text())["features"]
@@ -130,7 +130,7 @@ def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
     for column in expected:
         _, feature, name = column.split("/")
         (values,) = table[column].to_list()
-        assert values == whole[feature][name], column
+        assert values == whole_content[feature][name], column
         assert len(values) == (1 if name == "count" else features[feature]["shape"][0])
         assert table[column].dtype == polars.List(
             polars.Int64 if name == "count" else polars.Float64
@@ -140,8 +140,8 @@ def test_the_episode_has_its_statistics(exported_dataset: Path) -> None:
 def test_several_logs_become_episodes_of_one_dataset(
     golden_log: RunLog, exported_dataset: Path, tmp_path: Path
 ) -> None:
-    with RunLog(GOLDEN_LOG.parent / "jamia-grasp.mcap") as other:
-        frames = export_lerobot([other, golden_log, other], tmp_path / "y")
+    with RunLog(GOLDEN_LOG.parent / "jamia-grasp.mcap") as other_log:
+        frames = export_lerobot([other_log, golden_log, other_log], tmp_path / "y")
     table = polars.read_parquet(tmp_path / "y" / "data" / "chunk-000" / "file-000.parquet")
     episodes = polars.read_parquet(
         tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
@@ -173,12 +173,12 @@ def test_several_logs_become_episodes_of_one_dataset(
 
 def test_a_log_of_another_hand_is_no_episode(golden_log: RunLog, tmp_path: Path) -> None:
     with (
-        RunLog(GOLDEN_LOG.parent / "jamia11-grasp.mcap") as other,
+        RunLog(GOLDEN_LOG.parent / "jamia11-grasp.mcap") as other_log,
         pytest.raises(
             LogError, match="log 2: a run of hand jamia11; expected a run of hand jamia, as in"
         ),
     ):
-        export_lerobot([golden_log, other], tmp_path / "y")
+        export_lerobot([golden_log, other_log], tmp_path / "y")
     assert not (tmp_path / "y").exists()
 
 
@@ -291,16 +291,19 @@ def test_a_wrong_camera_is_one_line(
 def test_statistics_of_images_are_those_of_their_pixels() -> None:
     pixels = np.random.default_rng(0).integers(0, 200, (3, 5000))
     histogram = np.array([np.bincount(channel, minlength=256) for channel in pixels])
-    found = histogram_statistics(histogram, 7, (10, 50, 99))
+    image_statistics = histogram_statistics(histogram, 7, (10, 50, 99))
     expected = {name: getattr(pixels / 255, name)(axis=1) for name in ("min", "max", "mean", "std")}
     expected |= {
         f"q{percent}": np.percentile(pixels / 255, percent, axis=1) for percent in (10, 50, 99)
     }
-    assert found.pop("count") == [7]
-    assert found.keys() == expected.keys()
+    assert image_statistics.pop("count") == [7]
+    assert image_statistics.keys() == expected.keys()
     for name, values in expected.items():
         np.testing.assert_allclose(
-            np.array(found[name]), values.reshape(3, 1, 1), atol=1 / 255 + 1e-12, err_msg=name
+            np.array(image_statistics[name]),
+            values.reshape(3, 1, 1),
+            atol=1 / 255 + 1e-12,
+            err_msg=name,
         )
 
 

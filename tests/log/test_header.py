@@ -174,10 +174,10 @@ def test_invalid_truth_offset_is_refused(
     log_folder: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
     more = {"truth_offset_ns": text}
-    changed = log_with_changed_metadata(
+    changed_log = log_with_changed_metadata(
         GOLDEN_LOG.read_bytes(), lambda name, old: old | more if name == "handctl" else old
     )
-    (log_folder / "odd.mcap").write_bytes(changed)
+    (log_folder / "odd.mcap").write_bytes(changed_log)
     assert "truth_offset_ns" in _refusal_line(capsys, "report", "odd.mcap")
 
 

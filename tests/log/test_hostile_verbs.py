@@ -106,7 +106,7 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
         out, err = capsys.readouterr()
         assert "\x1b" not in out + err, words
     assert list(tmp_path.iterdir()) == [inner]
-    assert {one.name for one in inner.iterdir()} <= {
+    assert {path.name for path in inner.iterdir()} <= {
         "run.mcap",
         "run.recovered.mcap",
         "run.csv",

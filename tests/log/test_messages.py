@@ -72,7 +72,7 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
 
 def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
     topics = messages_by_topic(varied_log)
-    used = {message.kind for messages in topics.values() for message in messages}
+    kinds = {message.kind for messages in topics.values() for message in messages}
     parts = {
         "Time",
         "Header",
@@ -84,7 +84,7 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
         "KeyValue",
     }
     parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
-    assert used == {
+    assert kinds == {
         schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in parts
     }
 
@@ -97,8 +97,8 @@ def test_a_snapshot_is_read_as_it_was_written(varied_log: Path) -> None:
 def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
     seen = 0
     for messages in messages_by_topic(varied_log).values():
-        first = messages[0]
-        for serialiser in other_serialisers(first.kind, first.schema):
+        first_message = messages[0]
+        for serialiser in other_serialisers(first_message.kind, first_message.schema):
             for message in messages:
                 assert serialiser.encode(serialiser.decode(message.data)) == message.data, (
                     message.topic

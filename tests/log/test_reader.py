@@ -44,13 +44,13 @@ def varied_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_ticks_come_back_exactly(varied_log: Path) -> None:
     with RunLog(varied_log) as log:
         ticks = list(log.ticks())
-    for (tick_in, out), one in zip(
+    for (tick_in, out), tick in zip(
         varied_run.varied_ticks(varied_run.varied_header()), ticks, strict=True
     ):
         expected = TickRecord(
             tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash
         )
-        assert one == expected
+        assert tick == expected
 
 
 @pytest.mark.parametrize("uses_cache", [True, False])
@@ -102,8 +102,8 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(varied_log: Path
         assert log.mode.tolist() == [out.mode for _, out in ticks]
         assert log.action.tolist() == [out.action for _, out in ticks]
         expected = [(tick_in.k, event) for tick_in, out in ticks for event in out.events]
-        assert [(one.k, one.event) for one in log.events] == expected
-        assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
+        assert [(event.k, event.event) for event in log.events] == expected
+        assert [phase.name for phase in log.phases] == ["idle", "close", "h\u00e4lt", ""]
         before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
         assert [gap.last_tick_before for gap in log.gaps] == before
         assert len(before) == 7

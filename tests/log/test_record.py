@@ -132,9 +132,9 @@ def test_ticks_decoded_together_are_those_decoded_one_by_one(
     ticks: list[tuple[TickIn, TickOut]],
 ) -> None:
     messages = [pack_tick(*tick) for tick in ticks]
-    together = unpack_ticks(messages)
-    assert together == [unpack_tick(message) for message in messages]
-    for (tick_in, out), again in zip(ticks, together, strict=True):
+    unpacked_ticks = unpack_ticks(messages)
+    assert unpacked_ticks == [unpack_tick(message) for message in messages]
+    for (tick_in, out), again in zip(ticks, unpacked_ticks, strict=True):
         assert (
             again.tick_in.frames.records.tobytes()
             == frames_as_records(tick_in.frames).records.tobytes()

@@ -100,12 +100,12 @@ def test_a_process_started_ahead_records_the_first_run(
 ) -> None:
     with recorder_process_started_in_advance():
         (waiting,) = recorder_start._started_ahead
-        first = start_recorder("first.mcap")
-        second = start_recorder("second.mcap")
+        first_recorder = start_recorder("first.mcap")
+        second_recorder = start_recorder("second.mcap")
         assert waiting.child.poll() is None
-    assert first._child is waiting.child
-    assert second._child is not waiting.child
-    for recorder in (first, second):
+    assert first_recorder._child is waiting.child
+    assert second_recorder._child is not waiting.child
+    for recorder in (first_recorder, second_recorder):
         assert recorder.close("done")["complete"]
 
 
@@ -251,8 +251,8 @@ def test_telemetry_of_another_shape_is_announced(
     start_recorder: Callable[..., Recorder],
 ) -> None:
     recorder = start_recorder()
-    other = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
-    for tick in synthetic_run.SyntheticRunTicks(other, 0.01):
+    other_header = synthetic_run.synthetic_header("jamia11", rate_hz=1000)
+    for tick in synthetic_run.SyntheticRunTicks(other_header, 0.01):
         recorder.send_record(pack_tick_record(*tick))
     events: list[IoEvent] = []
     assert _wait_until(lambda: bool(events.extend(recorder.take_events())) or bool(events))
@@ -342,13 +342,13 @@ def test_a_failed_write_is_announced_and_ends_the_file(
     assert _wait_until(
         lambda: (
             bool(events.extend(recorder.take_events()))
-            or any(one.where == "disk_full" for one in events)
+            or any(event.where == "disk_full" for event in events)
         )
     )
     summary = recorder.close("finished")
     assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
     assert (tmp_path / "run.mcap").stat().st_size <= LIMIT_BYTES
-    assert [one.where for one in events].count("disk_full") == 1
+    assert [event.where for event in events].count("disk_full") == 1
     _check_readable_prefix(tmp_path / "run.mcap", len(records))
 
 
@@ -383,7 +383,7 @@ def test_a_full_disk_leaves_a_whole_file(
     with RunLog(two_megabyte_disk / "run.mcap") as log:
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
-    assert [one.name for one in two_megabyte_disk.iterdir()] == ["run.mcap"]
+    assert [path.name for path in two_megabyte_disk.iterdir()] == ["run.mcap"]
 
 
 def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:

@@ -46,10 +46,10 @@ def _scan_log(path: Path) -> RecordScan:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_scan_in_steps_equals_a_scan_at_once(seed: int, small_log: Path, tmp_path: Path) -> None:
-    whole, path, scan = small_log.read_bytes(), tmp_path / "growing.mcap", RecordScan()
+    whole_content, path, scan = small_log.read_bytes(), tmp_path / "growing.mcap", RecordScan()
     source = random.Random(seed)
-    for size in sorted(source.randrange(8, len(whole)) for _ in range(20)):
-        path.write_bytes(whole[:size])
+    for size in sorted(source.randrange(8, len(whole_content)) for _ in range(20)):
+        path.write_bytes(whole_content[:size])
         file = LogFile(path)
         scan_records(file, scan)
         file.close()
@@ -113,12 +113,12 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
             assert not out.exists()
             continue
         assert recovery.chunks == complete
-        with RunLog(tmp_path / "cut.mcap") as direct, RunLog(out) as log:
-            assert bool(direct.warning) == (cut < len(raw))
+        with RunLog(tmp_path / "cut.mcap") as direct_log, RunLog(out) as log:
+            assert bool(direct_log.warning) == (cut < len(raw))
             assert not log.warning
-            for one in (direct, log):
-                assert one.k.tolist() == k[: ticks[complete]].tolist()
-                assert one.field("tension").tobytes() == tension[: ticks[complete]].tobytes()
+            for run_log in (direct_log, log):
+                assert run_log.k.tolist() == k[: ticks[complete]].tolist()
+                assert run_log.field("tension").tobytes() == tension[: ticks[complete]].tobytes()
 
 
 def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
@@ -131,8 +131,8 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     recovered_messages = read_messages(out)
     assert len(recovered_messages) == recovery.messages
     last = max(one.log_time for one in recovered_messages if one.topic == "/tick")
-    whole = [one for one in read_messages(small_log) if one.log_time <= last]
-    assert sorted(recovered_messages) == sorted(whole)
+    whole_messages = [message for message in read_messages(small_log) if message.log_time <= last]
+    assert sorted(recovered_messages) == sorted(whole_messages)
     with RunLog(out) as log, RunLog(small_log) as old:
         assert "without an end mark" in log.end["recovered"]
         assert log.header == old.header
@@ -216,8 +216,8 @@ def test_another_file_is_an_error(tmp_path: Path) -> None:
 def test_a_log_with_only_its_header_gives_nothing_but_the_names(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     synthetic_run.write_synthetic_run(path, synthetic_run.synthetic_header(rate_hz=50), 0.5)
-    first = _scan_log(path).chunks[0]
-    recovery, out = _recover_bytes(path.read_bytes()[: first.end], tmp_path)
+    first_chunk = _scan_log(path).chunks[0]
+    recovery, out = _recover_bytes(path.read_bytes()[: first_chunk.end], tmp_path)
     assert (recovery.status, recovery.chunks) == (RecoveryStatus.LOSSY, 1)
     with RunLog(out) as log:
         assert len(log) == 0

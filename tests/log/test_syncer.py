@@ -14,14 +14,14 @@ from handctl.log.write.disk_syncer import DiskSyncer
 
 
 def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
-    before = set(psutil.Process().children())
+    children_before = set(psutil.Process().children())
     descriptor = os.open(tmp_path / "x", os.O_WRONLY | os.O_CREAT)
     disk_syncer = DiskSyncer()
     for _ in range(100):
         disk_syncer(descriptor)
-    (child,) = set(psutil.Process().children()) - before
-    assert descriptor in {one.fd for one in child.open_files()}
-    assert not {0, 1, 2} & {one.fd for one in child.open_files()}
+    (child,) = set(psutil.Process().children()) - children_before
+    assert descriptor in {open_file.fd for open_file in child.open_files()}
+    assert not {0, 1, 2} & {open_file.fd for open_file in child.open_files()}
     os.close(disk_syncer._request_pipe)
     assert child.wait(10.0) is not None or not child.is_running()
     os.close(descriptor)

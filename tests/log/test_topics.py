@@ -152,22 +152,24 @@ def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Pa
 def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
     run, offset = varied_run.varied_header(), 1_700_000_000_123_456_789
     bodies = _tick_bodies(run)
-    plain = read_messages(_write_log(tmp_path / "a", run, bodies))
+    plain_messages = read_messages(_write_log(tmp_path / "a", run, bodies))
     shifted_log = read_messages(
         _write_log(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
     )
-    assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted_log]
+    assert [one.log_time + offset for one in plain_messages] == [
+        one.log_time for one in shifted_log
+    ]
     states = [one for one in shifted_log if one.topic == "/joint_states"]
     serialiser = RosbagsSerialiser(states[0].kind, states[0].schema)
-    for one in states:
-        stamp = serialiser.decode(one.data).header.stamp
-        assert stamp.sec * 10**9 + stamp.nanosec == one.log_time
+    for state in states:
+        stamp = serialiser.decode(state.data).header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == state.log_time
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
-    run, described = synthetic_run.synthetic_header(hand, rate_hz=50), load_hand(hand)
-    digits = [DigitModel.from_hand(described, name) for name in run.digits]
+    run, hand_description = synthetic_run.synthetic_header(hand, rate_hz=50), load_hand(hand)
+    digits = [DigitModel.from_hand(hand_description, name) for name in run.digits]
     ticks = list(synthetic_run.SyntheticRunTicks(run, 1.0))
     topics = messages_by_topic(
         _write_log(
@@ -187,7 +189,7 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
             origin, frame = pose[one.header.frame_id]
             turned = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
             pose[one.child_frame_id] = origin + frame.apply([move.x, move.y, move.z]), turned
-        for digit, place in zip(digits, described.digit_joints.values(), strict=True):
+        for digit, place in zip(digits, hand_description.digit_joints.values(), strict=True):
             for link in link_transforms(digit, out.telemetry.q[place]):
                 origin, frame = pose[link.frame]
                 np.testing.assert_allclose(origin, link.position, atol=1e-12)
@@ -200,11 +202,11 @@ def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
     joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
     expected = {
         (
-            one.find("parent").get("link"),
-            one.find("child").get("link"),
-            one.get("type") == "revolute",
+            joint.find("parent").get("link"),
+            joint.find("child").get("link"),
+            joint.get("type") == "revolute",
         )
-        for one in joints
+        for joint in joints
     }
     assert {
         (link.parent, link.child, link.joint >= 0) for link in link_frames(run.hand_toml)
@@ -259,7 +261,7 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     )
     targets = topics["/stream/target"]
     serialiser = RosbagsSerialiser(targets[0].kind, targets[0].schema)
-    first, other, last = (serialiser.decode(one.data) for one in targets)
+    first, other, last = (serialiser.decode(target.data) for target in targets)
     assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
     assert first.age == pytest.approx(0.003)
     np.testing.assert_array_equal(first.value, [1.5, math.nan])
@@ -301,7 +303,7 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
     topics = messages_by_topic(run_log)["/fingertip/index/wrench"]
     serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
     forces = np.array(
-        [[(w := serialiser.decode(one.data).wrench.force).x, w.y, w.z] for one in topics]
+        [[(w := serialiser.decode(topic.data).wrench.force).x, w.y, w.z] for topic in topics]
     )
     assert forces[:, 1].min() < -0.5
     assert (forces[:, 1] <= 0).all()
@@ -309,15 +311,15 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 
 
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
-    run, other = (
+    run, other_header = (
         synthetic_run.synthetic_header("jamia", 100),
         synthetic_run.synthetic_header("jamia11", 100),
     )
     bodies = [
         pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
-        for tick in synthetic_run.SyntheticRunTicks(other, 0.1)
+        for tick in synthetic_run.SyntheticRunTicks(other_header, 0.1)
     ]
     log = _write_log(tmp_path / "a", run, bodies, event_texts=("misshapen",))
     topics = messages_by_topic(log)["/tendon_states"]
     serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
-    assert all(np.isnan(serialiser.decode(one.data).effort).all() for one in topics)
+    assert all(np.isnan(serialiser.decode(topic.data).effort).all() for topic in topics)

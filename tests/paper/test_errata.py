@@ -257,11 +257,11 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
     """The hand in the paper has no springs, so its numbers are compared with the torque of the links alone."""
-    fast = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
-    links = sum(fast.torque_by_cause[part] for part in ("inertia", "Coriolis", "gravity"))
+    fast_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
+    links = sum(fast_torques.torque_by_cause[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.page_items(None)}
     assert found["sec7.complete"].computed == pytest.approx(
-        float(np.abs(links).max()) / fast.lever_m
+        float(np.abs(links).max()) / fast_torques.lever_m
     )
     assert found["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
@@ -291,15 +291,20 @@ def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
 
 
 def test_the_parts_of_a_closing_motion_add_up() -> None:
-    fast, slow = motion.closing_torques("index", 0.15), motion.closing_torques("index", 0.6)
-    assert fast.peak_tension("inertia") == pytest.approx(
-        16.0 * slow.peak_tension("inertia"), rel=1e-6
+    fast_torques, slow_torques = (
+        motion.closing_torques("index", 0.15),
+        motion.closing_torques("index", 0.6),
     )
-    assert fast.peak_tension("Coriolis") == pytest.approx(
-        16.0 * slow.peak_tension("Coriolis"), rel=1e-6
+    assert fast_torques.peak_tension("inertia") == pytest.approx(
+        16.0 * slow_torques.peak_tension("inertia"), rel=1e-6
     )
-    assert fast.peak_tension("gravity") == pytest.approx(slow.peak_tension("gravity"), rel=1e-9)
+    assert fast_torques.peak_tension("Coriolis") == pytest.approx(
+        16.0 * slow_torques.peak_tension("Coriolis"), rel=1e-6
+    )
+    assert fast_torques.peak_tension("gravity") == pytest.approx(
+        slow_torques.peak_tension("gravity"), rel=1e-9
+    )
     digit = motion.upright_digit("index")
     weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
     assert weight > 0.0
-    assert fast.torque_by_cause["gravity"][0] == pytest.approx(weight)
+    assert fast_torques.torque_by_cause["gravity"][0] == pytest.approx(weight)

@@ -81,14 +81,17 @@ def test_units_and_printed_values_are_in_the_figures(figures_folder: Path) -> No
         "fig8-payload": ["payload [kg]", "0.915 kg", "1.835 kg"],
     }
     for name, texts in expected.items():
-        drawn = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+        drawn_text = (figures_folder / f"paper-{name}.svg").read_text(encoding="utf-8")
         for text in texts:
-            assert text in drawn, (name, text)
+            assert text in drawn_text, (name, text)
 
 
 def test_without_experiments_the_measured_figures_are_left_out() -> None:
-    found = figure_contents(None)
-    assert page.FIGURE_CAPTIONS.keys() - found.keys() == {"fig5-force-displacement", "fig8-payload"}
+    contents = figure_contents(None)
+    assert page.FIGURE_CAPTIONS.keys() - contents.keys() == {
+        "fig5-force-displacement",
+        "fig8-payload",
+    }
 
 
 def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:
@@ -97,5 +100,5 @@ def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:
         assert np.linalg.norm(tips, axis=1).max() == pytest.approx(reach)
         for path_point in kinematics.fingertip_path(name, np.radians(np.linspace(0.0, 100.0, 11))):
             assert np.linalg.norm(tips - path_point, axis=1).min() < 2.0
-    first = kinematics.fingertip_path("index", np.array([0.0, np.pi / 2]))
-    assert first == pytest.approx(np.array([[55.0, 0.0], [-15.0, 20.0]]), abs=1e-9)
+    first_fingertip_path = kinematics.fingertip_path("index", np.array([0.0, np.pi / 2]))
+    assert first_fingertip_path == pytest.approx(np.array([[55.0, 0.0], [-15.0, 20.0]]), abs=1e-9)

@@ -141,8 +141,8 @@ def test_html_page_loads_no_other_file(
 def test_files_are_written_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     report, export = tmp_path / "out.html", tmp_path / "export"
     assert main(["paper", "--quick", "--output", str(report), "--export", str(export)]) == 0
-    shown = capsys.readouterr().out
-    assert "wrong" in shown
+    shown_text = capsys.readouterr().out
+    assert "wrong" in shown_text
     assert report.read_text(encoding="utf-8").startswith("<!doctype html>")
     assert {path.name for path in export.iterdir()} == {"jamia.urdf", "jamia.xml"}
 

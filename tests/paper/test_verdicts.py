@@ -66,10 +66,10 @@ def test_rounded_number_is_judged_as_rounded(exact_value: Fraction, decimal_plac
 def test_truncated_number_is_judged_as_truncated(
     exact_value: Fraction, decimal_places: int
 ) -> None:
-    shown = rounded_digits(exact_value, decimal_places, ROUND_DOWN)
-    verdict = verdict_of_number(shown, exact_value)
+    shown_digits = rounded_digits(exact_value, decimal_places, ROUND_DOWN)
+    verdict = verdict_of_number(shown_digits, exact_value)
     assert verdict != ErrataVerdict.WRONG
-    if 2 * abs(Fraction(shown) - exact_value) > last_digit_value(shown):
+    if 2 * abs(Fraction(shown_digits) - exact_value) > last_digit_value(shown_digits):
         assert verdict == ErrataVerdict.TRUNCATED
 
 
@@ -77,8 +77,8 @@ def test_truncated_number_is_judged_as_truncated(
 def test_a_unit_of_the_last_digit_beyond_is_wrong(
     exact_value: Fraction, decimal_places: int, last_digit_units: int
 ) -> None:
-    shown = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
-    off = Fraction(shown) + (last_digit_units + 1) * last_digit_value(shown) * (
+    shown_digits = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
+    off = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(shown_digits) * (
         1 if exact_value > 0 else -1
     )
     text = rounded_digits(off, decimal_places, ROUND_HALF_EVEN)

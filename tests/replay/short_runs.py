@@ -133,8 +133,8 @@ def record_lockstep_run(
             which they arrive.
         truth: path of the truth file. The value is None to write no truth file.
     """
-    described = load_hand(hand_name)
-    plan = RunPlan(described, Gains(), rate_hz, ())
+    hand = load_hand(hand_name)
+    plan = RunPlan(hand, Gains(), rate_hz, ())
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.toml"
         scene.write_text(CYLINDER_SCENE.format(friction=friction_factor))
@@ -149,7 +149,7 @@ def record_lockstep_run(
             "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
         )
     clock = LockstepClock(wrap_simulator(peer), plan.period_ns)
-    controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
+    controller = make_controller(hand, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
     attachments = {
         name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"
@@ -164,7 +164,7 @@ def record_lockstep_run(
         plan.period_ns,
         [LockstepBus(clock)],
         controller.begin_tick,
-        controller.cut_frames(),
+        controller.torque_cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
         lambda: [*recorder.take_events(), *(io_events or {}).get(clock.k, ())],
         record,

@@ -49,14 +49,18 @@ def _change_message(
     }
     for chunk in scan.chunks:
         content = file.chunk_content(chunk)
-        for one in iter_messages(content, chunk.end - chunk.data_offset, frozenset([names[topic]])):
+        for message in iter_messages(
+            content, chunk.end - chunk.data_offset, frozenset([names[topic]])
+        ):
             matching_rows = [
-                i for i, sequence in enumerate(one.sequence().tolist()) if sequence == tick_index
+                i
+                for i, sequence in enumerate(message.sequence().tolist())
+                if sequence == tick_index
             ]
             if matching_rows:
                 changed_content = bytearray(content)
                 changed_content[
-                    one.start + matching_rows[0] * one.records.shape[1] + 31 + byte_offset
+                    message.start + matching_rows[0] * message.records.shape[1] + 31 + byte_offset
                 ] ^= 0x10
                 _put_chunk(log_path, scan, chunk, bytes(changed_content), with_fitting_checksum)
                 return
@@ -97,8 +101,8 @@ def test_a_changed_byte_is_named_by_its_tick(
     _change_message(log_copy, topic, 321, byte_offset, with_fitting_checksum)
     assert describe_first_damage(log_copy).startswith("tick 321 was changed after it was written")
     if with_fitting_checksum:
-        with RunLog(log_copy) as opened:
-            (line,) = [line for line in check_log(opened) if "chain" in line]
+        with RunLog(log_copy) as opened_log:
+            (line,) = [line for line in check_log(opened_log) if "chain" in line]
         assert "breaks at tick 321" in line
 
 
@@ -125,9 +129,9 @@ def test_log_check_reports_any_changed_byte_of_a_chunk(
 
 
 def test_other_gains_in_the_header_break_the_chain_at_the_first_tick(log_copy: Path) -> None:
-    with RunLog(log_copy) as opened:
-        opened.header.attachments["gains.json"] += b" "
-        (line,) = [line for line in check_log(opened) if "chain" in line]
+    with RunLog(log_copy) as opened_log:
+        opened_log.header.attachments["gains.json"] += b" "
+        (line,) = [line for line in check_log(opened_log) if "chain" in line]
     assert "breaks at tick 0:" in line
 
 
@@ -135,5 +139,5 @@ def test_a_recovered_log_has_an_unbroken_chain(log_copy: Path, tmp_path: Path) -
     raw = log_copy.read_bytes()
     log_copy.write_bytes(raw[: len(raw) // 2])
     recover_log(log_copy, tmp_path / "new.mcap")
-    with RunLog(tmp_path / "new.mcap") as opened:
-        assert not [line for line in check_log(opened) if "chain" in line]
+    with RunLog(tmp_path / "new.mcap") as opened_log:
+        assert not [line for line in check_log(opened_log) if "chain" in line]

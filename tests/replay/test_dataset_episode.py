@@ -32,10 +32,10 @@ JAMIA_HAND = load_hand("jamia")
 def exported_dataset(tmp_path: Path) -> Path:
     """Export a dataset with two episodes (a run with a fault, and a grasp), and return its folder."""
     with (
-        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as one,
+        RunLog(GOLDEN_FOLDER / "jamia-fault.mcap") as log,
         RunLog(GOLDEN_FOLDER / "jamia-grasp.mcap") as two,
     ):
-        export_lerobot([one, two], tmp_path / "data")
+        export_lerobot([log, two], tmp_path / "data")
     return tmp_path / "data"
 
 
@@ -191,8 +191,8 @@ def test_a_damaged_dataset_is_refused(exported_dataset: Path) -> None:
     ):
         find_episode(exported_dataset, 0, load_hand("t42"), PERIOD_S)
     data = exported_dataset / "data" / "chunk-000" / "file-000.parquet"
-    whole = data.read_bytes()
-    for content in (b"", whole[:-100], b"PAR1" + whole[4:100] + b"PAR1"):
+    whole_content = data.read_bytes()
+    for content in (b"", whole_content[:-100], b"PAR1" + whole_content[4:100] + b"PAR1"):
         data.write_bytes(content)
         with pytest.raises(ConfigError, match=r"file-000.parquet: cannot be read"):
             find_episode(exported_dataset, 0, JAMIA_HAND, PERIOD_S)

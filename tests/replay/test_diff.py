@@ -18,18 +18,18 @@ def test_a_run_does_not_differ_from_itself(golden_folder: Path) -> None:
         RunLog(golden_folder / "jamia-grasp.mcap") as a,
         RunLog(golden_folder / "jamia-grasp.mcap") as b,
     ):
-        compared = compare_logs(a, b, "b")
-    assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == (
+        comparison = compare_logs(a, b, "b")
+    assert (comparison["gains"], comparison["only_in_first"], comparison["only_in_second"]) == (
         {},
         [],
         [],
     )
-    for phase in compared["phases"].values():
+    for phase in comparison["phases"].values():
         rows = [
             row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()
         ]
         assert all(row["rms"] == row["peak"] == 0.0 for row in rows)
-    assert "joint_deg" in compared["phases"]["hold"]
+    assert "joint_deg" in comparison["phases"]["hold"]
 
 
 def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
@@ -37,11 +37,11 @@ def test_a_lost_object_is_seen_in_the_hold_phase(golden_folder: Path) -> None:
         RunLog(golden_folder / "jamia-grasp.mcap") as a,
         RunLog(golden_folder / "jamia-lost.mcap") as b,
     ):
-        compared = compare_logs(a, b, "b")
+        comparison = compare_logs(a, b, "b")
     # While a digit is in contact, its tension determines its joint angles. A difference of one
     # newton changes these angles by some degrees.
-    assert compared["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
-    assert compared["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
+    assert comparison["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
+    assert comparison["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
 
 def test_phases_of_only_one_run_are_named(golden_folder: Path) -> None:
@@ -49,8 +49,8 @@ def test_phases_of_only_one_run_are_named(golden_folder: Path) -> None:
         RunLog(golden_folder / "jamia-grasp.mcap") as a,
         RunLog(golden_folder / "jamia-fault.mcap") as b,
     ):
-        compared = compare_logs(a, b, "b")
-    assert compared["only_in_first"] == ["release", "end"]
+        comparison = compare_logs(a, b, "b")
+    assert comparison["only_in_first"] == ["release", "end"]
 
 
 def test_another_hand_s_log_is_refused(golden_folder: Path) -> None:
@@ -90,12 +90,12 @@ def test_a_wrong_identity_is_reported(golden_folder: Path) -> None:
 @pytest.mark.filterwarnings("error")
 def test_unknown_values_have_no_difference_and_no_delay() -> None:
     before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
-    after = np.roll(before, 10, axis=0)
-    after[:, 1], after[7, 2] = np.nan, np.nan
-    compared = compare_signals(("known", "unknown", "nearly"), before, after, 0.01)
-    assert compared["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
-    assert np.isnan(list(compared["unknown"].values())).all()
-    assert np.isfinite(compared["nearly"]["rms"])
+    signals_after = np.roll(before, 10, axis=0)
+    signals_after[:, 1], signals_after[7, 2] = np.nan, np.nan
+    comparison = compare_signals(("known", "unknown", "nearly"), before, signals_after, 0.01)
+    assert comparison["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
+    assert np.isnan(list(comparison["unknown"].values())).all()
+    assert np.isfinite(comparison["nearly"]["rms"])
 
 
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
@@ -107,10 +107,10 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
     before = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
     after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * sine_signal[10:-10] + noise[1]])
-    compared = compare_signals(
+    comparison = compare_signals(
         ("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01
     )
-    delays = [row["delay_s"] for row in compared.values()]
+    delays = [row["delay_s"] for row in comparison.values()]
     assert np.isnan(delays[:2]).all()
     assert delays[2] == pytest.approx(0.1, abs=0.01)
 

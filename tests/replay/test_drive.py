@@ -34,9 +34,12 @@ def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory)
     Return the path of the log.
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
-    with RunLog(golden_folder / "jamia-grasp.mcap") as before:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log_before:
         state = short_runs.record_lockstep_run(
-            path, playback_program(before, 1 / 250, replays_tensions=False), rate_hz=250.0, seed=5
+            path,
+            playback_program(log_before, 1 / 250, replays_tensions=False),
+            rate_hz=250.0,
+            seed=5,
         )
     assert state.failure == ""
     return path
@@ -45,20 +48,23 @@ def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory)
 def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
     golden_folder: Path, replayed_logs: Path
 ) -> None:
-    with RunLog(golden_folder / "jamia-grasp.mcap") as before, RunLog(replayed_logs) as after:
-        compared = compare_replay(before, after)
-        recorded_start, _ = active_interval(before)
+    with (
+        RunLog(golden_folder / "jamia-grasp.mcap") as log_before,
+        RunLog(replayed_logs) as log_after,
+    ):
+        comparison = compare_replay(log_before, log_after)
+        recorded_start, _ = active_interval(log_before)
         at_rest = [
-            change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")
+            change.t_ns * 1e-9 for change in log_before.phases if change.name in ("hold", "release")
         ]
         times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
-        start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
+        start = next(change.t_ns * 1e-9 for change in log_after.phases if change.name == "playback")
         old, new = (
             resampled_field(*run, times).mean(axis=0)
-            for run in ((before, "tension", recorded_start), (after, "tension", start))
+            for run in ((log_before, "tension", recorded_start), (log_after, "tension", start))
         )
-    assert all(row["rms"] < 1.0 for row in compared["joint_deg"].values())
-    assert all(abs(row["delay_s"]) < 0.02 for row in compared["joint_deg"].values())
+    assert all(row["rms"] < 1.0 for row in comparison["joint_deg"].values())
+    assert all(abs(row["delay_s"]) < 0.02 for row in comparison["joint_deg"].values())
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
@@ -103,13 +109,13 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden_fol
 
 
 def test_another_hand_is_refused_with_both_identities(golden_folder: Path) -> None:
-    other = load_hand("jamia11")
+    other_hand = load_hand("jamia11")
     with (
         RunLog(golden_folder / "jamia-grasp.mcap") as log,
         pytest.raises(IncomparableError) as caught,
     ):
-        check_same_hand(log, other.name, other.identity, "--hand jamia11")
-    assert other.identity[:12] in str(caught.value)
+        check_same_hand(log, other_hand.name, other_hand.identity, "--hand jamia11")
+    assert other_hand.identity[:12] in str(caught.value)
     assert load_hand("jamia").identity[:12] in str(caught.value)
 
 

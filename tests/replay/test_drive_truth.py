@@ -31,8 +31,8 @@ class RunAndRepeat:
     raw: bool
 
     def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
-        with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
-            return compare_replay(before, after)
+        with RunLog(self.folder / "first.mcap") as log_before, RunLog(self.repeat) as log_after:
+            return compare_replay(log_before, log_after)
 
     @property
     def repeat(self) -> Path:
@@ -40,9 +40,9 @@ class RunAndRepeat:
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times since the start of the interval [s], and true values of both runs (times, names)."""
-        with RunLog(self.folder / "first.mcap") as before, RunLog(self.repeat) as after:
-            recorded_start, end = active_interval(before)
-            start = next(change.t_ns for change in after.phases if change.name == "playback")
+        with RunLog(self.folder / "first.mcap") as log_before, RunLog(self.repeat) as log_after:
+            recorded_start, end = active_interval(log_before)
+            start = next(change.t_ns for change in log_after.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
         first, second = (
             read_truth(path)
@@ -59,9 +59,9 @@ class RunAndRepeat:
 
         Both times are measured from the start of the interval [s].
         """
-        with RunLog(self.folder / "first.mcap") as before:
-            starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
-            start, _ = active_interval(before)
+        with RunLog(self.folder / "first.mcap") as log_before:
+            starts = {change.name: change.t_ns * 1e-9 for change in log_before.phases}
+            start, _ = active_interval(log_before)
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
     def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
@@ -89,8 +89,8 @@ def run_and_repeat(run_folder: Path, request: pytest.FixtureRequest) -> RunAndRe
     The repetition follows either the recorded angles or the recorded tensions.
     """
     made = RunAndRepeat(run_folder, request.param)
-    with RunLog(run_folder / "first.mcap") as before:
-        program = playback_program(before, 1 / RATE_HZ, made.raw)
+    with RunLog(run_folder / "first.mcap") as log_before:
+        program = playback_program(log_before, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
     assert (
         short_runs.record_lockstep_run(
@@ -109,7 +109,7 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
     When a digit makes its first contact, one newton changes the estimated angles of its joints by
     two more degrees.
     """
-    compared = run_and_repeat.compare_replay()
+    comparison = run_and_repeat.compare_replay()
     worst = (
         {"joint_deg": 12.0, "tendon_N": 13.0}
         if run_and_repeat.raw
@@ -121,8 +121,8 @@ def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
         else {"joint_deg": 1.5, "tendon_N": 2.2}
     )
     for signal in worst:
-        assert max(row["peak"] for row in compared[signal].values()) < worst[signal]
-        assert max(row["rms"] for row in compared[signal].values()) < max_rms_by_signal[signal]
+        assert max(row["peak"] for row in comparison[signal].values()) < worst[signal]
+        assert max(row["rms"] for row in comparison[signal].values()) < max_rms_by_signal[signal]
 
 
 @pytest.mark.parametrize("digit", DIGIT_NAMES)

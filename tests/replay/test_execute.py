@@ -87,10 +87,10 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(
     with RunLog(recorded_grasp_log) as log:
         gains = logged_gains(log)
         changed_gain = math.nextafter(gains.tension.integral_per_s, math.inf)
-        other = gains.model_copy(
+        other_gains = gains.model_copy(
             update={"tension": gains.tension.model_copy(update={"integral_per_s": changed_gain})}
         )
-        result = execute_log(log, other)
+        result = execute_log(log, other_gains)
         starts = {change.name: change.k for change in log.phases}
     assert result.first_difference is not None
     assert starts["tighten"] <= result.first_difference.k < starts["preshape"]
@@ -114,7 +114,8 @@ def test_a_changed_byte_of_the_log_is_named(recorded_grasp_log: Path) -> None:
         assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
         tick_with_other_hash = logged._replace(state_hash=bytes(8))
         assert [
-            one.field for one in differing_fields(columns, tick_with_other_hash, numbers, out)
+            differing_field.field
+            for differing_field in differing_fields(columns, tick_with_other_hash, numbers, out)
         ] == ["state_hash"]
 
 
@@ -154,17 +155,17 @@ def make_calibration(hand_name: str) -> Calibration:
 )
 def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
-    first = make_controller(
+    first_controller = make_controller(
         hand, gains, rate, program, make_calibration("jamia"), arm_at_once=False
     )
-    text = RunSetup.from_controller(first, rate).model_dump_json(by_alias=True)
+    text = RunSetup.from_controller(first_controller, rate).model_dump_json(by_alias=True)
     again = RunSetup.model_validate_json(text).controller(hand, gains)
     assert again.program == program
     assert again.arm_at_once is False
-    assert again.model.period == first.model.period
-    assert again.tare.tobytes() == first.tare.tobytes()
-    assert again.zero.tobytes() == first.zero.tobytes()
-    assert again.initial_state().digest() == first.initial_state().digest()
+    assert again.model.period == first_controller.model.period
+    assert again.tare.tobytes() == first_controller.tare.tobytes()
+    assert again.zero.tobytes() == first_controller.zero.tobytes()
+    assert again.initial_state().digest() == first_controller.initial_state().digest()
 
 
 def test_a_log_without_a_setup_is_refused_in_one_line(recorded_grasp_log: Path) -> None:

@@ -41,10 +41,12 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
             if event.event.name == "gain"
         }
         assert messages == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
-        refused = [
+        refused_texts = [
             event.event.text for event in record.events if event.event.text.startswith("refused")
         ]
-        assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
+        assert refused_texts == [
+            "refused: gains: motion.force: no such gain; expected motion.force_N?"
+        ]
         result = execute_log(record)
     assert (result.differing_ticks, result.first_difference) == (0, None)
 

@@ -63,13 +63,19 @@ def test_a_short_gap_is_bridged_without_a_jump(
     log_with_gap = write_ticks(
         tmp_path / "holey.mcap", header, ticks_without_range(ticks, 260, 268)
     )
-    with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(log_with_gap) as other:
-        whole, result = recorded_targets(log, 0.005), recorded_targets(other, 0.005)
-        assert (count_missing_ticks(log), count_missing_ticks(other)) == (0, 9)
-    assert result.q.shape == whole.q.shape
-    expected = ~np.isnan(whole.q)
-    assert np.abs(result.ddq - whole.ddq)[expected].max() < np.abs(whole.ddq[expected]).max()
-    assert np.abs(result.q - whole.q)[expected].max() < math.radians(0.5)
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log, RunLog(log_with_gap) as other_log:
+        whole_recorded_targets, result = (
+            recorded_targets(log, 0.005),
+            recorded_targets(other_log, 0.005),
+        )
+        assert (count_missing_ticks(log), count_missing_ticks(other_log)) == (0, 9)
+    assert result.q.shape == whole_recorded_targets.q.shape
+    expected = ~np.isnan(whole_recorded_targets.q)
+    assert (
+        np.abs(result.ddq - whole_recorded_targets.ddq)[expected].max()
+        < np.abs(whole_recorded_targets.ddq[expected]).max()
+    )
+    assert np.abs(result.q - whole_recorded_targets.q)[expected].max() < math.radians(0.5)
 
 
 def test_a_long_gap_is_refused_with_its_times(
@@ -103,10 +109,10 @@ def test_a_cut_log_that_repeats_is_lossy(
 
 def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_path: Path) -> None:
     rate = 250.0
-    with RunLog(golden_folder / "jamia-grasp.mcap") as before:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as log_before:
         program, (start, end) = (
-            playback_program(before, 1 / rate, replays_tensions=False),
-            active_interval(before),
+            playback_program(log_before, 1 / rate, replays_tensions=False),
+            active_interval(log_before),
         )
         short_runs.record_lockstep_run(
             tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP_REQUEST,)}
@@ -114,18 +120,21 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_pat
         short_runs.record_lockstep_run(
             tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP_REQUEST,)}
         )
-        with RunLog(tmp_path / "late.mcap") as after:
+        with RunLog(tmp_path / "late.mcap") as log_after:
             started = next(
-                change.t_ns * 1e-9 for change in after.phases if change.name == "playback"
+                change.t_ns * 1e-9 for change in log_after.phases if change.name == "playback"
             )
-            assert followed_duration_s(before, after) == pytest.approx(
+            assert followed_duration_s(log_before, log_after) == pytest.approx(
                 1000 / rate - started, abs=2 / rate
             )
-            assert 0.2 < followed_duration_s(before, after) < end - start - 0.5
-            result = compare_replay(before, after)
+            assert 0.2 < followed_duration_s(log_before, log_after) < end - start - 0.5
+            result = compare_replay(log_before, log_after)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
-        with RunLog(tmp_path / "early.mcap") as after:
-            assert (followed_duration_s(before, after), compare_replay(before, after)) == (0.0, {})
+        with RunLog(tmp_path / "early.mcap") as log_after:
+            assert (
+                followed_duration_s(log_before, log_after),
+                compare_replay(log_before, log_after),
+            ) == (0.0, {})
 
 
 def with_event(added_event: TickEvent) -> Callable[[TickOut], TickOut]:
@@ -160,11 +169,11 @@ def test_every_difference_is_named(
         events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),)
     )
     with RunLog(write_ticks(tmp_path / "one.mcap", header, [(entry, base)])) as log:
-        logged, numbers = next(log.ticks()), next(log.packed_telemetry())
+        logged_tick, numbers = next(log.ticks()), next(log.packed_telemetry())
     now = change_output(base)
-    assert are_outputs_equal(logged, numbers, base)
-    assert not are_outputs_equal(logged, numbers, now)
-    (result,) = differing_fields(TelemetryColumns.from_header(header), logged, numbers, now)
+    assert are_outputs_equal(logged_tick, numbers, base)
+    assert not are_outputs_equal(logged_tick, numbers, now)
+    (result,) = differing_fields(TelemetryColumns.from_header(header), logged_tick, numbers, now)
     assert result.logged != result.computed
 
 

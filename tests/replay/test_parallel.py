@@ -84,12 +84,12 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
         controller = rebuild_controller(log)
         state = controller.initial_state()
         for logged in log.ticks():
-            again = restore_state(controller.derived.layout, snapshot_bytes(state))
-            assert (again.digest(), snapshot_bytes(again)) == (
+            repeated_state = restore_state(controller.derived.layout, snapshot_bytes(state))
+            assert (repeated_state.digest(), snapshot_bytes(repeated_state)) == (
                 state.digest(),
                 snapshot_bytes(state),
             )
-            other, restored_output = controller.tick(again, logged.tick_in)
+            other, restored_output = controller.tick(repeated_state, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
             assert (restored_output.state_hash, other.digest()) == (
                 out.state_hash,
@@ -105,11 +105,11 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
             if simulation.state.mode == HandMode.ACTIVE:
                 break
             seen.add(simulation.state.mode)
-            again = restore_state(
+            repeated_state = restore_state(
                 simulation.controller.derived.layout, snapshot_bytes(simulation.state)
             )
-            assert plain_bytes(again.decisions) == plain_bytes(simulation.state.decisions)
-            assert again.digest() == simulation.state.digest()
+            assert plain_bytes(repeated_state.decisions) == plain_bytes(simulation.state.decisions)
+            assert repeated_state.digest() == simulation.state.digest()
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
 
 
@@ -155,11 +155,11 @@ def test_the_first_field_of_the_state_that_differs_is_named(
 
 def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
     with RunLog(recorded_grasp_log) as log:
-        state, logged = rebuild_controller(log).initial_state(), next(log.ticks())
-        other = state.copy()
-        other.decide(unconfirmed=("index_motor",))
-        assert state_difference(log.header, logged, state, state) is None
-        difference = state_difference(log.header, logged, state, other)
+        state, logged_tick = rebuild_controller(log).initial_state(), next(log.ticks())
+        other_state = state.copy()
+        other_state.decide(unconfirmed=("index_motor",))
+        assert state_difference(log.header, logged_tick, state, state) is None
+        difference = state_difference(log.header, logged_tick, state, other_state)
     assert difference is not None
     assert (difference.field, difference.logged, difference.computed) == (
         "state unconfirmed",

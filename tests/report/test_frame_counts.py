@@ -43,8 +43,8 @@ def ticks_without_frame(
     first_tension_frame = make_sensors(JAMIA_HAND).ids[0]
     entry = golden_ticks[tick_index].tick_in
     [lost] = [frame for frame in entry.frames if frame.can_id == first_tension_frame][:1]
-    rest = tuple(frame for frame in entry.frames if frame != lost)
-    changed = golden_ticks[tick_index]._replace(tick_in=entry._replace(frames=rest))
+    remaining_frames = tuple(frame for frame in entry.frames if frame != lost)
+    changed = golden_ticks[tick_index]._replace(tick_in=entry._replace(frames=remaining_frames))
     return [*golden_ticks[:tick_index], changed, *golden_ticks[tick_index + 1 :]], lost
 
 
@@ -69,10 +69,10 @@ def test_a_frame_of_the_tick_before_is_late(golden_ticks: list[TickRecord]) -> N
 
 def test_a_refused_frame_is_lost(golden_ticks: list[TickRecord]) -> None:
     entry = golden_ticks[300].tick_in
-    refused = golden_ticks[300]._replace(
+    refused_tick = golden_ticks[300]._replace(
         tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),))
     )
-    assert count_frames([*golden_ticks[:300], refused, *golden_ticks[301:]]) == (0, 2, 0)
+    assert count_frames([*golden_ticks[:300], refused_tick, *golden_ticks[301:]]) == (0, 2, 0)
 
 
 def test_a_paused_simulator_causes_a_tick_without_frames(golden_ticks: list[TickRecord]) -> None:

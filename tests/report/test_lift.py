@@ -75,15 +75,15 @@ def test_an_object_may_slide_by_the_limit_and_no_farther(slide_direction: float)
 def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     log, truth = log_and_truth_of_lift(0.0, 0.0)
     assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
-    steady = GeneratedRunLog(JAMIA_HAND, TICK_COUNT, {0: "hold"})
-    steady.fields["contact"][:, 0] = 1.0
-    steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][
-        :
-    ] = 9.0
-    steady.fields["tip_force"][:] = 0.0
-    assert np.isnan(summarise_run(steady, JAMIA_HAND, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    steady_log = GeneratedRunLog(JAMIA_HAND, TICK_COUNT, {0: "hold"})
+    steady_log.fields["contact"][:, 0] = 1.0
+    steady_log.fields["tension_goal"][:] = steady_log.fields["tension"][:] = steady_log.fields[
+        "tension_raw"
+    ][:] = 9.0
+    steady_log.fields["tip_force"][:] = 0.0
+    assert np.isnan(summarise_run(steady_log, JAMIA_HAND, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
     _, sinking = log_and_truth_of_lift(0.2, 0.0)
-    assert not np.isnan(summarise_run(steady, JAMIA_HAND, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    assert not np.isnan(summarise_run(steady_log, JAMIA_HAND, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
 
 
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:

@@ -22,12 +22,12 @@ def small_truth() -> TruthRecord:
 def test_a_written_truth_file_is_read(small_truth: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small_truth)
-    again = read_truth(path)
-    np.testing.assert_array_equal(again.t_ns, small_truth.t_ns)
-    np.testing.assert_array_equal(again.values, small_truth.values)
-    assert again.columns == small_truth.columns
-    assert again.has_column("b/c")
-    assert not again.has_column("x")
+    repeated_truth = read_truth(path)
+    np.testing.assert_array_equal(repeated_truth.t_ns, small_truth.t_ns)
+    np.testing.assert_array_equal(repeated_truth.values, small_truth.values)
+    assert repeated_truth.columns == small_truth.columns
+    assert repeated_truth.has_column("b/c")
+    assert not repeated_truth.has_column("x")
 
 
 def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
@@ -54,10 +54,10 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
 ) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small_truth)
-    complete = path.read_bytes()
-    head = complete.index(b"\n") + 1
-    for cut in range(len(complete)):
-        path.write_bytes(complete[:cut])
+    complete_content = path.read_bytes()
+    head = complete_content.index(b"\n") + 1
+    for cut in range(len(complete_content)):
+        path.write_bytes(complete_content[:cut])
         rows = max(0, cut - head) // 32
         if rows:
             truth = read_truth(path)
@@ -123,18 +123,20 @@ def test_a_copy_has_the_rows_between_two_times(
     """
     truth = zero_truth(JAMIA_HAND, 96)
     values = np.arange(truth.values.size, dtype=np.float64).reshape(truth.values.shape)
-    whole = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
-    write_truth(tmp_path / "whole", whole)
+    whole_truth = TruthRecord({}, truth.t_ns + 10**15, values, truth.columns)
+    write_truth(tmp_path / "whole", whole_truth)
     with (tmp_path / "whole").open("ab") as file:
         file.write(b"an incomplete row")
-    first, step = int(whole.t_ns[0]), int(whole.t_ns[1] - whole.t_ns[0])
+    first, step = int(whole_truth.t_ns[0]), int(whole_truth.t_ns[1] - whole_truth.t_ns[0])
     copied = copy_truth(
         tmp_path / "whole", tmp_path / "part", first + step * start_ns, first + step * end_ns
     )
     assert copied == len(expected_rows)
     part = read_truth(tmp_path / "part")
-    assert part.columns == whole.columns
-    np.testing.assert_array_equal(part.t_ns, whole.t_ns[expected_rows.start : expected_rows.stop])
+    assert part.columns == whole_truth.columns
+    np.testing.assert_array_equal(
+        part.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
+    )
     np.testing.assert_array_equal(part.values, values[expected_rows.start : expected_rows.stop])
 
 

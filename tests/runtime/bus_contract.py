@@ -91,9 +91,9 @@ def test_frames_of_all_kinds_arrive_complete_and_in_order(bus_under_test: BusUnd
     receiver = bus_under_test.open(bus_index=3)
     batch = random_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
-    received = drain_bus(receiver, len(batch))
-    assert frame_contents(received) == frame_contents(batch)
-    assert {frame.bus for frame in received} == {3}
+    received_frames = drain_bus(receiver, len(batch))
+    assert frame_contents(received_frames) == frame_contents(batch)
+    assert {frame.bus for frame in received_frames} == {3}
     assert sender.take_events() == receiver.take_events() == []
 
 

@@ -23,8 +23,8 @@ def work_folder(tmp_path, monkeypatch):
 
     The sockets are in another folder, because the path of a Unix socket must be short.
     """
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+    with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short_folder)
         monkeypatch.chdir(tmp_path)
         (tmp_path / "short.toml").write_text(SHORT_TASK)
         (tmp_path / "long.toml").write_text(LONG_TASK)

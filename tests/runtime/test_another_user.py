@@ -386,13 +386,13 @@ def test_clear_ends_when_the_controller_has_taken_it(work_folder, capsys):
 
 
 def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder):
-    others = [StatusWatcher(LOCAL_BUS) for _ in range(6)]
+    other_watchers = [StatusWatcher(LOCAL_BUS) for _ in range(6)]
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
         def occupy_watcher_slots():
             while time.monotonic() < until:
-                for other in others:
+                for other in other_watchers:
                     other.request_status_line(0.0)
 
         occupying_thread = threading.Thread(target=occupy_watcher_slots)
@@ -403,7 +403,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
         watcher.close()
         occupying_thread.join()
     assert controller.taken.count("arm") == 20
-    for other in others:
+    for other in other_watchers:
         other.close()
 
 
@@ -428,10 +428,10 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
     box = Mailbox(LOCAL_BUS)
     if mailbox_is_full:
         assert fill_mailbox(box.path)
-    began = time.monotonic()
+    start_time_s = time.monotonic()
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED_TEXT) as caught:
         request_action(LOCAL_BUS, request_kind)
-    assert time.monotonic() - began < 2.4
+    assert time.monotonic() - start_time_s < 2.4
     assert isinstance(caught.value, PowerError)
     assert ("its mailbox is full" if mailbox_is_full else "the controller is silent") in str(
         caught.value
@@ -487,11 +487,11 @@ def test_a_flooded_mailbox_still_takes_a_stop(
         "run.mcap",
         *scale_options,
     )
-    ended = threading.Event()
+    ended_event = threading.Event()
 
     def flood_mailbox():
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
-            while not ended.is_set():
+            while not ended_event.is_set():
                 try:
                     out.sendto(b'{"do": "arm"}', str(mailbox_path(LOCAL_BUS)))
                 except OSError:
@@ -507,7 +507,7 @@ def test_a_flooded_mailbox_still_takes_a_stop(
         assert done.returncode == 0, done.stderr
         assert process_result(process)[0] == 0
     finally:
-        ended.set()
+        ended_event.set()
         end_process(process)
         flooding_thread.join()
     assert modes_of_complete_log(work_folder / "run.mcap")[-1] == "DISARM -> DONE"

@@ -34,19 +34,19 @@ async def use_hand_as_client(*connect_options):
         assert hand.observe().q_deg[:3] == pytest.approx(30.0, abs=3.0)
         with pytest.raises(ConfigError, match="no digit 'pinky'"):
             await hand.wait_for(contact="pinky")
-        seen = asyncio.create_task(observe_hand(hand))
+        observe_task = asyncio.create_task(observe_hand(hand))
         async with await hand.stream(50, "digit", ["index"]) as stream:
             for i in range(50):
                 stream.send([30.0 + 10.0 * np.sin(2 * np.pi * i / 50)])
                 await stream.sleep()
             status = stream.status
-        ticks, swing_amplitude = await seen
-        moving = asyncio.create_task(hand.move(index=80.0, duration_s=20.0))
+        ticks, swing_amplitude = await observe_task
+        moving_task = asyncio.create_task(hand.move(index=80.0, duration_s=20.0))
         await hand.wait_for(phase="live")
         await asyncio.sleep(1.0)
-        moving.cancel()
+        moving_task.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await moving
+            await moving_task
         await hand.hold()
         await asyncio.sleep(1.0)
         at = hand.observe().q_deg[:3].mean()
@@ -61,9 +61,9 @@ async def observe_hand(hand):
     first joint angle [deg].
     """
     ticks, angles = [], []
-    async for one in hand.observations():
-        ticks.append(one.k)
-        angles.append(one.q_deg[0])
+    async for observation in hand.observations():
+        ticks.append(observation.k)
+        angles.append(observation.q_deg[0])
         if len(ticks) == 200:
             return ticks, np.ptp(angles)
     raise AssertionError("the run has ended")
@@ -170,7 +170,7 @@ def test_every_call_has_its_coroutine():
         one, other = getattr(library.HandClient, name), getattr(library.AsyncHandClient, name)
         assert inspect.iscoroutinefunction(other), name
         expected = set(inspect.signature(one).parameters)
-        own = set(inspect.signature(other).parameters)
-        assert own == expected or "options" in own, name
+        own_parameters = set(inspect.signature(other).parameters)
+        assert own_parameters == expected or "options" in own_parameters, name
     one, other = inspect.signature(library.connect), inspect.signature(library.connect_async)
     assert one.parameters == other.parameters

@@ -135,9 +135,9 @@ def test_local_bus_carries_every_batch_both_ways(
         sent += link.recv(1 << 20)
     assert sent == whole
     link.sendall(whole)
-    got = drain_frames(bus, len(batch))
-    assert frame_contents(got) == [frame[:4] for frame in batch]
-    assert has_zeros_behind_payloads(got)
+    frames = drain_frames(bus, len(batch))
+    assert frame_contents(frames) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(frames)
     assert bus.take_events() == []
 
 
@@ -151,9 +151,9 @@ def test_can_socket_carries_every_batch_both_ways(
     assert [far_end.recv(100) for _ in batch] == [kernel_datagram(frame) for frame in batch]
     for frame in batch:
         far_end.send(kernel_datagram(frame))
-    got = drain_frames(bus, len(batch))
-    assert frame_contents(got) == [frame[:4] for frame in batch]
-    assert has_zeros_behind_payloads(got)
+    frames = drain_frames(bus, len(batch))
+    assert frame_contents(frames) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(frames)
 
 
 def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
@@ -178,9 +178,9 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
                 ]
                 for frame in test_batch:
                     link.send(kernel_datagram(frame))
-            got = drain_frames(bus, len(test_batch))
-            assert frame_contents(got) == [frame[:4] for frame in test_batch]
-            assert has_zeros_behind_payloads(got)
+            frames = drain_frames(bus, len(test_batch))
+            assert frame_contents(frames) == [frame[:4] for frame in test_batch]
+            assert has_zeros_behind_payloads(frames)
 
 
 def test_bytes_behind_a_payload_are_ignored(
@@ -190,18 +190,18 @@ def test_bytes_behind_a_payload_are_ignored(
     batch = [*equal_frames(3, 0), *equal_frames(12, FDF), *equal_frames(0, 0)]
     bus, link = local_bus
     for frame in batch:
-        whole = frame_record(frame.can_id, frame.data, frame.flags)
-        link.sendall(whole[: 8 + len(frame.data)] + trailing_bytes[: 64 - len(frame.data)])
-    got = drain_frames(bus, len(batch))
-    assert frame_contents(got) == [frame[:4] for frame in batch]
-    assert has_zeros_behind_payloads(got)
+        whole_record = frame_record(frame.can_id, frame.data, frame.flags)
+        link.sendall(whole_record[: 8 + len(frame.data)] + trailing_bytes[: 64 - len(frame.data)])
+    frames = drain_frames(bus, len(batch))
+    assert frame_contents(frames) == [frame[:4] for frame in batch]
+    assert has_zeros_behind_payloads(frames)
     can, far_end = udp_bus
     for part in (batch[:11], batch[11:22], batch):
         for frame in part:
             far_end.send(kernel_datagram(frame, trailing_bytes))
-        got = drain_frames(can, len(part))
-        assert frame_contents(got) == [frame[:4] for frame in part]
-        assert has_zeros_behind_payloads(got)
+        frames = drain_frames(can, len(part))
+        assert frame_contents(frames) == [frame[:4] for frame in part]
+        assert has_zeros_behind_payloads(frames)
 
 
 def test_error_frames_between_others_become_events_and_keep_the_order(
@@ -273,14 +273,17 @@ def test_the_kernels_stamps_become_the_runs_time(
     bus._convert_time = lambda t_ns: int((t_ns - 1000) * time_scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay
     for _ in range(3):
-        before = time.monotonic_ns()
+        time_ns_before = time.monotonic_ns()
         for number in range(11):
             far_end.send(CLASSICAL_FRAME_STRUCT.pack(number, 8, bytes(8)))
-        after = time.monotonic_ns()
+        time_ns_after = time.monotonic_ns()
         stamps = [frame.t_ns for frame in drain_frames(bus, 11)]
         slack = 5_000_000
         assert (
-            (before - slack) * time_scale <= stamps[0] <= stamps[-1] <= (after + slack) * time_scale
+            (time_ns_before - slack) * time_scale
+            <= stamps[0]
+            <= stamps[-1]
+            <= (time_ns_after + slack) * time_scale
         )
         assert stamps == sorted(stamps)
         assert len(set(stamps)) > 1

@@ -26,11 +26,11 @@ def bus_under_test(
 ) -> Iterator[BusUnderTest]:
     if request.param == "local":
         monkeypatch.setenv(RUN_DIR_VARIABLE, str(request.getfixturevalue("hub_folder")))
-        made = BusUnderTest("local:contract")
+        bus = BusUnderTest("local:contract")
     else:
-        made = BusUnderTest(f"virtual:{uuid.uuid4()}")
-    yield made
-    made.close()
+        bus = BusUnderTest(f"virtual:{uuid.uuid4()}")
+    yield bus
+    bus.close()
 
 
 @pytest.mark.parametrize(

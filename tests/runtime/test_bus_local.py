@@ -159,9 +159,9 @@ def test_no_bytes_from_a_hub_can_raise(
     bus_with_partial_records: tuple[Bus, socket.socket], hub_bytes: bytes
 ) -> None:
     bus, link = bus_with_partial_records
-    whole = hub_bytes[: len(hub_bytes) - len(hub_bytes) % RECORD_BYTES]
-    link.send(whole)
+    whole_hub_bytes = hub_bytes[: len(hub_bytes) - len(hub_bytes) % RECORD_BYTES]
+    link.send(whole_hub_bytes)
     frames = bus.drain()
     bus.take_events()
-    assert len(frames) <= len(whole) // RECORD_BYTES
+    assert len(frames) <= len(whole_hub_bytes) // RECORD_BYTES
     assert all(len(frame.data) <= 64 for frame in frames)

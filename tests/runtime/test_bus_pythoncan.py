@@ -43,9 +43,9 @@ class BrokenCanBus(can.BusABC):
 
 @pytest.fixture
 def virtual_bus() -> Iterator[PythonCanBus]:
-    opened = PythonCanBus("virtual", "broken", 0, 1_000_000, None, int)
-    yield opened
-    opened.close()
+    opened_bus = PythonCanBus("virtual", "broken", 0, 1_000_000, None, int)
+    yield opened_bus
+    opened_bus.close()
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBus) -> None:
@@ -55,9 +55,9 @@ def test_frames_that_an_adapter_echoes_are_not_received(virtual_bus: PythonCanBu
     """
     virtual_bus._bus.shutdown()
     virtual_bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
-    with can.Bus("broken", interface="virtual") as other:
+    with can.Bus("broken", interface="virtual") as other_bus:
         virtual_bus.send([Frame(1, b"mine")])
-        other.send(can.Message(arbitration_id=0x11, data=b"yours", is_extended_id=False))
+        other_bus.send(can.Message(arbitration_id=0x11, data=b"yours", is_extended_id=False))
         assert [(frame.can_id, frame.data) for frame in virtual_bus.drain()] == [(0x11, b"yours")]
 
 
@@ -117,9 +117,9 @@ def socket_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 @pytest.fixture
 def handctl_bus(socket_folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
     monkeypatch.setenv(RUN_DIR_VARIABLE, str(socket_folder))
-    opened = open_bus("local:tools", 0, 1_000_000)
-    yield opened
-    opened.close()
+    opened_bus = open_bus("local:tools", 0, 1_000_000)
+    yield opened_bus
+    opened_bus.close()
 
 
 def test_filters_are_applied(handctl_bus: Bus) -> None:
@@ -130,10 +130,10 @@ def test_filters_are_applied(handctl_bus: Bus) -> None:
         "tools", interface="local", can_filters=filters, ignore_config=True
     ) as python_can_bus:
         handctl_bus.send([Frame(number, b"") for number in range(0x40)])
-        received = [
+        received_arbitration_ids = [
             message.arbitration_id for message in iter(lambda: python_can_bus.recv(0.2), None)
         ]
-    assert received == list(range(0x10, 0x20))
+    assert received_arbitration_ids == list(range(0x10, 0x20))
 
 
 def test_a_receive_timeout_is_respected(handctl_bus: Bus) -> None:
@@ -148,11 +148,13 @@ def test_own_messages_are_received_on_request(handctl_bus: Bus) -> None:
     with can.Bus(
         "tools", interface="local", receive_own_messages=True, ignore_config=True
     ) as python_can_bus:
-        sent = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
-        python_can_bus.send(sent)
-        back = python_can_bus.recv(5.0)
-    assert back is not None
-    assert back.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
+        sent_message = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
+        python_can_bus.send(sent_message)
+        returned_message = python_can_bus.recv(5.0)
+    assert returned_message is not None
+    assert returned_message.equals(
+        sent_message, timestamp_delta=None, check_channel=False, check_direction=False
+    )
 
 
 def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
@@ -160,22 +162,22 @@ def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
         with pytest.raises(can.CanOperationError, match="without fd"):
             python_can_bus.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
         handctl_bus.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
-        received = python_can_bus.recv(5.0)
+        received_message = python_can_bus.recv(5.0)
         while (
-            received is not None and received.arbitration_id < 0x6F1
+            received_message is not None and received_message.arbitration_id < 0x6F1
         ):  # skip the frames of an earlier client
-            received = python_can_bus.recv(5.0)
-    assert received is not None
-    assert received.arbitration_id == 0x6F2
+            received_message = python_can_bus.recv(5.0)
+    assert received_message is not None
+    assert received_message.arbitration_id == 0x6F2
 
 
 def test_stamps_are_wall_clock_time(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
         before = time.time()
         handctl_bus.send([Frame(1, b"")])
-        received = python_can_bus.recv(5.0)
-    assert received is not None
-    assert before - 0.02 <= received.timestamp <= time.time() + 0.02
+        received_message = python_can_bus.recv(5.0)
+    assert received_message is not None
+    assert before - 0.02 <= received_message.timestamp <= time.time() + 0.02
 
 
 def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
@@ -183,9 +185,9 @@ def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
         notifier = can.Notifier(python_can_bus, [reader], timeout=0.05)
         handctl_bus.send([Frame(number, b"") for number in range(20)])
-        received = [reader.get_message(5.0) for _ in range(20)]
+        received_messages = [reader.get_message(5.0) for _ in range(20)]
         notifier.stop()
-    assert [message.arbitration_id for message in received if message] == list(range(20))
+    assert [message.arbitration_id for message in received_messages if message] == list(range(20))
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(handctl_bus: Bus) -> None:
@@ -276,9 +278,9 @@ def test_a_lost_hub_ends_reading_and_sending(
     python_can_bus, link = scripted_bus
     link.send(frame_record(9, b"last"))
     link.close()
-    last = python_can_bus.recv(5.0)
-    assert last is not None
-    assert last.arbitration_id == 9
+    last_message = python_can_bus.recv(5.0)
+    assert last_message is not None
+    assert last_message.arbitration_id == 9
     with pytest.raises(can.CanOperationError, match="gone"):
         python_can_bus.recv(5.0)
     with pytest.raises(can.CanOperationError, match="gone"):

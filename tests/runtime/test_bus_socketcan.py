@@ -91,13 +91,13 @@ def test_batches_beyond_the_buffers_keep_their_order(
     assert (
         bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
     )
-    sent = [CLASSICAL_FRAME_STRUCT.unpack(far_end.recv(100)) for _ in range(count)]
-    assert [can_id for can_id, _, _ in sent] == list(range(count))
+    sent_structs = [CLASSICAL_FRAME_STRUCT.unpack(far_end.recv(100)) for _ in range(count)]
+    assert [can_id for can_id, _, _ in sent_structs] == list(range(count))
     for number in range(count):
         far_end.send(CLASSICAL_FRAME_STRUCT.pack(number, 2, number.to_bytes(2, "little")))
-    received = wait_for_frames(bus, count)
-    assert [frame.can_id for frame in received] == list(range(count))
-    assert [int.from_bytes(frame.data, "little") for frame in received] == list(range(count))
+    received_frames = wait_for_frames(bus, count)
+    assert [frame.can_id for frame in received_frames] == list(range(count))
+    assert [int.from_bytes(frame.data, "little") for frame in received_frames] == list(range(count))
 
 
 KERNEL_STAMPS_S = 0.3
@@ -114,12 +114,12 @@ def test_stamps_are_times_of_arrival_not_of_reading(
     time.sleep(KERNEL_STAMPS_S)
     start = time.monotonic_ns()
     far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
-    sent = time.monotonic_ns()
+    sent_time_ns = time.monotonic_ns()
     time.sleep(0.1)
     far_end.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
     first, second = wait_for_frames(bus, 2)
     slack = 20_000_000
-    assert start - slack <= first.t_ns <= sent + slack
+    assert start - slack <= first.t_ns <= sent_time_ns + slack
     assert second.t_ns - first.t_ns >= 80_000_000
 
 
@@ -137,9 +137,9 @@ def test_stamps_never_run_backwards_or_ahead(
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
         bus._offset.request_measurement()
         far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
-        before = time.monotonic_ns()
+        time_ns_before = time.monotonic_ns()
         stamps.append(wait_for_frames(bus, 1)[0].t_ns)
-        assert before - 10**9 <= stamps[-1] <= time.monotonic_ns()
+        assert time_ns_before - 10**9 <= stamps[-1] <= time.monotonic_ns()
     assert stamps == sorted(stamps)
 
 
@@ -156,12 +156,12 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     far_end.send(CLASSICAL_FRAME_STRUCT.pack(1, 0, b""))
     wait_for_frames(bus, 1)
     bus._offset._offset_ns += step_ns
-    before = time.monotonic_ns()
+    time_ns_before = time.monotonic_ns()
     far_end.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
-    after = time.monotonic_ns()
+    time_ns_after = time.monotonic_ns()
     time.sleep(0.05)
     slack = 10_000_000
-    assert before - slack <= wait_for_frames(bus, 1)[0].t_ns <= after + slack
+    assert time_ns_before - slack <= wait_for_frames(bus, 1)[0].t_ns <= time_ns_after + slack
 
 
 def overflow_socket(bus: SocketCanBus, far_end: socket.socket) -> None:

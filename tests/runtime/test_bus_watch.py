@@ -153,9 +153,9 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
 
     def stall_at_first_wait(k):
         waiting_times.append(k)
-        late = missed_ticks if len(waiting_times) == 1 else 0
-        wait(k + late)
-        return late * PERIOD_NS + 7
+        late_missed_ticks = missed_ticks if len(waiting_times) == 1 else 0
+        wait(k + late_missed_ticks)
+        return late_missed_ticks * PERIOD_NS + 7
 
     place.wait = stall_at_first_wait
     for _ in range(3):
@@ -169,9 +169,9 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
     place, watch = watched_hand("jamia")
     for _ in range(120):
         watch.run_tick()
-    lost = watch.drives[1].node_ids
+    lost_node_ids = watch.drives[1].node_ids
     place.rig.step = lambda t_ns, frames, step=place.rig.step: [
-        f for f in step(t_ns, frames) if f[0] not in lost
+        f for f in step(t_ns, frames) if f[0] not in lost_node_ids
     ]
     for _ in range(80):
         watch.run_tick()

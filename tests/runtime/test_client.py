@@ -128,7 +128,7 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)
     unserved_client.move({"index": 10}, thumb=5, wait=False)
     unserved_client.hold({"index": 10})
-    goals = [one.get("angle_deg", one.get("tension_N")) for one in requests]
+    goals = [request.get("angle_deg", request.get("tension_N")) for request in requests]
     assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
     for do in (unserved_client.move, unserved_client.hold):
         with pytest.raises(
@@ -323,9 +323,9 @@ def test_every_thread_gets_the_end_of_the_run(
     with ThreadPoolExecutor(len(calls)) as threads:
         running = [threads.submit(repeat, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
-        ends = [one.exception(60.0) for one in running]
+        exceptions = [one.exception(60.0) for one in running]
     expected = "the controller ended: it was stopped|the hand no longer accepts goals"
-    for error in ends:
+    for error in exceptions:
         assert isinstance(error, DriveError), error
         assert re.search(expected, str(error))
     client.close()

@@ -46,10 +46,10 @@ def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
     """Run the checks three times on a drive, which is silent for two seconds after each run."""
     for _ in range(3):
         rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
-        found = checks_of(rig)
+        checks = checks_of(rig)
         assert release_drive(rig, 0.05)
         virtual_bench.advance_time(2.0)
-        yield found
+        yield checks
 
 
 def read_defect_table() -> list[tuple[str, str, str]]:
@@ -122,11 +122,11 @@ def test_a_good_drive_passes_three_times_running(protocol):
     place = VirtualBench(protocol)
     for found in checks_of_three_runs(place, protocol):
         assert failed_checks(found) == []
-        late = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
-        late.run_tick(DriveTarget.LISTEN)
-        late.run_for(DriveTarget.POLL, 0.3)
-        assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
-        assert release_drive(late, 0.05)
+        late_rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
+        late_rig.run_tick(DriveTarget.LISTEN)
+        late_rig.run_for(DriveTarget.POLL, 0.3)
+        assert late_rig.state.error_text == "", "nothing is latched after a silence of two seconds"
+        assert release_drive(late_rig, 0.05)
 
 
 @pytest.mark.parametrize("shaft_inertia", [2e-5, 1e-4, 2e-3])
@@ -303,7 +303,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     place = VirtualBench("mit")
     node = place.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
-    node._update_derived()
+    node._update_derived_values()
     rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1

@@ -146,15 +146,15 @@ def test_a_display_that_does_not_close_leaves_no_recorder(started_recorders, tmp
 def test_bus_watch_closes_the_first_bus_if_the_second_does_not_open(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "h"))
     hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
-    first = ClosableBus()
+    first_closable_bus = ClosableBus()
 
     def open_only_first_bus(spec, index, *words):
         if index:
             raise BusError("is missing", spec, "a bus")
-        return first
+        return first_closable_bus
 
     monkeypatch.setattr(bus_watch, "open_bus", open_only_first_bus)
     words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
     assert main(["bus", "watch", *words]) == 1
     assert "is missing" in capsys.readouterr().err
-    assert first.closed
+    assert first_closable_bus.closed

@@ -17,9 +17,9 @@ def test_tips_and_angles_are_inverse_to_each_other():
     assert tips.joints == JAMIA11_HAND.joints
     angles = {joint: START_ANGLE_RAD + 0.1 * (i % 3) for i, joint in enumerate(JAMIA11_HAND.joints)}
     positions = tips.tips(angles)
-    found = tips.angles_deg(positions)
-    reached = tips.tips({name: np.radians(angle) for name, angle in found.items()})
-    np.testing.assert_allclose(reached, positions, atol=1e-6)
+    solved_angles = tips.angles_deg(positions)
+    reached_tips = tips.tips({name: np.radians(angle) for name, angle in solved_angles.items()})
+    np.testing.assert_allclose(reached_tips, positions, atol=1e-6)
     assert tips.distances_m.max() < 1e-6
     one = tips.angles_deg({"index": positions[0]})
     assert set(one) == {"index_j1", "index_j2", "index_j3"}
@@ -88,8 +88,8 @@ def test_a_stream_of_positions_sends_joint_angles():
     stream.send(positions)
     stream.send({"thumb": positions[1]})
     first, second = np.array(sender.sent)
-    reached = tips.tips(dict(zip(tips.joints, np.radians(first), strict=True)))
-    np.testing.assert_allclose(reached, positions, atol=1e-6)
+    reached_tips = tips.tips(dict(zip(tips.joints, np.radians(first), strict=True)))
+    np.testing.assert_allclose(reached_tips, positions, atol=1e-6)
     np.testing.assert_allclose(first[:3], second[:3])
     with pytest.raises(ConfigError, match="positions of shape"):
         stream.send([1.0, 2.0])

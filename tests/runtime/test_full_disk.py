@@ -81,7 +81,9 @@ def seconds_until_output(process, awaited_word, timeout_s=20.0):
 def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
     work_folder, small_disk, scale_options
 ):
-    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
+    simulated_hand_process = start_hand(
+        work_folder / "hand.truth", "--hand", "jamia", *scale_options
+    )
     words = (
         "--hand",
         "jamia",
@@ -116,7 +118,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
     finally:
         watcher.close()
         end_process(process)
-        end_process(simulated)
+        end_process(simulated_hand_process)
     assert process.returncode == 0, err
     with RunLog(small_disk / "run.mcap") as log:
         assert not log.warning

@@ -42,7 +42,7 @@ def failed_findings(ip_output, data_bitrate=None):
     return [
         finding
         for finding in interface_findings("can0", link, MEGABIT_PER_S, data_bitrate)
-        if not finding.good
+        if not finding.is_good
     ]
 
 
@@ -79,13 +79,13 @@ def test_each_finding_names_the_command_that_corrects_it(
 ):
     (finding,) = failed_findings(link_json(**changed_values))
     assert finding_subject in finding.observation
-    assert correction in finding.fix
+    assert correction in finding.remedy
 
 
 def test_missing_fd_is_found_where_the_hand_needs_it():
     texts = failed_findings(link_json(), 5 * MEGABIT_PER_S)
     assert ["does not carry CAN FD" in finding.observation for finding in texts] == [True, False]
-    assert "dbitrate 5000000 fd on" in texts[0].fix
+    assert "dbitrate 5000000 fd on" in texts[0].remedy
 
 
 @pytest.mark.parametrize("data_bitrate", [None, 5 * MEGABIT_PER_S])
@@ -97,8 +97,8 @@ def test_the_set_up_of_a_finding_is_that_of_bus_up(data_bitrate):
     """
     (finding, *_) = failed_findings(link_json(link={"flags": ["NOARP"]}), data_bitrate)
     commands = interface_setup_commands("can0", MEGABIT_PER_S, data_bitrate, interface_exists=True)
-    assert finding.fix.split(" && ") == ["sudo " + " ".join(command) for command in commands]
-    assert "restart-ms 100" in finding.fix
+    assert finding.remedy.split(" && ") == ["sudo " + " ".join(command) for command in commands]
+    assert "restart-ms 100" in finding.remedy
 
 
 def test_lost_arbitration_alone_is_no_fault():
@@ -106,8 +106,8 @@ def test_lost_arbitration_alone_is_no_fault():
 
 
 def test_a_missing_interface_comes_with_the_command():
-    assert "udev" in missing_interface_finding("can3", MEGABIT_PER_S, None).fix
-    assert "type vcan" in missing_interface_finding("vcan3", MEGABIT_PER_S, None).fix
+    assert "udev" in missing_interface_finding("can3", MEGABIT_PER_S, None).remedy
+    assert "type vcan" in missing_interface_finding("vcan3", MEGABIT_PER_S, None).remedy
 
 
 @pytest.mark.parametrize("ip_output", ["", "[]", "Device does not exist", "{"])
@@ -158,8 +158,12 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
     ],
 )
 def test_each_adapter_type_has_a_finding(adapter_facts, adapter_kind, is_good, expected_message):
-    last = adapter_findings("can0", adapter_facts, adapter_kind, [])[-1]
-    assert (last.good, expected_message in last.observation, bool(last.fix)) == (
+    last_adapter_finding = adapter_findings("can0", adapter_facts, adapter_kind, [])[-1]
+    assert (
+        last_adapter_finding.is_good,
+        expected_message in last_adapter_finding.observation,
+        bool(last_adapter_finding.remedy),
+    ) == (
         is_good,
         True,
         not is_good,

@@ -213,10 +213,10 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
 
 def test_received_frames_enter_one_tick_in_order() -> None:
     old = Frame(1, b"old")
-    first = Frame(1, b"1")
-    second = Frame(2, b"2", bus=1)
-    left = FakeBus(frames_by_tick=[[old], [first], []], pending_events=[("dropped", "a", 3)])
-    right = FakeBus(1, frames_by_tick=[[], [second]])
+    first_frame = Frame(1, b"1")
+    second_frame = Frame(2, b"2", bus=1)
+    left = FakeBus(frames_by_tick=[[old], [first_frame], []], pending_events=[("dropped", "a", 3)])
+    right = FakeBus(1, frames_by_tick=[[], [second_frame]])
     run = RecordedLoop(
         3,
         buses=[left, right],
@@ -225,7 +225,9 @@ def test_received_frames_enter_one_tick_in_order() -> None:
     )
     run.go()
     entries = [entry for entry, _ in run.recorded_ticks]
-    assert entries[0].frames == (first, second), "frames from before the run are discarded"
+    assert entries[0].frames == (first_frame, second_frame), (
+        "frames from before the run are discarded"
+    )
     assert entries[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
     assert [entry.requests for entry in entries] == [("x", "y"), (), ("z",)]
     assert entries[1].frames == entries[2].frames == ()
@@ -427,11 +429,11 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     run = RecordedLoop(5, buses=[left, right])
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     remaining_capacities = [0, 0, 1]
-    whole = left.send
+    original_send = left.send
 
     def send(frames: Sequence[Frame]) -> int:
         left.capacity = remaining_capacities.pop(0) if frames else 1000
-        return whole(frames)
+        return original_send(frames)
 
     left.send = send  # type: ignore[method-assign]
     with pytest.raises(StageError):
@@ -495,7 +497,7 @@ def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
         seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
         or (raise_error() if with_failure and entry.k else None)
     )
-    before = gc.get_freeze_count()
+    freeze_count_before = gc.get_freeze_count()
     assert gc.isenabled()
     if with_failure:
         with pytest.raises(StageError):
@@ -504,7 +506,7 @@ def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
         run.go()
     assert set(seen[1:]) == {(False, True)}
     assert gc.isenabled()
-    assert gc.get_freeze_count() == before == 0
+    assert gc.get_freeze_count() == freeze_count_before == 0
 
 
 def test_garbage_collection_is_restored_when_the_clock_does_not_begin(

@@ -74,7 +74,7 @@ def test_a_lost_client_makes_the_hand_relax(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     ).open()
     try:
-        other = start_holding_client(
+        other_client = start_holding_client(
             lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if client_end == "hangs" else {})
         )
         try:
@@ -83,11 +83,13 @@ def test_a_lost_client_makes_the_hand_relax(
                 assert client.observe(wait=True).named("tension_N")[
                     "index_tendon"
                 ] == pytest.approx(HOLD_TENSION_N, abs=2.0)
-                other.send_signal(signal.SIGKILL if client_end == "killed" else signal.SIGSTOP)
+                other_client.send_signal(
+                    signal.SIGKILL if client_end == "killed" else signal.SIGSTOP
+                )
             said = wait_for_end(client, 8.0 * LEASE_S)
         finally:
-            other.kill()
-            other.communicate()
+            other_client.kill()
+            other_client.communicate()
     finally:
         client.close()
     assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", said)

@@ -63,9 +63,9 @@ def test_a_flood_of_requests_is_read_in_parts() -> None:
         except BlockingIOError:
             pass
     seen: list[str] = []
-    while some := box.read_requests():
-        assert len(some) <= MAX_REQUESTS_PER_TICK
-        seen += some
+    while some_requests := box.read_requests():
+        assert len(some_requests) <= MAX_REQUESTS_PER_TICK
+        seen += some_requests
     assert seen == [str(i) for i in range(len(seen))]
     assert len(seen) >= min(sent, 10)
     box.close()
@@ -88,13 +88,13 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
     for _ in range(2):
         with pytest.raises(BusError, match="another controller runs here"):
             Mailbox("local:x")
-    other = Mailbox("local:y")
+    other_mailbox = Mailbox("local:y")
     send_request("local:x", "still there")
     assert box.read_requests() == ("still there",)
     box.close()
-    again = Mailbox("local:x")
-    again.close()
-    other.close()
+    repeated_mailbox = Mailbox("local:x")
+    repeated_mailbox.close()
+    other_mailbox.close()
 
 
 @pytest.mark.parametrize("failing_stage", ["unlink", "credentials", "bind"])
@@ -288,10 +288,10 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
         end.bind(str(run_dir() / "a"))
         end.sendto(b'{"do": "watch"}', str(box.path))
         box.read_requests()
-        began = time.monotonic()
+        start_time_s = time.monotonic()
         for k in range(500):
             box.publish_status({"k": k, "text": "x" * 500})
-        assert time.monotonic() - began < 2.0
+        assert time.monotonic() - start_time_s < 2.0
     box.close()
 
 

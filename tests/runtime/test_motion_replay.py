@@ -39,7 +39,7 @@ def work_folder(work_folder):
 
 
 def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
-    simulated = start_hand(
+    simulated_hand_process = start_hand(
         work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     try:
@@ -48,7 +48,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
             "replay", "drive", str(GOLDEN_LOG), *words, "--log", "again.mcap", "--json"
         )
     finally:
-        end_process(simulated)
+        end_process(simulated_hand_process)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     # At the first contact, the joints of a digit do not yield at the same moment in both runs. The
@@ -59,16 +59,16 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
         "as in lockstep, tests/replay/test_drive.py"
     )
-    with RunLog(GOLDEN_LOG) as before, RunLog(work_folder / "again.mcap") as after:
-        apart = mean_angle_differences(before, after)
+    with RunLog(GOLDEN_LOG) as log_before, RunLog(work_folder / "again.mcap") as log_after:
+        apart = mean_angle_differences(log_before, log_after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
-        old, new = mean_held_tensions(before, after)
+        old, new = mean_held_tensions(log_before, log_after)
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
 def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
-    simulated = start_hand(
+    simulated_hand_process = start_hand(
         work_folder / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale_options
     )
     words = (
@@ -92,7 +92,7 @@ def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):
         code, result, err = process_result(replay_process)
         watcher.close()
     finally:
-        end_process(simulated)
+        end_process(simulated_hand_process)
     assert code == 1
     assert f"stopped: {result['driven_s']:.2f} of {result['seconds']:.2f} s were driven" in err
     assert result["complete"] is False

@@ -137,14 +137,18 @@ def test_an_observation_is_copied_pickled_and_listed(attribute_name: str) -> Non
     axes = {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor)}
     record = np.zeros((), observation_dtype(axes | {"digit": len(hand.digit)}))
     record["q_rad"] = np.arange(len(hand.joints))
-    seen = Observation(record, hand)
-    for again in (copy.copy(seen), copy.deepcopy(seen), pickle.loads(pickle.dumps(seen))):
-        assert again.record == seen.record
-        assert again.named("q_rad") == seen.named("q_rad")
-        assert repr(again) == repr(seen)
-    assert {"q_rad", "tension_N", "motor_age_s", "t_s", "named"} <= set(dir(seen))
+    observation = Observation(record, hand)
+    for again in (
+        copy.copy(observation),
+        copy.deepcopy(observation),
+        pickle.loads(pickle.dumps(observation)),
+    ):
+        assert again.record == observation.record
+        assert again.named("q_rad") == observation.named("q_rad")
+        assert repr(again) == repr(observation)
+    assert {"q_rad", "tension_N", "motor_age_s", "t_s", "named"} <= set(dir(observation))
     with pytest.raises(AttributeError, match="no field 'q_red' in an observation"):
-        seen.q_red  # noqa: B018
+        observation.q_red  # noqa: B018
 
 
 def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> None:
@@ -155,9 +159,9 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
     assert unread_ticks(reader) == list(range(10))
     for k in range(10, 10 + 2 * RING_RECORDS):
         write_observation(writer, k)
-    late = unread_ticks(reader)
-    assert late == list(range(10 + 2 * RING_RECORDS - len(late), 10 + 2 * RING_RECORDS))
-    assert RING_RECORDS - 4 <= len(late) < RING_RECORDS
+    late_ticks = unread_ticks(reader)
+    assert late_ticks == list(range(10 + 2 * RING_RECORDS - len(late_ticks), 10 + 2 * RING_RECORDS))
+    assert RING_RECORDS - 4 <= len(late_ticks) < RING_RECORDS
     reader.close()
     writer.close()
 
@@ -252,8 +256,8 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     """
     box, mail = TargetBox("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0
-    began = time.monotonic()
-    while time.monotonic() < began + 0.2:
+    start_time_s = time.monotonic()
+    while time.monotonic() < start_time_s + 0.2:
         sent += sender.send(sent, sent, np.zeros(4))
     read = 0
     while targets := box.read_targets():

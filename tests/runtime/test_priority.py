@@ -29,8 +29,8 @@ def open_files() -> set[str]:
 
 
 def test_priority_is_reset_after_the_run() -> None:
-    granted = request_priority()
-    assert (scheduling_policy() == os.SCHED_FIFO) == granted.is_realtime
+    granted_priority = request_priority()
+    assert (scheduling_policy() == os.SCHED_FIFO) == granted_priority.is_realtime
     restore_priority()
     assert scheduling_policy() == os.SCHED_OTHER
 
@@ -61,13 +61,13 @@ def test_only_ticks_have_realtime_priority() -> None:
 
     The control loop thus blocked all other processes on its processor core.
     """
-    granted = realtime_priority.prepare_priority()
+    granted_priority = realtime_priority.prepare_priority()
     seen = []
     assert scheduling_policy() == os.SCHED_OTHER
     with realtime_priority.realtime_priority() as granted_now:
         seen.append(scheduling_policy())
     restore_priority()
-    assert granted_now == granted.is_realtime
+    assert granted_now == granted_priority.is_realtime
     assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert scheduling_policy() == os.SCHED_OTHER
 

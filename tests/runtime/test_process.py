@@ -97,12 +97,14 @@ def test_a_stop_from_another_process_ends_the_run(
     work_folder, hand_truth_file, calibration_options, started_processes, scale_options
 ):
     process = start_long_task(started_processes, calibration_options, *scale_options)
-    second = run_handctl(
+    second_process_result = run_handctl(
         "run", *calibration_options, "--task", "long.toml", *scale_options, "--log", "second.mcap"
     )
-    assert second.returncode == 1
-    assert second.stderr.startswith(f"handctl: bus {LOCAL_BUS}: another controller runs here")
-    assert second.stderr.count("\n") == 1
+    assert second_process_result.returncode == 1
+    assert second_process_result.stderr.startswith(
+        f"handctl: bus {LOCAL_BUS}: another controller runs here"
+    )
+    assert second_process_result.stderr.count("\n") == 1
     stop = run_handctl("stop", "--bus", LOCAL_BUS)
     assert stop.returncode == 0
     code, _, err = process_result(process)
@@ -155,9 +157,11 @@ def test_a_missing_motor_is_named(work_folder, hand_truth_file, started_processe
     (work_folder / "mine.toml").write_text(toml_text(content))
     write_homed_calibration(work_folder / "c.toml", load_hand("mine.toml"))
     words = ("--hand", "mine.toml", "--bus", LOCAL_BUS, "--calibration", "c.toml", *scale_options)
-    refused = run_handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
-    assert refused.returncode == 1
-    assert refused.stderr == "handctl: no answer from ring_motor\n"
+    refused_process_result = run_handctl(
+        "run", *words, "--task", "short.toml", "--log", "run.mcap", "--json"
+    )
+    assert refused_process_result.returncode == 1
+    assert refused_process_result.stderr == "handctl: no answer from ring_motor\n"
     truth = read_truth(hand_truth_file)
     assert (
         max(

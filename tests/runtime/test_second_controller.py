@@ -34,28 +34,32 @@ RUN_OPTIONS = (
 
 def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale_options):
     write_homed_calibration(work_folder / "c.toml", load_hand("jamia"))
-    simulated = start_hand(work_folder / "hand.truth", "--hand", "jamia", *scale_options)
-    first = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale_options)
+    simulated_hand_process = start_hand(
+        work_folder / "hand.truth", "--hand", "jamia", *scale_options
+    )
+    first_process = start_handctl("run", *RUN_OPTIONS, "--log", "first.mcap", *scale_options)
     try:
         with SyncListener() as listener:
             until = time.monotonic() + 60.0
             while not listener.syncs:
-                assert first.poll() is None, first.communicate()
+                assert first_process.poll() is None, first_process.communicate()
                 assert time.monotonic() < until
                 listener.listen(0.01)
-            second = run_handctl("run", *RUN_OPTIONS, "--log", "second.mcap", *scale_options)
-            assert second.returncode == 1
-            assert "another controller runs here" in second.stderr
-            assert second.stderr.count("\n") == 1
+            second_process_result = run_handctl(
+                "run", *RUN_OPTIONS, "--log", "second.mcap", *scale_options
+            )
+            assert second_process_result.returncode == 1
+            assert "another controller runs here" in second_process_result.stderr
+            assert second_process_result.stderr.count("\n") == 1
             listener.listen(0.0)
             before = len(listener.syncs)
             listener.listen(0.5)
-            assert first.poll() is None
+            assert first_process.poll() is None
             assert len(listener.syncs) > before, "the first controller still sends"
-        first.terminate()
-        assert first.wait(30.0) == 0
+        first_process.terminate()
+        assert first_process.wait(30.0) == 0
     finally:
-        end_process(first)
-        end_process(simulated)
+        end_process(first_process)
+        end_process(simulated_hand_process)
     assert read_sync_records(work_folder / "first.mcap")[0] == ""
     assert not (work_folder / "second.mcap").exists()

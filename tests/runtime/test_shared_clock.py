@@ -12,7 +12,7 @@ from contextlib import closing
 import pytest
 
 from firmware_sim import shared_clock as simulated
-from firmware_sim.bus.bus_ports import is_on_this_machine
+from firmware_sim.bus.bus_ports import is_local_bus
 from handctl.runtime.clocks import shared_clock
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.mailbox import StatusWatcher
@@ -53,8 +53,8 @@ class SharedClockPair:
 
     def answer(self) -> None:
         """Let the simulator report that it has reached the present time and has replied to all frames."""
-        self.simulator.note_reached(self.simulator.now_ns())
-        self.simulator.note_answered(self.simulator.ticks_sent())
+        self.simulator.publish_reached_time(self.simulator.now_ns())
+        self.simulator.publish_answered_ticks(self.simulator.ticks_sent())
 
 
 @pytest.fixture
@@ -169,13 +169,13 @@ def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
     clock = clock_pair.controller
     clock.start()
     clock.wait(0)
-    reached = clock_pair.simulator.now_ns()
+    reached_ns = clock_pair.simulator.now_ns()
     until = clock_pair.now + 10 * NS_PER_MS
 
     def behind() -> None:
-        clock_pair.simulator.note_answered(clock_pair.simulator.ticks_sent())
-        clock_pair.simulator.note_reached(
-            reached if clock_pair.now < until else clock_pair.simulator.now_ns()
+        clock_pair.simulator.publish_answered_ticks(clock_pair.simulator.ticks_sent())
+        clock_pair.simulator.publish_reached_time(
+            reached_ns if clock_pair.now < until else clock_pair.simulator.now_ns()
         )
 
     clock_pair.between = behind
@@ -257,10 +257,10 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
 
 
 def test_only_buses_of_this_machine_share_a_clock() -> None:
-    assert is_on_this_machine("local:demo")
-    assert not is_on_this_machine("join:demo")
-    assert is_on_this_machine("socketcan:lo"), "an interface without hardware"
-    assert not is_on_this_machine("socketcan:can0")
+    assert is_local_bus("local:demo")
+    assert not is_local_bus("join:demo")
+    assert is_local_bus("socketcan:lo"), "an interface without hardware"
+    assert not is_local_bus("socketcan:can0")
 
 
 @pytest.mark.realtime

@@ -40,18 +40,18 @@ def test_two_signals_within_a_tick_both_count() -> None:
 
 def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
     signals = StopSignals()
-    before = signal.getsignal(signal.SIGHUP)
+    handler_before = signal.getsignal(signal.SIGHUP)
     with signals.install_handlers():
         os.kill(os.getpid(), signal.SIGHUP)
         assert signals.take_request() == ('{"do": "stop"}',)
-    assert signal.getsignal(signal.SIGHUP) == before
+    assert signal.getsignal(signal.SIGHUP) == handler_before
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with signals.install_handlers():
             os.kill(os.getpid(), signal.SIGHUP)
             assert signals.take_request() == ()
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGHUP, handler_before)
 
 
 def test_signal_handlers_are_restored() -> None:

@@ -30,9 +30,9 @@ def test_injected_faults_are_listed(simulator, capsys):
     ]
     assert main(["fault", "inject", "snap tendon=thumb_tendon at=100s", "--bus", "local:lab"]) == 0
     assert main(["fault", "list"]) == 0
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[-3].split() == ["state", "felt", "fault"]
-    assert shown[-1].split() == ["waiting", "0", "snap", "tendon=thumb_tendon", "at=100s"]
+    shown_lines = capsys.readouterr().out.splitlines()
+    assert shown_lines[-3].split() == ["state", "felt", "fault"]
+    assert shown_lines[-1].split() == ["waiting", "0", "snap", "tendon=thumb_tendon", "at=100s"]
     assert main(["fault", "inject", "explode node=1"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert simulator.poll() is None, "invalid requests do not end the simulator"
@@ -42,9 +42,9 @@ def test_the_faults_that_can_be_injected_are_listed(simulator, capsys):
     assert main(["fault", "list"]) == 0
     assert "handctl fault kinds" in capsys.readouterr().out
     assert main(["fault", "kinds"]) == 0
-    shown = capsys.readouterr().out
-    assert "snap       on tendon: a tendon breaks; size 0" in shown
-    assert "tendon     index_tendon, middle_tendon, ring_tendon, thumb_tendon" in shown
+    shown_text = capsys.readouterr().out
+    assert "snap       on tendon: a tendon breaks; size 0" in shown_text
+    assert "tendon     index_tendon, middle_tendon, ring_tendon, thumb_tendon" in shown_text
     assert main(["fault", "kinds", "--json"]) == 0
     kinds = {kind["kind"]: kind for kind in json.loads(capsys.readouterr().out)["kinds"]}
     assert "sensors" in kinds["drop"]["on"]["node"]

@@ -61,9 +61,15 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 
         def watch():
             with library.connect("jamia", LOCAL_BUS) as other:
-                for one in other.observations():
+                for observation in other.observations():
                     ready.set()
-                    seen.append((one.k, one.q_deg[:3].mean(), np.degrees(one.q_goal_rad[0])))
+                    seen.append(
+                        (
+                            observation.k,
+                            observation.q_deg[:3].mean(),
+                            np.degrees(observation.q_goal_rad[0]),
+                        )
+                    )
                     if len(seen) == 1000:
                         return
 
@@ -87,9 +93,9 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
             stream.send([1.0])
     assert client.result["failure"] == ""
     modes_of_complete_log(work_folder / "live.mcap")
-    again = run_handctl("replay", "execute", "live.mcap")
-    assert again.returncode == 0
-    assert " 0 differ" in again.stdout
+    repeated_process_result = run_handctl("replay", "execute", "live.mcap")
+    assert repeated_process_result.returncode == 0
+    assert " 0 differ" in repeated_process_result.stdout
 
 
 @REALTIME_MARK
@@ -103,13 +109,13 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
         except library.HandctlError as error:
             ended.append(str(error))
 
-    moving = threading.Thread(target=move)
-    moving.start()
+    moving_thread = threading.Thread(target=move)
+    moving_thread.start()
     with library.connect("jamia", LOCAL_BUS) as other:
         assert other.wait_for(phase="live").mode == "ACTIVE"
         time.sleep(0.5)
         other.take_over()
-        moving.join(5.0)
+        moving_thread.join(5.0)
         assert ended == [
             f"bus {LOCAL_BUS}: {other.name} has taken over the hand; expected take_over"
         ]

@@ -35,9 +35,11 @@ def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(hand_at_slow_time_
 
 def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(hand_at_slow_time_scale):
     for verb in (("run", "--task", "short.toml"), ("bus", "watch", "--for", "1"), ("commission",)):
-        ended = run_handctl(*verb, "--hand", "jamia", "--bus", LOCAL_BUS, *time_scale_options(1.0))
-        assert ended.returncode == 2
-        assert "expected 0.3" in ended.stderr
+        process_result = run_handctl(
+            *verb, "--hand", "jamia", "--bus", LOCAL_BUS, *time_scale_options(1.0)
+        )
+        assert process_result.returncode == 2
+        assert "expected 0.3" in process_result.stderr
 
 
 def test_without_a_simulator_a_run_has_real_time(work_folder):

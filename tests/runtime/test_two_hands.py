@@ -49,8 +49,8 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(work_folder, started_process
     try:
         for watcher, run in zip(watchers, runs, strict=True):
             wait_for_phase("stay", watcher, run)
-        stopped = run_handctl("stop", "--bus", buses[0])
-        assert stopped.returncode == 0, stopped.stderr
+        stop_result = run_handctl("stop", "--bus", buses[0])
+        assert stop_result.returncode == 0, stop_result.stderr
         code, result, err = process_result(runs[0])
         assert (code, result["failure"]) == (0, ""), err
         # The stop of the first hand has no effect on the second hand, which still holds its own

@@ -120,18 +120,20 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
     row_with_reason = CatalogueRow(
         "C", "u", "fault table", ticks=1, ms=30, required=5, why="because"
     )
-    free = CatalogueRow(
+    free_row = CatalogueRow(
         "D", "t", "fault table", ticks=9
     )  # the reaction to a fault without a required reaction time is never late
     row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
-    assert [reacts_too_late(one) for one in (soon, just, row_with_reason, free, row_in_time)] == [
+    assert [
+        reacts_too_late(one) for one in (soon, just, row_with_reason, free_row, row_in_time)
+    ] == [
         False,
         False,
         True,
         False,
         True,
     ]
-    assert late_reaction_rows((soon, just, row_with_reason, free)).splitlines() == [
+    assert late_reaction_rows((soon, just, row_with_reason, free_row)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip

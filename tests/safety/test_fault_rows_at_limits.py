@@ -82,10 +82,10 @@ def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
     upper_rail = EIGHT_TENDON_LIMITS.tension_rail
     for row in ("T03", "T03b"):
-        found = findings_of_fault(
+        findings = findings_of_fault(
             row, measured_tensions(t0=math.nextafter(upper_rail, 0.0), t1=0.0)
         )
-        assert [name for name, _ in found] == ["t0"], row
+        assert [name for name, _ in findings] == ["t0"], row
         assert findings_of_fault(row, measured_tensions(t0=upper_rail, t1=0.0)) == [], row
 
 
@@ -107,6 +107,6 @@ def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> 
 @pytest.mark.parametrize("fault_id", ["T03", "T03b", "T06"])
 def test_unread_tensions_cause_no_fault(fault_id: str) -> None:
     assert findings_of_fault(fault_id, INPUT_WITHOUT_TENSIONS) == []
-    one = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
-    one.state_rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
-    assert [name for name, _ in findings_of_fault(fault_id, one)] == ["t0"], "one of them"
+    inputs = merge_inputs(INPUT_WITHOUT_TENSIONS, INPUT_AT_REST)
+    inputs.state_rows["measured_tension"][0] = 243.0 if fault_id != "T06" else 300.0
+    assert [name for name, _ in findings_of_fault(fault_id, inputs)] == ["t0"], "one of them"

@@ -71,7 +71,11 @@ def check_fault_alone(
         verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
-        present += [one.ticks for one in verdict.reported_faults if one.id == fault_id]
+        present += [
+            reported_fault.ticks
+            for reported_fault in verdict.reported_faults
+            if reported_fault.id == fault_id
+        ]
         counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce or fault_id in {
             mark.id for mark in verdict.latched
         }
@@ -225,7 +229,11 @@ Measurements of the loop may be wrong, or a drive may not obey the commands of t
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
-    relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= SafetyAction.RELAX}
+    relaxing = {
+        fault_row.id: fault_row.relax_method
+        for fault_row in FAULT_TABLE
+        if fault_row.action >= SafetyAction.RELAX
+    }
     assert {
         one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
     } == FAULTS_OF_TENSION_LOOP
@@ -260,9 +268,9 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     for release in (RelaxMethod.FAST_TENSION_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that disables the motors at once does not relax the hand.
         relaxing = {
-            one.id
-            for one in FAULT_TABLE
-            if one.relax_method is release and one.action is SafetyAction.RELAX
+            fault_row.id
+            for fault_row in FAULT_TABLE
+            if fault_row.relax_method is release and fault_row.action is SafetyAction.RELAX
         }
         assert listed[release.value] == relaxing
 

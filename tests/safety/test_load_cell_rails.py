@@ -32,8 +32,8 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail_tension_N: flo
 def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
     monitor = SyntheticMonitor(RAIL_LIMITS)
     force = {0: 5.0, 1: tension}
-    explained = state_rows(measured_force=force, asked=force)
-    tick_input = merge_inputs(measured_tensions(t0=5.0, t1=tension), explained)
+    explained_rows = state_rows(measured_force=force, asked=force)
+    tick_input = merge_inputs(measured_tensions(t0=5.0, t1=tension), explained_rows)
     for _ in range(10):
         assert monitor.judge(tick_input.state_rows).action == SafetyAction.PASS
 

@@ -168,8 +168,8 @@ def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut()
     run_ticks(2, monitor, tension=NAN)
     monitor.set_rows({"mode": int(HandMode.CUT)})
     for k in range(51):
-        found = monitor.tick(measurements_at_rest(tension=[30.0, 8.0] if k else NAN, force=0.0))
-    assert found["N16"] == {"a": 30.0}
+        findings = monitor.tick(measurements_at_rest(tension=[30.0, 8.0] if k else NAN, force=0.0))
+    assert findings["N16"] == {"a": 30.0}
     assert monitor.field_values("cut_from") == [30.0, 25.0]
 
 
@@ -274,9 +274,9 @@ def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
         return run_ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
 
     assert "N06a" not in findings_after_slip(2.9)
-    reported = findings_after_slip(3.1)
-    assert reported["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
-    assert "T08" not in reported
+    reported_findings = findings_after_slip(3.1)
+    assert reported_findings["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
+    assert "T08" not in reported_findings
     assert "T08" not in findings_after_slip(14.9)
     assert findings_after_slip(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
 
@@ -329,11 +329,11 @@ def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    reported = run_sparse_joints(9, monitor, **off)
-    assert [k for k, found in enumerate(reported) if "T08" in found] == [8]
-    assert reported[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
-    reported = run_sparse_joints(8, monitor, **off)
-    assert [k for k, found in enumerate(reported) if "T08" in found] == [0, 4], (
+    reported_findings = run_sparse_joints(9, monitor, **off)
+    assert [k for k, found in enumerate(reported_findings) if "T08" in found] == [8]
+    assert reported_findings[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+    reported_findings = run_sparse_joints(8, monitor, **off)
+    assert [k for k, found in enumerate(reported_findings) if "T08" in found] == [0, 4], (
         "in ticks in which joints are read"
     )
 
@@ -362,9 +362,11 @@ def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
                 if k % every == 0
                 else {}
             )
-            found = monitor.tick(measurements_at_rest(**read))
+            findings = monitor.tick(measurements_at_rest(**read))
             detection_time_s = (
-                k * PERIOD_S if detection_time_s is None and "N06a" in found else detection_time_s
+                k * PERIOD_S
+                if detection_time_s is None and "N06a" in findings
+                else detection_time_s
             )
         assert detection_time_s == pytest.approx(0.584, abs=0.01)
 
@@ -378,10 +380,10 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     )
     run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
-    reported = run_sparse_joints(
+    reported_findings = run_sparse_joints(
         56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3
     )
-    joint = [k for k, found in enumerate(reported) if "ja" in found.get("N04", {})]
+    joint = [k for k, found in enumerate(reported_findings) if "ja" in found.get("N04", {})]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
     monitor = monitor_after_motion(
         make_monitor(
@@ -392,10 +394,10 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     monitor.set_rows({"followed": [0.51e-3, 0.0]})
     first = None
     for k in range(60):
-        found = monitor.tick(
+        findings = monitor.tick(
             measurements_at_rest(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
         )
-        first = k if first is None and "N04" in found else first
+        first = k if first is None and "N04" in findings else first
     assert first == 48
 
 
@@ -599,16 +601,16 @@ def test_lost_replies_are_recorded_per_node(value_by_field, expected_lost):
 def test_malformed_frames_are_reported_with_sender_and_recent_count():
     monitor = make_monitor()
     for k in range(3):
-        found = monitor.tick(misread_now=[1, k == 0, 0])
-    assert found["B09"] == {"ma": 3.0}
+        findings = monitor.tick(misread_now=[1, k == 0, 0])
+    assert findings["B09"] == {"ma": 3.0}
     assert monitor.tick(misread_now=[0, 0, 1])["B09"] == {"load cells": 1.0}
 
 
 def test_a_node_that_replies_in_every_second_tick_is_reported():
     monitor = make_monitor()
     for k in range(20):
-        found = monitor.tick(rows_with_ages(mb=k % 2))
-        assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
+        findings = monitor.tick(rows_with_ages(mb=k % 2))
+        assert list(findings.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
 def test_count_of_unknown_frames_decays():

@@ -117,7 +117,7 @@ def stuck_names(
     readings.
     """
     zero = [0.0, 0.0]
-    found = monitor.tick(
+    findings = monitor.tick(
         measurements_at_rest(tension=cell_tension, **JOINTS_READ), motor_stuck=equal_readings,
         cell_stuck=equal_readings,
         joint_stuck=equal_readings, motor_value=0.0, cell_value=cell_tension, joint_value=0.0,
@@ -126,11 +126,11 @@ def stuck_names(
         cell_anchor=[20.0 - np.array(changed_state.get("pushed", zero)), [20.0, 20.0]],
         joint_anchor=np.array(changed_state.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
     )  # fmt: skip
-    stuck_findings = found.get("N04", {})
+    stuck_findings = findings.get("N04", {})
     return {
         "motor": [name for name in stuck_findings if name[0] == "m"],
         "joint": [name for name in stuck_findings if name[0] == "j"],
-        "cell": list(found.get("T05", {})),
+        "cell": list(findings.get("T05", {})),
     }  # fmt: skip
 
 
@@ -167,8 +167,10 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(STUCK_CELL_READINGS + 2):
-        found = monitor.tick(measurements_at_rest(force=20.0 if k == 0 else 60.0, tension=20.0))
-        assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= STUCK_CELL_READINGS), k
+        findings = monitor.tick(measurements_at_rest(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert ("T05" in findings) == (
+            monitor.field_values("cell_stuck")[0] >= STUCK_CELL_READINGS
+        ), k
     assert monitor.field_values("cell_stuck")[0] > STUCK_CELL_READINGS
 
 
@@ -183,10 +185,10 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
     reported = []
     for force in (20.0, 24.0, 16.0, 20.0):
         for _ in range(STUCK_CELL_READINGS):
-            found = monitor.tick(measurements_at_rest(force=force, tension=20.0))
-        reported.append("T05" in found)
+            findings = monitor.tick(measurements_at_rest(force=force, tension=20.0))
+        reported.append("T05" in findings)
     assert reported == [False, False, True, True]
-    assert found["T05"]["a"] == pytest.approx(8.0, rel=0.05)
+    assert findings["T05"]["a"] == pytest.approx(8.0, rel=0.05)
 
 
 @pytest.mark.parametrize(

@@ -160,11 +160,13 @@ def test_latches_only_grow_between_clearings(
 ) -> None:
     monitor, reported = monitor_at_rest(), list[tuple[str, str]]()
     for tick_input, _, cleared in ticks:
-        before = () if cleared else monitor.latched
+        latched_before = () if cleared else monitor.latched
         if cleared:
             monitor.clear_latched()
         verdict = judge_input(monitor, tick_input)
-        assert monitor.latched[: len(before)] == before, "in the order in which they came"
+        assert monitor.latched[: len(latched_before)] == latched_before, (
+            "in the order in which they came"
+        )
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}
         assert verdict.action >= max(

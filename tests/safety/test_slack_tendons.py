@@ -238,14 +238,14 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
     tendons = FilteredTendons(
         2, cut_ticks=ticks_after_cut - 1, cut_from=[0.0, tension_before_cut], cut_bears=NAN
     )
-    reported = tendons.run_tick_after_cut([0.0, present_tension])
+    reported_tick = tendons.run_tick_after_cut([0.0, present_tension])
     if math.isnan(tension_before_cut):
         assert tendons.field_values("cut_from") == [0.0, 30.0]
-        assert reported == {"t1": present_tension}, (
+        assert reported_tick == {"t1": present_tension}, (
             "a reading of 100 ms after the cut is one of a tendon that is pulled"
         )
     else:
-        assert reported == ({"t1": present_tension} if is_detected else {})
+        assert reported_tick == ({"t1": present_tension} if is_detected else {})
 
 
 @pytest.mark.parametrize(
@@ -310,12 +310,12 @@ def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     tendons = FilteredTendons(1)
     tendons.set_constants(cell_group=cell_group)
     tendons.tick(measured_force=force_before_cut, asked=force_before_cut)
-    reported = [
+    reported_ticks = [
         tendons.run_tick_after_cut([NAN], measured_force=present_force, asked=0.0)
         for _ in range(52)
     ]
-    assert reported[48] == {}
-    assert reported[-1] == ({"t0": abs(present_force)} if is_detected else {})
+    assert reported_ticks[48] == {}
+    assert reported_ticks[-1] == ({"t0": abs(present_force)} if is_detected else {})
 
 
 @pytest.mark.parametrize(("torque_step_N", "is_detected"), [(0.0, True), (0.1, True), (1.2, False)])
@@ -329,8 +329,10 @@ def test_a_step_of_a_coarse_torque_report_is_no_pull(torque_step_N, is_detected)
     tendons = FilteredTendons(1)
     tendons.set_constants(torque_step=torque_step_N)
     tendons.tick(measured_force=1.2, asked=1.2)
-    reported = [tendons.run_tick_after_cut([NAN], measured_force=1.2, asked=0.0) for _ in range(52)]
-    assert reported[-1] == ({"t0": 1.2} if is_detected else {})
+    reported_ticks = [
+        tendons.run_tick_after_cut([NAN], measured_force=1.2, asked=0.0) for _ in range(52)
+    ]
+    assert reported_ticks[-1] == ({"t0": 1.2} if is_detected else {})
 
 
 def test_an_old_torque_is_no_sign_of_a_drive_that_does_not_release():

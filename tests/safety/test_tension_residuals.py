@@ -188,10 +188,10 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
             20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
         )
 
-    moving = residuals_after(15.0, lambda t: 20.0, force, speed)
-    assert moving.excess_friction > 3.0
-    resting = residuals_after(15.0, lambda t: 20.0, lambda t: 28.0)
-    assert resting.excess_friction == 0.0
+    moving_residuals = residuals_after(15.0, lambda t: 20.0, force, speed)
+    assert moving_residuals.excess_friction > 3.0
+    resting_residuals = residuals_after(15.0, lambda t: 20.0, lambda t: 28.0)
+    assert resting_residuals.excess_friction == 0.0
 
 
 def test_missing_torque_is_detected():
@@ -228,13 +228,13 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
 def test_losses_of_every_second_reply_are_counted():
     monitor = SyntheticMonitor(synthetic_limits(2))
     for k in range(120):
-        found = monitor.tick(feedback_ns=[NOW_NS - PERIOD_NS * (k % 2 == 0), NOW_NS])
-    assert found["B03a"] == {"m0": 50.0}
-    assert found["N15"] == {"m0": 0.5}
+        findings = monitor.tick(feedback_ns=[NOW_NS - PERIOD_NS * (k % 2 == 0), NOW_NS])
+    assert findings["B03a"] == {"m0": 50.0}
+    assert findings["N15"] == {"m0": 0.5}
     for _ in range(100):
-        found = monitor.tick(feedback_ns=NOW_NS)
+        findings = monitor.tick(feedback_ns=NOW_NS)
     assert not monitor.view("lost").any(), "as if nothing had been"
-    assert found == {}
+    assert findings == {}
 
 
 def test_unknown_frames_are_forgotten_after_a_second():
@@ -254,8 +254,8 @@ def test_a_tendon_that_was_never_taut_is_not_slack():
     for _ in range(100):
         assert slack_faults([0.0, 5.0], [5.0, 5.0]) == {}
     for _ in range(30):
-        found = slack_faults([0.0, 0.0], [5.0, 5.0])
-    assert found == {"t1": 30 * PERIOD_S}
+        faults = slack_faults([0.0, 0.0], [5.0, 5.0])
+    assert faults == {"t1": 30 * PERIOD_S}
     assert slack_faults([0.0, 0.0], [5.0, np.nan]) == {}, "a limp tendon may hang"
 
 
@@ -264,10 +264,10 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
         monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
         monitor.tick(wanted=24.0)
         for _ in range(ticks):
-            found = monitor.tick(
+            findings = monitor.tick(
                 residual={TENSION: 0.0}, wanted=24.0, measured_tension=cell, speed=speed
             )
-        return found.get("T01", {})
+        return findings.get("T01", {})
 
     assert snap_faults_after(1) == {"t0": 0.05}
     assert snap_faults_after(1, speed=0.01) == {}, "its spool does not run"

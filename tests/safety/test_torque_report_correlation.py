@@ -34,9 +34,9 @@ class ReportingMotors(SyntheticMonitor):
 
     def run_tick(self, commanded_force: np.ndarray, reported_force: np.ndarray) -> None:
         """Run one tick with the force commands of the last tick and the present reports."""
-        found = self.tick(asked=commanded_force, measured_force=reported_force)
-        self.now_unfollowed = found.get("N17", {})
-        self.disobeyed += [self.ticks] * ("N14" in found)
+        findings = self.tick(asked=commanded_force, measured_force=reported_force)
+        self.now_unfollowed = findings.get("N17", {})
+        self.disobeyed += [self.ticks] * ("N14" in findings)
         self.ticks += 1
         self.ever_unfollowed |= [name in self.now_unfollowed for name in self.limits.motors]
 
@@ -105,12 +105,12 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(
     seed: int, report_fault: str
 ) -> None:
     commanded = noisy_commands(seed)
-    made = (
+    reports = (
         delayed_reports(commanded)[:, ::-1]
         if report_fault == "swapped"
         else delayed_reports(commanded, 26)
     )
-    assert motors_with_doubtful_reports(commanded, made).all()
+    assert motors_with_doubtful_reports(commanded, reports).all()
 
 
 def test_constant_command_and_constant_report_give_no_verdict() -> None:
@@ -121,20 +121,20 @@ def test_constant_command_and_constant_report_give_no_verdict() -> None:
 
 def test_missing_reports_are_left_out() -> None:
     commanded = noisy_commands(3)
-    made = delayed_reports(commanded)
-    made[::10] = np.nan
-    state = motors_after(commanded, made)
+    reports = delayed_reports(commanded)
+    reports[::10] = np.nan
+    state = motors_after(commanded, reports)
     assert state.reported_fractions == pytest.approx([1.0, 1.0], abs=0.25)
     assert not state.now_unfollowed
-    silent = motors_after(commanded, np.full_like(made, np.nan))
-    assert not silent.now_unfollowed
+    silent_motors = motors_after(commanded, np.full_like(reports, np.nan))
+    assert not silent_motors.now_unfollowed
 
 
 def test_one_outlier_is_not_a_fault() -> None:
     commanded = noisy_commands(4)
-    made = delayed_reports(commanded)
-    made[-2] += 50.0
-    assert not motors_after(commanded, made).now_unfollowed
+    reports = delayed_reports(commanded)
+    reports[-2] += 50.0
+    assert not motors_after(commanded, reports).now_unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -236,10 +236,10 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
     )
     commanded = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
     commanded += 40.0 * np.sin(np.arange(COMMAND_TICKS) / 4.0)[:, None]
-    made = delayed_reports(commanded, ticks)
+    reports = delayed_reports(commanded, ticks)
     lost = np.flatnonzero(random.random(COMMAND_TICKS - 5) < 0.02) + 2
-    made[lost] = made[lost - 1] if ticks == 1 else np.nan
-    assert not motors_after(commanded, made).disobeyed
+    reports[lost] = reports[lost - 1] if ticks == 1 else np.nan
+    assert not motors_after(commanded, reports).disobeyed
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
@@ -280,8 +280,8 @@ def test_a_late_report_is_no_fault_with_a_load_cell_or_at_a_high_rate(
     motors = ReportingMotors()
     motors.set_constants(cell_group=cell_group, period=period_s)
     commanded = np.repeat(np.array([[9.0, 9.0], [40.0, 40.0]]), 40, axis=0)
-    made = delayed_reports(commanded, 6)
-    made[:6] = commanded[:6]
-    for force, report in zip(commanded, made, strict=True):
+    reports = delayed_reports(commanded, 6)
+    reports[:6] = commanded[:6]
+    for force, report in zip(commanded, reports, strict=True):
         motors.run_tick(force, report)
     assert not motors.disobeyed

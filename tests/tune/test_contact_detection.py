@@ -62,7 +62,7 @@ UNDISTURBED_SAMPLE = {("jamia", 5)}
 
 @pytest.mark.parametrize(
     ("hand", "thumb_mm", "seed"),
-    [one for one in NEAR_THUMB_CASES if NIGHTLY or one in NEAR_THUMB_SAMPLE],
+    [case for case in NEAR_THUMB_CASES if NIGHTLY or case in NEAR_THUMB_SAMPLE],
 )
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
@@ -71,14 +71,14 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 
     The true value of this parameter is 1.2.
     """
-    found = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
-    for one in found.values():
+    fits = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
+    for one in fits.values():
         assert one.contact_text or one.blocked_event
         assert not set(one.identified_names) & set(SWEEP_PARAMETERS)
     real = true_parameters(
-        load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
+        load_hand(hand), next(iter(fits)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
-    for one in found.values():  # the contact does not affect the other parameters
+    for one in fits.values():  # the contact does not affect the other parameters
         for name in set(one.identified_names) & {
             "torque_gain",
             "motor_inertia",
@@ -91,7 +91,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
 
 
 @pytest.mark.parametrize(
-    ("hand", "seed"), [one for one in UNDISTURBED_CASES if NIGHTLY or one in UNDISTURBED_SAMPLE]
+    ("hand", "seed"), [case for case in UNDISTURBED_CASES if NIGHTLY or case in UNDISTURBED_SAMPLE]
 )
 def test_parameters_of_a_digit_without_contact_are_kept(
     tmp_path: Path, hand: str, seed: int
@@ -145,7 +145,7 @@ def unexplained_ramp_of_line(
 
 def test_noise_without_contact_has_no_kink() -> None:
     scores = [
-        abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))
+        abs(ramp.score) for seed in range(1000) if (ramp := unexplained_ramp_of_line(seed, 0.0))
     ]
     assert max(scores) < MIN_CONTACT_SCORE
     assert np.mean(np.array(scores) < MAX_SCORE_WITHOUT_CONTACT) > 0.97
@@ -154,12 +154,12 @@ def test_noise_without_contact_has_no_kink() -> None:
 @pytest.mark.parametrize("kink_start", [0.1, 0.2, 0.3, 0.4])
 def test_a_kink_is_found_where_it_is(kink_start: float) -> None:
     for seed in range(20):
-        found = unexplained_ramp_of_line(seed, 40.0, kink_start)
-        assert found
-        assert found.is_contact
-        assert not found.excludes_contact
-        assert found.begin == pytest.approx(kink_start, abs=0.06)
-        assert found.rise == pytest.approx(40.0 * (0.6 - kink_start), rel=0.5)
+        ramp = unexplained_ramp_of_line(seed, 40.0, kink_start)
+        assert ramp
+        assert ramp.is_contact
+        assert not ramp.excludes_contact
+        assert ramp.begin == pytest.approx(kink_start, abs=0.06)
+        assert ramp.rise == pytest.approx(40.0 * (0.6 - kink_start), rel=0.5)
         support = unexplained_ramp_of_line(seed, -40.0, kink_start)
         assert support
         assert support.is_contact
@@ -172,17 +172,17 @@ def test_a_fit_without_a_sweep_reports_no_contact() -> None:
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
-    good = ResidualRamp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, MIN_CONTACT_SCORE)
-    assert good.excludes_contact
-    assert not good.is_contact
+    good_ramp = ResidualRamp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, MIN_CONTACT_SCORE)
+    assert good_ramp.excludes_contact
+    assert not good_ramp.is_contact
     for changes in (
         {"score": -3.1},
         {"rows": 20},
         {"outlier_fraction": 0.01},
         {"mean_square": 1.6},
     ):
-        assert not good._replace(**changes).excludes_contact
-    assert good._replace(score=-MIN_CONTACT_SCORE).is_contact
+        assert not good_ramp._replace(**changes).excludes_contact
+    assert good_ramp._replace(score=-MIN_CONTACT_SCORE).is_contact
 
 
 def test_a_digit_that_closes_farther_than_two_of_its_joints_moves_all_three() -> None:

@@ -46,8 +46,10 @@ def test_the_packaged_gains_keep_their_margins(hand_name: str) -> None:
         hand, packaged_gains(hand_name), control_rate(None, hand, bus_loads(hand))
     )
     count = MANY_PLANTS if len(distinct_tendons(model)) < 5 or NIGHTLY else FEW_PLANTS
-    worst = worst_margins(model, tuple(linear_factors(one) for one in sample_ensemble(count, 0)))
-    assert worst.are_sufficient, worst
+    margins = worst_margins(
+        model, tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(count, 0))
+    )
+    assert margins.are_sufficient, margins
 
 
 def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
@@ -64,26 +66,28 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
         hand.model_copy(update={"digit": (heavy_digit, right)}), packaged_gains("t42"), 500.0
     )
     plants = (PlantFactors(),)
-    gain_design = design_gains(HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants)
-    assert gain_design.gains.tendon == ()
-    found = design_gains(model, plants)
-    assert found.worst_margins_after.are_sufficient
-    (light_tendon_gains,) = found.gains.tendon
+    design_of_light_digits = design_gains(
+        HandModel.from_hand(hand, packaged_gains("t42"), 500.0), plants
+    )
+    assert design_of_light_digits.gains.tendon == ()
+    gain_design = design_gains(model, plants)
+    assert gain_design.worst_margins_after.are_sufficient
+    (light_tendon_gains,) = gain_design.gains.tendon
     assert light_tendon_gains.name == "right_flexor"
     assert light_tendon_gains.motion_force_N == pytest.approx(
-        gain_design.gains.motion.force_N, rel=0.1
+        design_of_light_digits.gains.motion.force_N, rel=0.1
     )
-    assert found.gains.motion.force_N < 0.5 * gain_design.gains.motion.force_N
+    assert gain_design.gains.motion.force_N < 0.5 * design_of_light_digits.gains.motion.force_N
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
-    shared = found.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * stiffness_of_motion_loop(
-        model, found.gains
-    )
-    redesigned_model = model_with_gains(model, found.as_weights())
+    shared_gains = gain_design.gains.model_copy(update={"tendon": ()})
+    assert model_with_gains(model, shared_gains).motion.stiffness[
+        1
+    ] < 0.6 * stiffness_of_motion_loop(model, gain_design.gains)
+    redesigned_model = model_with_gains(model, gain_design.as_weights())
     assert np.allclose(
         redesigned_model.motion.stiffness,
-        model_with_gains(model, found.gains).motion.stiffness,
+        model_with_gains(model, gain_design.gains).motion.stiffness,
         rtol=1e-6,
     )
 
@@ -94,7 +98,7 @@ def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in sample_ensemble(2, 0))
+    plants = tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(2, 0))
     gains_with_large_force = Gains.model_validate(
         {"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}}
     )
@@ -102,22 +106,22 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
         jamia, gains_with_large_force.model_copy(update={"filter": jamia.gains.filter})
     )
     assert not keeps_required_margins(jamia, plants)
-    found = design_gains(jamia, plants)
-    assert found.worst_margins_after.are_sufficient
-    assert not found.worst_margins_before.are_sufficient
-    assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
-    gains_with_more_authority = found.gains.model_copy(
+    gain_design = design_gains(jamia, plants)
+    assert gain_design.worst_margins_after.are_sufficient
+    assert not gain_design.worst_margins_before.are_sufficient
+    assert keeps_required_margins(model_with_gains(jamia, gain_design.gains), plants)
+    gains_with_more_authority = gain_design.gains.model_copy(
         update={
-            "tension": found.gains.tension.model_copy(
-                update={"force_N": 1.3 * found.gains.tension.force_N}
+            "tension": gain_design.gains.tension.model_copy(
+                update={"force_N": 1.3 * gain_design.gains.tension.force_N}
             )
         }
     )
     assert not keeps_required_margins(model_with_gains(jamia, gains_with_more_authority), plants)
-    redesigned_model = model_with_gains(jamia, found.as_weights())
+    redesigned_model = model_with_gains(jamia, gain_design.as_weights())
     assert np.allclose(
         redesigned_model.motion.stiffness,
-        model_with_gains(jamia, found.gains).motion.stiffness,
+        model_with_gains(jamia, gain_design.gains).motion.stiffness,
         rtol=1e-6,
     )
 
@@ -140,11 +144,11 @@ def test_the_closed_loop_has_the_requested_poles(
     The control rate is far above the poles.
     """
     gains = gains_with_poles(jamia, LoopKind.MOTION, pole_frequency_hz, 1.0)
-    fast = HandModel.from_hand(jamia.hand, gains, 4000.0)
+    fast_model = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
-    K = np.array([[fast.motion.stiffness[0], fast.motion.damping[0]]])
-    poles = np.log(np.linalg.eigvals(F - G @ K)) / fast.period
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast_model.period)
+    K = np.array([[fast_model.motion.stiffness[0], fast_model.motion.damping[0]]])
+    poles = np.log(np.linalg.eigvals(F - G @ K)) / fast_model.period
     assert np.abs(poles) / (2.0 * math.pi) == pytest.approx(
         [pole_frequency_hz, pole_frequency_hz], rel=0.03
     )
@@ -170,12 +174,16 @@ def test_placed_poles_that_no_weights_have_are_refused(
 
 
 def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
-    drawn = sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
-    assert drawn[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
+    drawn_ensemble = sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+    assert drawn_ensemble[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
     assert (
-        sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != sample_ensemble(65, 4)
+        sample_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+        == drawn_ensemble
+        != sample_ensemble(65, 4)
     )
-    stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
+    stiffness, mass = (
+        np.array([one[key] for one in drawn_ensemble]) for key in ("stiffness", "mass")
+    )
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2
     assert mass.min() < 0.65
@@ -202,11 +210,11 @@ def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> N
         }
     )
     assert spread == {"stiffness": pytest.approx(0.4)}
-    drawn = [one["stiffness"] for one in sample_ensemble(65, 0, spread)]
+    drawn = [plant_factors["stiffness"] for plant_factors in sample_ensemble(65, 0, spread)]
     assert min(drawn) < 0.62
     assert max(drawn) > 1.38
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:
-    plants = tuple(linear_factors(one) for one in sample_ensemble(3, 1))
+    plants = tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(3, 1))
     assert worst_margins(jamia, plants).shortfall >= worst_margins(jamia, plants[:1]).shortfall

@@ -107,9 +107,9 @@ def test_a_damaged_file_is_set_aside_and_not_lost(gains_store: GainsStore) -> No
         gains_store.path.write_text(text)
         with pytest.raises(ConfigError):
             gains_store.roll_back()
-        aside = gains_store.rename_damaged_file()
-        assert aside is not None
-        renamed_files.append((aside.name, aside.read_text()))
+        aside_path = gains_store.rename_damaged_file()
+        assert aside_path is not None
+        renamed_files.append((aside_path.name, aside_path.read_text()))
         assert gains_store.roll_back(to=1).gains == gains_with_force(21.0)
     assert renamed_files == [
         ("jamia.gains.damaged.toml", "schema = ["),
@@ -160,7 +160,7 @@ def test_a_change_that_fails_leaves_the_present_gains(
     gains_store: GainsStore, monkeypatch: pytest.MonkeyPatch, failing_function: str
 ) -> None:
     gains_store.apply_gains(gains_with_force(21.0), GainsProvenance())
-    before = gains_store.path.read_bytes()
+    content_before = gains_store.path.read_bytes()
 
     def raise_disk_full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
@@ -169,7 +169,7 @@ def test_a_change_that_fails_leaves_the_present_gains(
     with pytest.raises(ConfigError, match="No space left"):
         gains_store.apply_gains(gains_with_force(22.0), GainsProvenance())
     monkeypatch.undo()
-    assert gains_store.path.read_bytes() == before
+    assert gains_store.path.read_bytes() == content_before
     assert present_force(gains_store) == 21.0
     gains_store.apply_gains(gains_with_force(23.0), GainsProvenance())
     assert present_force(gains_store) == 23.0

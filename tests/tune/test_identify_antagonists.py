@@ -54,18 +54,18 @@ def test_a_digit_returned_by_its_tendons_is_identified(
     tmp_path: Path, hand_name: str, digit_name: str, unidentified_parameters: set[str]
 ) -> None:
     row = measure_digit(1, digit_name, tmp_path, hand_name)
-    described = load_hand(hand_name)
+    hand = load_hand(hand_name)
     assert "failure" not in row
     assert row["refused"] == []
-    tendons = described.tendon_names[described.digit_tendons[digit_name]]
-    assert (
-        unobservable_parameters(described, digit_name, tendons[0]).keys() == unidentified_parameters
-    )
-    identified = [one for one in row["parameters"] if one["identified"]]
+    tendons = hand.tendon_names[hand.digit_tendons[digit_name]]
+    assert unobservable_parameters(hand, digit_name, tendons[0]).keys() == unidentified_parameters
+    identified = [
+        parameter_row for parameter_row in row["parameters"] if parameter_row["identified"]
+    ]
     for name in PARAMETERS_OF_EVERY_PAIR:
         assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
     expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unidentified_parameters
-    assert {one["name"] for one in row["parameters"]} == expected
+    assert {parameter_row["name"] for parameter_row in row["parameters"]} == expected
     assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
 
 
@@ -96,14 +96,14 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
     hand = load_hand(hand_name)
     steps = excitation_steps(hand, hand.digit_names)
     for digit in map(DigitModel.from_hand, [hand] * len(hand.digit_names), hand.digit_names):
-        own = [step for step in steps if step.digit == digit.name]
-        assert sum(step.duration_s for step in own) < 35.0
+        own_steps = [step for step in steps if step.digit == digit.name]
+        assert sum(step.duration_s for step in own_steps) < 35.0
         low, high = sweep_range(digit)
-        lowest_angles, highest_angles = digit.reach
+        lowest_angles, highest_angles = digit.coordinate_limits
         assert (lowest_angles < low).all()
         assert (low < high).all()
         assert (high < highest_angles).all()
-        for step in own:
+        for step in own_steps:
             if step.kind == "move":
                 assert (np.array(step.targets) >= low - 1e-9).all()
                 assert (np.array(step.targets) <= high + 1e-9).all()
@@ -182,13 +182,13 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
 
 def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() -> None:
     hand = load_hand("orca_like")
-    known = IdentifiedParameters(
+    known_parameters = IdentifiedParameters(
         names=("moment_arm", "pretension"),
         values=(1.1, 8.0),
         half_widths=(0.01, 0.5),
         covariance=((1e-4, 0.0), (0.0, 0.1)),
     )
-    real = identified_hand(hand, {"index_mcp": known})
+    real = identified_hand(hand, {"index_mcp": known_parameters})
     place = hand.tendon_names.index("index_mcp")
     np.testing.assert_allclose(real.moment_arms[place], 1.1 * hand.moment_arms[place])
     assert real.tendon[place].pretension_N == 8.0

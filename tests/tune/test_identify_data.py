@@ -24,8 +24,8 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
         found, active = 0, (log.mode == HandMode.ACTIVE)[:-1]
         for data, digit in zip(tendon_data(log, hand), hand.digit, strict=True):
             joints = hand.digit_joints[digit.name]
-            found += int((data.free & active).sum())
-            for k in np.flatnonzero(data.free):
+            found += int((data.free_motion_mask & active).sum())
+            for k in np.flatnonzero(data.free_motion_mask):
                 transient_ticks = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
                 assert not held[transient_ticks, joints].any()
                 assert (

@@ -74,12 +74,12 @@ def test_margins_are_those_of_control(
     model: HandModel = request.getfixturevalue(hand_name)
     system = open_loop(model, 0, loop_kind)
     omega = frequency_grid(system.period)
-    found = margins_of_loop(system)
+    margins = margins_of_loop(system)
     gain, phase, _, _, _, _ = stability_margins(
         frd(system.frequency_response(omega)[:, 0, 0], omega, smooth=True)
     )
-    assert found.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
-    assert found.phase_deg == pytest.approx(phase, abs=0.05)
+    assert margins.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
+    assert margins.phase_deg == pytest.approx(phase, abs=0.05)
 
 
 @pytest.mark.parametrize("loop_kind", LOOP_KINDS)

@@ -84,13 +84,13 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
     Optuna prints no warnings.
     """
     run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
-    finished = [
-        one
-        for one in _open_study(search_plan, tmp_path / "study").trials
-        if one.state.is_finished()
+    finished_trials = [
+        trial
+        for trial in _open_study(search_plan, tmp_path / "study").trials
+        if trial.state.is_finished()
     ]
-    assert [one.constraints for one in finished] == [
-        {"margins": one.score.shortfall} for one in search_result.trials
+    assert [trial.constraints for trial in finished_trials] == [
+        {"margins": trial.score.shortfall} for trial in search_result.trials
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
@@ -259,7 +259,9 @@ def test_a_killed_worker_loses_no_result(
     workers = ProcessPool(1)
     try:
         os.kill(workers.process_ids[0], signal.SIGKILL)
-        jobs = [search_plan.trial_job(i, one.values) for i, one in enumerate(search_result.trials)]
+        jobs = [
+            search_plan.trial_job(i, trial.values) for i, trial in enumerate(search_result.trials)
+        ]
         scores = {}
         for i, result in workers.compute_scores(jobs):
             scores[i] = GainScore(**result)
@@ -267,7 +269,9 @@ def test_a_killed_worker_loses_no_result(
                 os.kill(workers.process_ids[0], signal.SIGKILL)
     finally:
         workers.close()
-    assert [scores[i] for i in range(TRIAL_COUNT)] == [one.score for one in search_result.trials]
+    assert [scores[i] for i in range(TRIAL_COUNT)] == [
+        trial.score for trial in search_result.trials
+    ]
 
 
 @pytest.mark.nightly
@@ -313,7 +317,7 @@ def test_two_searches_do_not_share_a_journal(search_plan: SearchPlan, tmp_path: 
 
 
 def test_journal_of_another_study_is_refused(search_plan: SearchPlan, tmp_path: Path) -> None:
-    other = SearchPlan(
+    other_plan = SearchPlan(
         search_plan.hand,
         search_plan.rate_hz,
         search_plan.gains,
@@ -324,7 +328,7 @@ def test_journal_of_another_study_is_refused(search_plan: SearchPlan, tmp_path: 
     with pytest.raises(KeyboardInterrupt):
         run_search(search_plan, tmp_path / "study", InterruptedWorkers(0), _ignore_result)
     with pytest.raises(ConfigError, match="another search"):
-        run_search(other, tmp_path / "study", InProcessWorkers(), _ignore_result)
+        run_search(other_plan, tmp_path / "study", InProcessWorkers(), _ignore_result)
     (tmp_path / "text").write_text("no journal\n")
     with pytest.raises(ConfigError, match="cannot be used"):
         run_search(search_plan, tmp_path / "text", InProcessWorkers(), _ignore_result)
@@ -334,30 +338,32 @@ def test_only_good_trials_are_chosen() -> None:
     def trial(number: int, *numbers: float, failure: str = "") -> SearchTrial:
         return SearchTrial(number, {}, GainScore(*numbers, failure=failure))
 
-    first = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
+    first_trial = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front_trial = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
-    short, failed_trial = (
+    short_trial, failed_trial = (
         trial(3, 0.1, 0.1, 0.1, 60.0, 0.1),
         trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
     )
     dominated_trial = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = SearchResult.from_trials(
-        (first, best, front_trial, short, failed_trial, dominated_trial)
+    chosen_result = SearchResult.from_trials(
+        (first_trial, best, front_trial, short_trial, failed_trial, dominated_trial)
     )
-    assert found.best == best
-    assert found.pareto_front == (1, 2)
-    assert found.relative_cost(first) == pytest.approx(1.0)
+    assert chosen_result.best == best
+    assert chosen_result.pareto_front == (1, 2)
+    assert chosen_result.relative_cost(first_trial) == pytest.approx(1.0)
 
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
-    lost = SearchTrial(0, {}, GainScore(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
+    lost_trial = SearchTrial(0, {}, GainScore(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
     feasible_trials = [
         SearchTrial(1, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.1)),
         SearchTrial(2, {}, GainScore(0.5, 1.0, 1.5, 60.0, -0.1)),
     ]
-    found = SearchResult.from_trials((lost, *feasible_trials))
-    assert [found.relative_cost(one) for one in feasible_trials] == pytest.approx([1.0, 0.5])
-    assert found.best == feasible_trials[1]
+    chosen_result = SearchResult.from_trials((lost_trial, *feasible_trials))
+    assert [chosen_result.relative_cost(trial) for trial in feasible_trials] == pytest.approx(
+        [1.0, 0.5]
+    )
+    assert chosen_result.best == feasible_trials[1]
 
 
 def test_first_trial_keeps_gains_outside_the_search_space(search_plan: SearchPlan) -> None:

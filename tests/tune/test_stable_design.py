@@ -147,9 +147,9 @@ def test_a_loop_without_gain_has_no_margin() -> None:
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     system = open_loop(jamia, 0, LoopKind.TENSION)
-    lost = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
-    assert not is_stable(lost)
-    for found in (margins_of_loop(lost), confirmed_margins(lost)):
+    lost_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
+    assert not is_stable(lost_system)
+    for found in (margins_of_loop(lost_system), confirmed_margins(lost_system)):
         assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (
             0.0,
             0.0,
@@ -190,13 +190,13 @@ def test_margins_are_those_of_brute_force(hand_name: str, seed: int) -> None:
     model = model_of(hand_name, seed)
     for kind in LoopKind:
         system = open_loop(model, 0, kind)
-        found, (gain, phase) = confirmed_margins(system), margins_by_brute_force(system)
-        if not found.stable:
+        margins, (gain, phase) = confirmed_margins(system), margins_by_brute_force(system)
+        if not margins.stable:
             assert gain == phase == 0.0
             continue
-        assert 0.85 * gain - 0.2 <= found.gain_db <= 1.01 * gain + 0.02
-        assert 0.85 * phase - 1.0 <= found.phase_deg <= 1.01 * phase + 0.1
-        ticks = int(found.delay_s / system.period)
+        assert 0.85 * gain - 0.2 <= margins.gain_db <= 1.01 * gain + 0.02
+        assert 0.85 * phase - 1.0 <= margins.phase_deg <= 1.01 * phase + 0.1
+        ticks = int(margins.delay_s / system.period)
         assert all(is_stable(system, delay_ticks=k) for k in range(ticks))
 
 
@@ -205,21 +205,24 @@ def check_design_is_stable(model: HandModel, gain_design: GainDesign, seed: int)
 
     Return the model with the gains of this design.
     """
-    after = HandModel.from_hand(model.hand, gain_design.gains, 1.0 / model.period)
+    model_after = HandModel.from_hand(model.hand, gain_design.gains, 1.0 / model.period)
     for factors in sample_ensemble(2, seed):
-        for i in distinct_tendons(after):
+        for i in distinct_tendons(model_after):
             assert all(
-                is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind
+                is_stable(open_loop(model_after, i, kind, linear_factors(factors)))
+                for kind in LoopKind
             )
-    return after
+    return model_after
 
 
 @pytest.mark.parametrize("seed", SEED_RANGE if NIGHTLY else SEED_RANGE[:1])
 def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
     """All eigenvalues of a design are inside the unit circle, even without a test in simulation."""
     model = model_of("jamia", seed, 3.0)
-    found = design_gains(model, tuple(linear_factors(one) for one in sample_ensemble(2, seed)))
-    check_design_is_stable(model, found, seed)
+    gain_design = design_gains(
+        model, tuple(linear_factors(plant_factors) for plant_factors in sample_ensemble(2, seed))
+    )
+    check_design_is_stable(model, gain_design, seed)
 
 
 @pytest.mark.nightly
@@ -231,14 +234,14 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
     The simulated hand comes to rest, even with a seed that the design has not used.
     """
     model, factors = model_of(hand_name, seed, 3.0), sample_ensemble(2, seed)
-    plants = tuple(linear_factors(one) for one in factors)
+    plants = tuple(linear_factors(factor) for factor in factors)
     try:
-        found = design_gains(
+        gain_design = design_gains(
             model, plants, RestTest(model.hand, factors, plants, seed, DESIGN_LIMIT_FRACTION)
         )
     except ValueError:
         return  # in this case, no design is written
-    after = check_design_is_stable(model, found, seed)
+    after = check_design_is_stable(model, gain_design, seed)
     assert RestTest(model.hand, factors, plants, seed + 100)(after)
 
 
@@ -250,9 +253,9 @@ def test_tendons_that_share_joints_keep_their_margins_together() -> None:
     """
     model = HandModel.from_hand(load_hand("n_plus_1"), Gains(), 250.0)
     plants = (linear_factors({}),)
-    designed = model_with_largest_authority(model, LoopKind.MOTION, plants)
-    assert designed is not None
-    assert keeps_required_margins(designed, plants, (LoopKind.MOTION,))
+    largest_design = model_with_largest_authority(model, LoopKind.MOTION, plants)
+    assert largest_design is not None
+    assert keeps_required_margins(largest_design, plants, (LoopKind.MOTION,))
 
 
 def test_a_failed_rest_test_gives_no_design(jamia: HandModel) -> None:
@@ -276,7 +279,7 @@ def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
     The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
     factors = sample_ensemble(2, 0)
-    plants = tuple(linear_factors(one) for one in factors)
+    plants = tuple(linear_factors(factor) for factor in factors)
     return RestTest(model.hand, factors, plants, 0, friction_fraction)
 
 
@@ -435,11 +438,11 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
 
     The gains are then refused.
     """
-    lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
+    lost_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     no_oscillation = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
-        lambda hand, m, f, s: lost if f == {"friction": 0.5} else no_oscillation,
+        lambda hand, m, f, s: lost_oscillation if f == {"friction": 0.5} else no_oscillation,
     )
     proof = rest_test_of(jamia)
     assert not proof(jamia)

@@ -220,11 +220,11 @@ def _memory_folder() -> str:
 
     The /dev/shm of a container often has only 64 MB.
     """
-    shared = Path("/dev/shm")
-    large_enough = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
+    shared_path = Path("/dev/shm")
+    large_enough = shared_path.is_dir() and shutil.disk_usage(shared_path).free > MEMORY_BYTES
     return (
-        str(shared)
-        if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC
+        str(shared_path)
+        if large_enough and not os.statvfs(shared_path).f_flag & os.ST_NOEXEC
         else tempfile.gettempdir()
     )
 

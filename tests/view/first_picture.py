@@ -27,14 +27,14 @@ def main() -> None:
     from handctl.view.scene.run_info import RunInfo
     from handctl.view.viewer import software_vulkan
 
-    path, seen = Path(sys.argv[1]), threading.Event()
-    with RunLog(path, checked=False) as log:
+    path, event = Path(sys.argv[1]), threading.Event()
+    with RunLog(path, verify_checksums=False) as log:
         run, scan = RunInfo.from_header(log.header, path.stem), log.scan
-    threading.Thread(target=_time_first_picture, args=(seen,), daemon=True).start()
+    threading.Thread(target=_time_first_picture, args=(event,), daemon=True).start()
     with browse_log(
         path, run, ["--headless", "--window-size", WINDOW_SIZE], software_vulkan(), scan
     ):
-        seen.wait()
+        event.wait()
 
 
 def _time_first_picture(data_received: threading.Event) -> None:
@@ -48,7 +48,7 @@ def _time_first_picture(data_received: threading.Event) -> None:
         time.sleep(0.02)
     size = len(client.take_screenshot())
     seconds = time.time() - psutil.Process().create_time()
-    spent = [sum(one.cpu_times()[:2]) for one in (psutil.Process(), viewer)]
+    spent = [sum(process.cpu_times()[:2]) for process in (psutil.Process(), viewer)]
     print(
         json.dumps(
             {
@@ -77,9 +77,9 @@ def _connect_client(viewer_process: psutil.Process) -> "object":
 
     while True:
         ports = [
-            one.laddr.port
-            for one in viewer_process.net_connections()
-            if one.status == psutil.CONN_LISTEN
+            connection.laddr.port
+            for connection in viewer_process.net_connections()
+            if connection.status == psutil.CONN_LISTEN
         ]
         if ports:
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{ports[0]}/proxy")
@@ -90,8 +90,8 @@ def _has_data(client: "object") -> bool:
     state = client.get_state()  # type: ignore[attr-defined]
     ends = [
         line.end or 0
-        for one in state.recordings
-        for line in one.timelines
+        for recording in state.recordings
+        for line in recording.timelines
         if line.name == "run_time"
     ]
     return bool(state.views) and max(ends, default=0) > 0

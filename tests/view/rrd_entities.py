@@ -53,8 +53,8 @@ def read_entities(chunks: Iterable[Chunk]) -> dict[str, RecordingEntity]:
         times = np.asarray(batch.column("run_time").cast(pa.int64()))
         for name in entity.rows.keys() | data.keys():
             missing = [None] * (len(times) if name not in data else 0)
-            before = entity.rows.setdefault(name, [None] * len(entity.times))
-            before += data.get(name, missing)
+            values_before = entity.rows.setdefault(name, [None] * len(entity.times))
+            values_before += data.get(name, missing)
         entities_by_path[chunk.entity_path] = entity._replace(
             times=np.concatenate([entity.times, times])
         )

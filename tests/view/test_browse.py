@@ -98,8 +98,8 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
     for _ in range(3):  # the first of these runs is slower
         result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
         looks.append(json.loads(result.stdout))
-    assert all(one["png_bytes"] > 50_000 for one in looks)
-    assert min(one["handctl_cpu_s"] + one["viewer_cpu_s"] for one in looks) < 5.0
+    assert all(sample["png_bytes"] > 50_000 for sample in looks)
+    assert min(sample["handctl_cpu_s"] + sample["viewer_cpu_s"] for sample in looks) < 5.0
 
 
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
@@ -109,7 +109,7 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
     data[place.data_offset + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
-    with RunLog(broken, checked=False) as log:
+    with RunLog(broken, verify_checksums=False) as log:
         run, scan = RunInfo.from_header(log.header, "x"), log.scan
     with (
         pytest.raises(LogError, match="damaged"),

@@ -55,10 +55,10 @@ def test_impossible_requests_are_refused_before_the_log_is_read(
     jamia_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    before = jamia_path.read_bytes()
+    content_before = jamia_path.read_bytes()
     assert main(["view", str(jamia_path), *view_options]) == 2
     assert expected_message in error_line(capsys)
-    assert jamia_path.read_bytes() == before
+    assert jamia_path.read_bytes() == content_before
 
 
 def test_a_time_outside_of_the_run_is_refused(

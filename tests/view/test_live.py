@@ -32,9 +32,9 @@ def url_of(live_view_process: "subprocess.Popen[bytes]") -> str:
         )
         with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child process may have ended
             for child in psutil.Process(live_view_process.pid).children():
-                for one in child.net_connections():
-                    if one.status == psutil.CONN_LISTEN:
-                        return f"rerun+http://127.0.0.1:{one.laddr.port}/proxy"
+                for connection in child.net_connections():
+                    if connection.status == psutil.CONN_LISTEN:
+                        return f"rerun+http://127.0.0.1:{connection.laddr.port}/proxy"
         time.sleep(0.1)
     raise AssertionError("no viewer")
 

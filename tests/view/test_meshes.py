@@ -57,17 +57,23 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
     run = run_info_of(mesh_log)
     assert run.missing_mesh_note == ""
     for mesh in meshes_of_hand(run.hand):
-        shown = recorded_entities[f"/hand/{mesh.link}/mesh"].static_values
-        assert shown["CoordinateFrame:frame"] == [mesh.link]
-        assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
-        assert shown["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]
+        shown_static = recorded_entities[f"/hand/{mesh.link}/mesh"].static_values
+        assert shown_static["CoordinateFrame:frame"] == [mesh.link]
+        assert (
+            bytes(np.array(shown_static["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
+        )
+        assert shown_static["Asset3D:media_type"] == [MESH_MEDIA_TYPES[mesh.suffix]]
         red, green, blue, *_ = link_colour(mesh.link, run)
-        assert shown["Asset3D:albedo_factor"] == [(red << 24) | (green << 16) | (blue << 8) | 255]
-        assert shown["InstancePoses3D:translations"] == [pytest.approx(mesh.position, rel=1e-6)]
-        assert shown["InstancePoses3D:quaternions"] == [
+        assert shown_static["Asset3D:albedo_factor"] == [
+            (red << 24) | (green << 16) | (blue << 8) | 255
+        ]
+        assert shown_static["InstancePoses3D:translations"] == [
+            pytest.approx(mesh.position, rel=1e-6)
+        ]
+        assert shown_static["InstancePoses3D:quaternions"] == [
             pytest.approx(quaternion_of_rotation(mesh.rotation), abs=1e-6)
         ]
-        assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
+        assert shown_static["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
 def test_a_link_has_a_mesh_or_capsules(

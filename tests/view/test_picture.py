@@ -98,9 +98,9 @@ def test_the_viewer_listens_on_this_machine_only(
 ) -> None:
     running, _ = bare_viewer
     connections = psutil.Process(running.process.pid).net_connections()
-    assert any(one.status == psutil.CONN_LISTEN for one in connections)
-    assert {one.laddr.ip for one in connections} == {"127.0.0.1"}
-    assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}
+    assert any(connection.status == psutil.CONN_LISTEN for connection in connections)
+    assert {connection.laddr.ip for connection in connections} == {"127.0.0.1"}
+    assert {connection.raddr.ip for connection in connections if connection.raddr} <= {"127.0.0.1"}
 
 
 def test_viewer_ignores_streams_of_other_programs(
@@ -125,9 +125,9 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
 
     def state(*timelines: Timeline) -> ViewerState:
         store = StoreId("run")
-        shown = Recording(store, "", list(timelines), None, None)
+        shown_recording = Recording(store, "", list(timelines), None, None)
         return ViewerState(
-            "", store, [shown], [View("1", "3D", "hand", "/", True, [])], [], None, None
+            "", store, [shown_recording], [View("1", "3D", "hand", "/", True, [])], [], None, None
         )
 
     def line(end: int | None) -> Timeline:

@@ -34,12 +34,16 @@ def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
 def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     seed: int, jamia_path: Path, tmp_path: Path
 ) -> None:
-    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    whole_content, path, part = (
+        jamia_path.read_bytes(),
+        tmp_path / "run.mcap",
+        tmp_path / "part.mcap",
+    )
     run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
-    for size in growing_file_sizes(whole, seed):
-        path.write_bytes(whole[:size])
-        assert not (tail.has_log_ended and size < 0.9 * len(whole))
+    for size in growing_file_sizes(whole_content, seed):
+        path.write_bytes(whole_content[:size])
+        assert not (tail.has_log_ended and size < 0.9 * len(whole_content))
         since = tail.write_new_chunks(part)
         if since is not None:
             chunks += chunks_of_log(part, converters, "part", since)
@@ -47,25 +51,31 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     assert tail.has_log_ended
     assert tail.write_new_chunks(part) is None
     assert times > 4
-    shown, expected = (
+    shown_entities, expected = (
         read_entities(chunks),
         read_entities(chunks_of_log(jamia_path, TopicConverters(run), "whole")),
     )
-    assert shown.keys() == expected.keys()
-    for name in shown.keys() - {"/tension/limit"}:
+    assert shown_entities.keys() == expected.keys()
+    for name in shown_entities.keys() - {"/tension/limit"}:
         if name == "/tf_static":  # these messages may be sent twice
-            assert set(map(repr, shown[name].rows)) == set(map(repr, expected[name].rows))
+            assert set(map(repr, shown_entities[name].rows)) == set(map(repr, expected[name].rows))
             continue
-        np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)
-        assert repr(shown[name].rows) == repr(expected[name].rows), name
+        np.testing.assert_array_equal(
+            shown_entities[name].times, expected[name].times, err_msg=name
+        )
+        assert repr(shown_entities[name].rows) == repr(expected[name].rows), name
 
 
 def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
-    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    whole_content, path, part = (
+        jamia_path.read_bytes(),
+        tmp_path / "run.mcap",
+        tmp_path / "part.mcap",
+    )
     tail, parts = LogTail(path), 0
-    start = len(whole) // 2
+    start = len(whole_content) // 2
     for size in range(start, start + 60_000, 997):
-        path.write_bytes(whole[:size])
+        path.write_bytes(whole_content[:size])
         parts += tail.write_new_chunks(part) is not None
     assert parts > 1
 
@@ -74,7 +84,11 @@ def test_a_call_reads_no_record_again(
     jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
-    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    whole_content, path, part = (
+        jamia_path.read_bytes(),
+        tmp_path / "run.mcap",
+        tmp_path / "part.mcap",
+    )
     offsets = list[int]()
     read_range = LogFile.read_range
 
@@ -83,14 +97,14 @@ def test_a_call_reads_no_record_again(
         return read_range(file, offset, size)
 
     monkeypatch.setattr(LogFile, "read_range", read_and_note)
-    path.write_bytes(whole[: len(whole) // 2])
+    path.write_bytes(whole_content[: len(whole_content) // 2])
     tail = LogTail(path)
     assert tail.write_new_chunks(part) is not None
     assert len(offsets) > 100
     offsets.clear()
     assert tail.write_new_chunks(part) is None
     assert len(offsets) <= 3, "the two magic texts, and the head of the incomplete record"
-    path.write_bytes(whole)
+    path.write_bytes(whole_content)
     assert tail.write_new_chunks(part) is not None
     assert tail.has_log_ended
     offsets.clear()

@@ -144,7 +144,7 @@ def test_lateness_and_bus_load_add_up(
     for tick in run_log.ticks():
         frames = (*tick.tick_in.frames, *tick.frames)
         spent.append(
-            (tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames))
+            (tick.tick_in.t_ns, sum(frame_time_s(len(frame.data), False, 1e6) for frame in frames))
         )
         now = tick.tick_in.t_ns
         last = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
@@ -232,12 +232,12 @@ def test_time_slices_do_not_change_the_recording(
     recorded_entities: dict[str, RecordingEntity], log_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("handctl.view.time_slices.SLICE_NS", 333_000_000)
-    again = read_entities(
+    repeated_entities = read_entities(
         rerun_conversion.chunks_of_run(log_path, run_info_of(log_path), 333_000_000)
     )
-    assert again.keys() == recorded_entities.keys() - {"/__properties"}
-    for path in again.keys() - {"/tension/limit"}:
-        one = again[path]
+    assert repeated_entities.keys() == recorded_entities.keys() - {"/__properties"}
+    for path in repeated_entities.keys() - {"/tension/limit"}:
+        one = repeated_entities[path]
         np.testing.assert_array_equal(one.times, recorded_entities[path].times)
         assert repr(one.rows) == repr(recorded_entities[path].rows)
 
@@ -249,11 +249,16 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(log_fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
-        shown = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
-            shown["/controller/q"].table("Scalars:scalars"), half.field("q")
+            shown_entities["/controller/q"].table("Scalars:scalars"), half.field("q")
         )
-        assert len(shown["/loop/late"].times) == len(shown["/bus/load"].times) == len(half) > 20
+        assert (
+            len(shown_entities["/loop/late"].times)
+            == len(shown_entities["/bus/load"].times)
+            == len(half)
+            > 20
+        )
 
 
 def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
@@ -265,8 +270,12 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
-        shown = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
-        assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
+        shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
+        assert (
+            half.t_ns[-1]
+            == shown_entities["/loop/late"].times[-1]
+            == shown_entities["/bus/load"].times[-1]
+        )
 
 
 def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> None:

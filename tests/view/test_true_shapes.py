@@ -90,7 +90,12 @@ def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
     assert main([*words, "--json"]) == 0
     assert "/true/object" in entities_of_file(out)
     capsys.readouterr()
-    late = truth_of(SCENE_SHAPES)
-    write_truth(path, TruthRecord(late.header, late.t_ns + 10**12, late.values, late.columns))
+    late_truth = truth_of(SCENE_SHAPES)
+    write_truth(
+        path,
+        TruthRecord(
+            late_truth.header, late_truth.t_ns + 10**12, late_truth.values, late_truth.columns
+        ),
+    )
     assert main(words) == 2
     assert capsys.readouterr().err.count("\n") == 1

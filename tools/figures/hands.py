@@ -84,7 +84,9 @@ def save_still(hand_file: str) -> None:
     joints = truth.interpolated_columns([f"q/{joint}" for joint in log.header.joints], time_ns)[0]
     parts = ("x", "y", "z", "qw", "qx", "qy", "qz")
     data.qpos[: len(joints)] = joints
-    data.qpos[len(joints) :] = truth.interpolated_columns([f"object/{part}" for part in parts], time_ns)[0]
+    data.qpos[len(joints) :] = truth.interpolated_columns(
+        [f"object/{part}" for part in parts], time_ns
+    )[0]
     data.mocap_pos[0, 2] -= truth.interpolated_column("support", time_ns)[0]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)

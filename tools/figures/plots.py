@@ -220,7 +220,7 @@ def bus_tick(folder: Path) -> Any:
     """
     del folder
     (load,) = bus_loads(load_hand("jamia"))
-    rows = [row for row in load.rows if row.per_tick >= 1.0]
+    rows = [row for row in load.rows if row.frames_per_tick >= 1.0]
     figure = new_figure(8.6, 2.9)
     axes = figure.add_subplot()
     lanes = {"host": 2, "drives": 1, "sensor node": 0}

@@ -6,13 +6,13 @@ The data of the free shaft are assumed.
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.kernels import apply_torque
 from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
-from firmware_sim.nodes.protocol_spec import CIA402_KIND, UNADDRESSED_FRAME, ProtocolSpec, ShaftSpec
+from firmware_sim.nodes.protocol_spec import CIA402_KIND, FRAME_FOR_NO_NODE, ProtocolSpec, ShaftSpec
 
-VALID_NUMBERS = range(1, 0x7F)
+VALID_NODE_NUMBERS = range(1, 0x7F)
 """Valid node numbers of drives. The last node number of CANopen, 127, belongs to handctl."""
 
 
-BENCH_SHAFT = ShaftSpec(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
+TEST_BENCH_SHAFT = ShaftSpec(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
 """Shaft of the default motor at 24 V.
 
 Voltage constant [V s/rad] and torque constant [N m/A] are equal.
@@ -27,21 +27,23 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace a command for switching the torque off by a frame that no node receives."""
     # The replaced frames are RPDOs in whose control word bit 1 (enable voltage) is 0.
-    disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
+    is_disable_command = (
+        0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
+    )
     # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.
-    releases = disables or (
+    is_release_command = is_disable_command or (
         frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82")
     )
-    return UNADDRESSED_FRAME if releases else frame
+    return FRAME_FOR_NO_NODE if is_release_command else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of object 0x6072 (maximum torque) by 65535 in the reply to a read request."""
     # These are the first bytes of an SDO upload reply with two bytes (0x4B) from object 0x6072.
-    matches = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
+    is_corrupted = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
     return (
-        frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame
+        frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if is_corrupted else frame
     )  # the value of object 0x6072 becomes 65535
 
 
@@ -52,7 +54,8 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
 
 
 CIA402_SPEC = ProtocolSpec(
-    Cia402Node, VALID_NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402_KIND,
+    Cia402Node, VALID_NODE_NUMBERS, TEST_BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow,
+    CIA402_KIND,
     _force_command,
 )  # fmt: skip
 """Specification of the protocol CiA 402 for simulated drives."""

@@ -33,11 +33,11 @@ CYCLIC_OBJECTS = (
 Therefore kernels know the indices of these objects.
 """
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
- TORQUE_OFFSET, MASTER, HEARTBEAT_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
+ TORQUE_OFFSET, MASTER, HEARTBEAT_PERIOD_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
 """Indices of the values of ``CYCLIC_OBJECTS`` in the list of a dictionary's values."""
-VALUE_CAPACITY = 192
+OBJECT_CAPACITY = 192
 """Maximum number of object values in the row of a drive."""
-SPEED_BAND = 0.1
+SPEED_LIMIT_BAND = 0.1
 """Range of speed in which the torque falls to zero, as a fraction of the speed limit.
 
 The value is an assumption.
@@ -76,7 +76,7 @@ class Cia402Struct(ctypes.Structure):
         ),
         *((name, ctypes.c_int64) for name in ("motion_due_ns", "mode_bits")),
         ("power_stage", PowerStruct),
-        ("values", ctypes.c_int64 * VALUE_CAPACITY),
+        ("values", ctypes.c_int64 * OBJECT_CAPACITY),
     ]
 
 
@@ -132,11 +132,11 @@ def apply_torque(node: Any, servo: Any) -> None:
     servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
-        servo.speed_gain = node.peak / (SPEED_BAND * servo.speed_limit)
+        servo.speed_gain = node.peak / (SPEED_LIMIT_BAND * servo.speed_limit)
 
 
 @kernel_helper
-def follows_torque(node: Any, power: Any) -> bool:
+def is_in_torque_mode(node: Any, power: Any) -> bool:
     """Return True if the drive follows torque commands: enabled and in torque mode."""
     return bool(power.state == ENABLED_STATE and node.values[MODE_SHOWN] == CYCLIC_TORQUE_MODE)
 
@@ -152,7 +152,7 @@ def heartbeat_timeout_ns(node: Any) -> int:
 @kernel_helper
 def heartbeat_due(node: Any, t_ns: int) -> bool:
     """Return True if the drive must send its heartbeat now."""
-    period_ns = node.values[HEARTBEAT_MS] * 1_000_000
+    period_ns = node.values[HEARTBEAT_PERIOD_MS] * 1_000_000
     return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
 
 
@@ -167,16 +167,18 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 
 @kernel_helper
-def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
+def schedule_wake(node: Any, t_ns: int, has_frame_to_send: bool) -> None:
     """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:
         node: simulated drive, as an array row or as a Python object.
         t_ns: present time [ns].
-        frame_pending: True if a frame of the drive waits to be sent at once.
+        has_frame_to_send: True if a frame of the drive waits to be sent at once.
     """
-    wake_ns = t_ns if frame_pending or node.thermal_ns < 0 else node.thermal_ns + THERMAL_PERIOD_NS
-    period_ns = node.values[HEARTBEAT_MS] * 1_000_000
+    wake_ns = (
+        t_ns if has_frame_to_send or node.thermal_ns < 0 else node.thermal_ns + THERMAL_PERIOD_NS
+    )
+    period_ns = node.values[HEARTBEAT_PERIOD_MS] * 1_000_000
     if period_ns > 0:
         wake_ns = min(wake_ns, node.heartbeat_ns + period_ns)
     if node.watchdog_fed_ns >= 0 and heartbeat_timeout_ns(node) > 0:
@@ -184,4 +186,4 @@ def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
     if node.motion_due_ns > 0:
         wake_ns = min(wake_ns, node.motion_due_ns)
     node.wake_ns = wake_ns
-    node.frame_pending = frame_pending
+    node.frame_pending = has_frame_to_send

@@ -31,7 +31,7 @@ import math
 from typing import Any
 
 from firmware_sim.nodes.cia402.kernels import TURN_RAD
-from firmware_sim.nodes.cia402.object_dictionary import OUT_OF_RANGE, SdoAbort
+from firmware_sim.nodes.cia402.object_dictionary import ABORT_VALUE_OUT_OF_RANGE, SdoAbort
 from firmware_sim.nodes.motion_control import (
     PERIOD_NS,
     CascadeController,
@@ -49,11 +49,11 @@ FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
 TARGET_REACHED_BIT = 1 << 10
 INTERNAL_LIMIT_BIT = 1 << 11
-DRIVE_FOLLOWS_BIT = 1 << 12
+SETPOINT_FOLLOWED_BIT = 1 << 12
 FOLLOWING_ERROR_BIT = 1 << 13
 """Bits of the status word.
 
-DRIVE_FOLLOWS_BIT also stands for *set-point acknowledged* and *homing attained*.
+SETPOINT_FOLLOWED_BIT also stands for *set-point acknowledged* and *homing attained*.
 """
 NEW_SETPOINT_BIT = 1 << 4
 CHANGE_IMMEDIATELY_BIT = 1 << 5
@@ -64,7 +64,7 @@ INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
 """All homing methods of the drive."""
-NO_WINDOW = 0xFFFFFFFF
+WINDOW_SWITCHED_OFF = 0xFFFFFFFF
 """Value of the following error window that switches the supervision off."""
 POSITION_GAIN = 20.0
 """Assumed gain of the position controller [1/s]."""
@@ -77,7 +77,7 @@ def check_write(object_index: int, value: int) -> None:
         SdoAbort: the value is a homing method that the drive does not have.
     """
     if object_index == 0x6098 and value not in HOMING_METHODS:
-        raise SdoAbort(OUT_OF_RANGE)
+        raise SdoAbort(ABORT_VALUE_OUT_OF_RANGE)
 
 
 class MotionModes:
@@ -90,7 +90,7 @@ class MotionModes:
         """Use the objects and the rotor of a drive, see ``node.Cia402Node``."""
         self._node = node
         self._demand = MotionSetpoint()
-        self._at_spool = MotionSetpoint()
+        self._position_at_spool = MotionSetpoint()
         self._cascade = CascadeController(node.motor)
         self._mode = 0
         self._updated_ns = self._late_ns = 0
@@ -121,7 +121,9 @@ class MotionModes:
         self._attained = self._homing = self._acknowledged = False
         self._rest_s = 0.0
         self._bits = 0
-        self._demand.jump(self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0)
+        self._demand.set_immediately(
+            self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0
+        )
         self._target = self._demand.position
         node.objects[0x607A, 0] = round(self._target)
         node.motion_due_ns = max(1, t_ns)
@@ -145,17 +147,17 @@ class MotionModes:
 
         Bit 4 starts a motion only on its rising edge.
         """
-        edge = control_word & ~self._control & NEW_SETPOINT_BIT
+        rising_edge = control_word & ~self._control & NEW_SETPOINT_BIT
         self._control = control_word
         if self._mode == HOMING_MODE:
-            if edge:
+            if rising_edge:
                 self._start_homing()
             elif not control_word & NEW_SETPOINT_BIT:
                 self._homing = False
             return
         if self._mode != PROFILE_POSITION:
             return
-        if not edge:
+        if not rising_edge:
             return
         objects = self._node.objects
         target = float(objects[0x607A, 0])
@@ -175,23 +177,27 @@ class MotionModes:
         node = self._node
         self._homing = True
         self._attained = False
-        self._bits &= ~(TARGET_REACHED_BIT | DRIVE_FOLLOWS_BIT)
+        self._bits &= ~(TARGET_REACHED_BIT | SETPOINT_FOLLOWED_BIT)
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
             # The index pulse occurs at whole turns of the encoder, wherever the position is zero.
             turn = node.counts
-            raw = self._position() - node.offset / TURN_RAD * turn
-            edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
-            self._target += edge * turn - raw
-        self._demand.jump(self._position())
+            raw_position = self._position() - node.offset / TURN_RAD * turn
+            index_turn = (
+                math.floor(raw_position / turn)
+                if method == INDEX_NEGATIVE
+                else math.ceil(raw_position / turn)
+            )
+            self._target += index_turn * turn - raw_position
+        self._demand.set_immediately(self._position())
 
     def _finish_homing(self) -> None:
         """Finish homing: shift the zero until the present position has the value of 0x607C."""
         node = self._node
         home = node.objects[0x607C, 0]
         node.offset += (home - self._position()) / node.counts * TURN_RAD
-        self._demand.jump(home)
+        self._demand.set_immediately(home)
         self._target = float(home)
         self._attained = True
 
@@ -215,7 +221,9 @@ class MotionModes:
     def _generate_demand(self, step_s: float) -> None:
         """Compute the next demand of the active mode."""
         if self._mode == CYCLIC_VELOCITY:
-            self._demand.jump(self._position(), self._rate_of(0x60FF) + self._rate_of(0x60B1))
+            self._demand.set_immediately(
+                self._position(), self._speed_from_object(0x60FF) + self._speed_from_object(0x60B1)
+            )
         elif self._mode == CYCLIC_POSITION:
             self._interpolate(step_s)
         elif self._mode == HOMING_MODE:
@@ -243,12 +251,12 @@ class MotionModes:
         if self._control & HALT_BIT:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
-        fastest = self._counts_per_s(
+        max_speed = self._counts_per_s(
             min(self._node.objects[speed, subindex], self._node.objects[0x6080, 0])
         )
         return self._demand.trapezoid(
             self._target,
-            fastest,
+            max_speed,
             max(1.0, self._counts_per_s(self._node.objects[acceleration_index, 0])),
             slope,
             step_s,
@@ -261,15 +269,17 @@ class MotionModes:
         part = step_s / self._rest_s if self._rest_s > step_s else 1.0
         self._rest_s = max(0.0, self._rest_s - step_s)
         change = part * (self._target - self._demand.position)
-        self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
+        self._demand.set_immediately(
+            self._demand.position + change, change / step_s + self._speed_from_object(0x60B1)
+        )
 
     def _within_position_limits(self, target: float) -> float:
         """Return the target, limited to the software position limits (object 0x607D)."""
         objects = self._node.objects
-        inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
-        if inside != target:
+        limited_position = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
+        if limited_position != target:
             self._bits |= INTERNAL_LIMIT_BIT
-        return inside
+        return limited_position
 
     def _check_following_error(self, t_ns: int) -> bool:
         """Check the following error. Return True if the error has caused a fault."""
@@ -277,7 +287,7 @@ class MotionModes:
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
         window = node.objects[0x6065, 0]
-        if self._mode == CYCLIC_VELOCITY or window == NO_WINDOW or abs(error) <= window:
+        if self._mode == CYCLIC_VELOCITY or window == WINDOW_SWITCHED_OFF or abs(error) <= window:
             self._late_ns = t_ns
             self._bits &= ~FOLLOWING_ERROR_BIT
         else:
@@ -290,30 +300,34 @@ class MotionModes:
     def _is_target_reached(self) -> bool:
         """Return True if both the demand and the measured position have reached the target."""
         window = self._node.objects[0x6067, 0]
-        arrived = self._demand.position == self._target and self._next is None
-        return arrived and abs(self._position() - self._target) <= window
+        has_arrived = self._demand.position == self._target and self._next is None
+        return has_arrived and abs(self._position() - self._target) <= window
 
     def _status_bits(self) -> int:
         """Return the bits that the active mode sets in the status word of the drive."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
-            return self._bits | DRIVE_FOLLOWS_BIT
+            return self._bits | SETPOINT_FOLLOWED_BIT
         if self._control & HALT_BIT:
-            stopped = self._demand.velocity == 0.0
+            is_stopped = self._demand.velocity == 0.0
             self._bits = (
-                self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
+                self._bits | TARGET_REACHED_BIT if is_stopped else self._bits & ~TARGET_REACHED_BIT
             )
             return self._bits
-        reached = self._attained if self._mode == HOMING_MODE else self._is_target_reached()
+        is_reached = self._attained if self._mode == HOMING_MODE else self._is_target_reached()
         self._bits = (
-            self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
+            self._bits | TARGET_REACHED_BIT if is_reached else self._bits & ~TARGET_REACHED_BIT
         )
         # In profile position mode, a set-point stays acknowledged until the host clears the bit and
         # the buffer is free.
         self._acknowledged = self._next is not None or (
             self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
         )
-        follows = self._attained if self._mode == HOMING_MODE else self._acknowledged
-        self._bits = self._bits | DRIVE_FOLLOWS_BIT if follows else self._bits & ~DRIVE_FOLLOWS_BIT
+        is_followed = self._attained if self._mode == HOMING_MODE else self._acknowledged
+        self._bits = (
+            self._bits | SETPOINT_FOLLOWED_BIT
+            if is_followed
+            else self._bits & ~SETPOINT_FOLLOWED_BIT
+        )
         return self._bits
 
     def _regulate_servo(self, step_s: float) -> None:
@@ -326,9 +340,9 @@ class MotionModes:
             * (self._demand.position / node.counts * TURN_RAD - node.offset)
             / node.gear
         )
-        self._at_spool.jump(angle, self._demand.velocity * scale)
+        self._position_at_spool.set_immediately(angle, self._demand.velocity * scale)
         speed = objects[0x6080, 0] * TURN_RAD / 60.0 / node.gear
-        if abs(self._at_spool.velocity) > speed:
+        if abs(self._position_at_spool.velocity) > speed:
             self._bits |= INTERNAL_LIMIT_BIT
         thousandth = node.gear * node.rated / 1000.0
         limit = min(node.peak, objects[0x6072, 0] * thousandth)
@@ -336,7 +350,7 @@ class MotionModes:
             node.motor.inertia, 0.0 if self._mode == CYCLIC_VELOCITY else POSITION_GAIN
         )
         torque = node.direction * objects[0x60B2, 0] * thousandth
-        self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
+        self._cascade.regulate(self._position_at_spool, gains, speed, limit, step_s, torque)
 
     def _position(self) -> float:
         """Return the measured position of the shaft [count]."""
@@ -356,6 +370,6 @@ class MotionModes:
         """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
         return float(per_minute / 60.0 * self._node.counts)
 
-    def _rate_of(self, object_index: int) -> float:
+    def _speed_from_object(self, object_index: int) -> float:
         """Return the value of a velocity object, converted to count/s."""
         return self._counts_per_s(self._node.objects[object_index, 0])

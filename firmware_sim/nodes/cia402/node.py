@@ -36,17 +36,17 @@ from firmware_sim.nodes.cia402.kernels import (
     THERMAL_PERIOD_NS,
     Cia402Struct,
     apply_torque,
-    follows_torque,
     heartbeat_due,
+    is_in_torque_mode,
     schedule_wake,
     update_measured_objects,
     watchdog_expired,
 )
 from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_write
 from firmware_sim.nodes.cia402.object_dictionary import (
-    CLIENT_ABORTS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
+    ABORT_UNKNOWN_COMMAND,
+    ABORT_WRONG_STATE,
+    SDO_CLIENT_ABORT_COMMAND,
     ObjectDictionary,
     ObjectKey,
     SdoAbort,
@@ -69,13 +69,13 @@ STOPPED_STATE = 0x04
 """NMT state: stopped."""
 HEARTBEAT_LOST = 0x8130
 """Emergency code: the master's heartbeat is lost."""
-MOTOR_HOT = 0x4310
+MOTOR_OVERHEATED_ERROR = 0x4310
 """Emergency code: over-temperature of the motor."""
-STOPPED_WHILE_ENABLED = 0x8100
+STOPPED_WHILE_ENABLED_ERROR = 0x8100
 """Emergency code: the node left operational while enabled."""
 RPDO_SHORT = 0x8210
 """Emergency code: an RPDO is too short."""
-HOT_C = 120.0
+OVERHEATING_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
 _UNITS_PER_N_M = {"mN_m": 1e3, "uN_m": 1e6}
 """Value of object 0x6076 for a torque of 1 N m, by its unit."""
@@ -90,7 +90,7 @@ class Cia402Node:
         objects: object dictionary.
         thermal: temperatures of the drive.
         ids: None, because the node answers many identifiers.
-        malformed: number of frames that the node could not decode.
+        malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the master's last heartbeat [ns], or -1 if the drive does not
             supervise the master.
@@ -129,7 +129,7 @@ class Cia402Node:
         self.counts = int(spec.options.get("counts_per_turn", 1 << 16))
         self.thermal = DriveTemperatures(spec.torque_constant)
         self.ids: frozenset[int] | None = None
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = 0
         self.thermal_ns = -1
         self.frame_pending = False
@@ -162,7 +162,7 @@ class Cia402Node:
         self.pdos = NodePdos(self.objects)
         self.syncs = 0
         self.heartbeat_ns = self.watchdog_fed_ns = -1
-        self._update_derived()
+        self._update_derived_values()
         if sends_boot_message:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
@@ -172,7 +172,7 @@ class Cia402Node:
         self.values = objects.values
         return objects, PowerStage()
 
-    def _update_derived(self) -> None:
+    def _update_derived_values(self) -> None:
         """Update the attributes derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
@@ -202,28 +202,28 @@ class Cia402Node:
         if frame.flags & FDF or can_id & REMOTE_FLAG:
             return None
         if can_id == 0x000:
-            handled = len(data) == 2 and data[1] in (0, self.node_id)
-            if handled:
+            is_handled = len(data) == 2 and data[1] in (0, self.node_id)
+            if is_handled:
                 self._nmt_command(data[0])
         elif can_id == self.sync_id:
-            handled = self._synchronise()
+            is_handled = self._synchronise()
         elif can_id == 0x600 + self.node_id:
-            handled = self.nmt != STOPPED_STATE
-            if handled:
+            is_handled = self.nmt != STOPPED_STATE
+            if is_handled:
                 self._answer_sdo_request(data)
         elif can_id == self.master_id:
-            handled = True
+            is_handled = True
             self.watchdog_fed_ns = t_ns
         else:
-            handled = self._process_rpdo(can_id, data)
+            is_handled = self._process_rpdo(can_id, data)
         schedule_wake(self, t_ns, bool(self._unsolicited))
-        return self._take_unsolicited() if handled else None
+        return self._take_unsolicited_frames() if is_handled else None
 
-    def _take_unsolicited(self) -> list[Frame]:
+    def _take_unsolicited_frames(self) -> list[Frame]:
         """Return the frames waiting to be sent, and empty the list."""
-        unsolicited = self._unsolicited
+        unsolicited_frames = self._unsolicited
         self._unsolicited = []
-        return unsolicited
+        return unsolicited_frames
 
     def _nmt_command(self, nmt_command: int) -> None:
         """Execute a command of the CANopen network management (NMT)."""
@@ -236,7 +236,7 @@ class Cia402Node:
         left = self.nmt == OPERATIONAL_STATE != state
         self.nmt = state
         if left and self.power.state == ENABLED_STATE:
-            self._connection_lost(STOPPED_WHILE_ENABLED)
+            self._connection_lost(STOPPED_WHILE_ENABLED_ERROR)
         elif state == OPERATIONAL_STATE:
             self._send_event_pdos()
 
@@ -252,7 +252,7 @@ class Cia402Node:
     def trip(self, error_code: int) -> None:
         """Enter the fault state and send an emergency message."""
         self.frame_pending = True
-        self.power.fail()
+        self.power.enter_fault_state()
         self.objects[0x603F, 0] = error_code
         self.objects[0x1001, 0] = 0x11 if error_code == HEARTBEAT_LOST else 0x01
         self._send_emergency(error_code)
@@ -264,7 +264,7 @@ class Cia402Node:
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
         self.watchdog_fed_ns = -1
-        self._update_derived()
+        self._update_derived_values()
         self._apply_torque()
 
     def _send_emergency(self, error_code: int) -> None:
@@ -279,9 +279,9 @@ class Cia402Node:
         Numbers have up to four bytes and are transferred in one frame.
         """
         if len(data) != 8:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return
-        if data[0] != CLIENT_ABORTS:
+        if data[0] != SDO_CLIENT_ABORT_COMMAND:
             self._unsolicited.append(
                 Frame(0x580 + self.node_id, sdo_reply(data, self._execute_sdo_request))
             )
@@ -302,11 +302,13 @@ class Cia402Node:
             return self._first_segment(data[1:4], self.objects.texts[key])
         if specifier >> 5 == 2:
             self._update_measured_objects()
-            raw = self.objects.read(key)
-            return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
+            raw_bytes = self.objects.read(key)
+            return (
+                bytes((0x43 | (4 - len(raw_bytes)) << 2,)) + data[1:4] + raw_bytes.ljust(4, b"\0")
+            )
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
-            raise SdoAbort(UNKNOWN_COMMAND)
+            raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         # If bit 0 is set, bits 3..2 give the number of unused bytes. If bit 0 is not set, the
         # request does not contain the size. In this case, the size of the object is used.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
@@ -328,12 +330,12 @@ class Cia402Node:
             SdoAbort: no upload of a text is in progress.
         """
         if not self._segments:
-            raise SdoAbort(UNKNOWN_COMMAND)
+            raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         segment = self._segments.pop(0)
         # Bit 4 is the toggle bit. Bits 3..1 are the number of unused bytes. Bit 0 marks the last
         # segment.
-        head = toggle_bit << 4 | (7 - len(segment)) << 1 | (not self._segments)
-        return bytes((head,)) + segment.ljust(7, b"\0")
+        command_byte = toggle_bit << 4 | (7 - len(segment)) << 1 | (not self._segments)
+        return bytes((command_byte,)) + segment.ljust(7, b"\0")
 
     def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write the value that a host has sent to an object, and apply the new value."""
@@ -341,13 +343,13 @@ class Cia402Node:
         # TPDOs (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
-                raise SdoAbort(WRONG_STATE)
+                raise SdoAbort(ABORT_WRONG_STATE)
             self.pdos.write(key, value_bytes)
         else:
             check_write(key[0], int.from_bytes(value_bytes, "little", signed=True))
             self.objects.write(key, value_bytes)
         if key[0] < 0x2000:
-            self._update_derived()
+            self._update_derived_values()
         if key == (0x1010, 1):
             if value_bytes == b"save":
                 self._stored = self.objects.settings()
@@ -370,19 +372,19 @@ class Cia402Node:
 
     def _apply_control_word(self, control_word: int) -> None:
         """Apply a control word to the power stage."""
-        before = self.power.state
+        state_before = self.power.state
         self.power.command(control_word)
-        if before == FAULT_STATE != self.power.state:
+        if state_before == FAULT_STATE != self.power.state:
             self.objects[0x603F, 0] = self.objects[0x1001, 0] = 0
             self._send_emergency(0)
-        if self.power.state != before:
+        if self.power.state != state_before:
             self._send_event_pdos()
 
     def _send_event_pdos(self) -> None:
         """Send the TPDOs whose transmission type is *on a change*."""
         if self.nmt == OPERATIONAL_STATE:
             self._update_measured_objects()
-            self._unsolicited += self.pdos.on_event()
+            self._unsolicited += self.pdos.event_driven_frames()
 
     def _process_rpdo(self, can_id: int, payload: bytes) -> bool:
         """Process an RPDO of this node, and ignore any other frame.
@@ -390,13 +392,13 @@ class Cia402Node:
         Returns:
             True if the identifier belongs to an RPDO of this node.
         """
-        if not self.pdos.receives(can_id):
+        if not self.pdos.accepts_identifier(can_id):
             return False
         if self.nmt != OPERATIONAL_STATE:
             return True
         keys = self.pdos.unpack(can_id, payload)
         if keys is None:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             self._send_emergency(RPDO_SHORT)
         for key in keys or ():
             self._apply_object(key)
@@ -414,7 +416,7 @@ class Cia402Node:
             self._apply_object(key)
         self._update_measured_objects()
         self.syncs += 1
-        self._unsolicited += self.pdos.on_sync(self.syncs)
+        self._unsolicited += self.pdos.frames_on_sync(self.syncs)
         return True
 
     def _update_measured_objects(self) -> None:
@@ -434,7 +436,7 @@ class Cia402Node:
         if self.motion.running:
             self.motor.servo.release()
         self.motion.end()
-        if follows_torque(self, self.power):
+        if is_in_torque_mode(self, self.power):
             apply_torque(self, self.motor.servo)
         else:
             self.motor.servo.release()
@@ -456,7 +458,7 @@ class Cia402Node:
             self.watchdog_fed_ns = -1
             self._connection_lost(HEARTBEAT_LOST)
         schedule_wake(self, t_ns, bool(self._unsolicited))
-        return self._take_unsolicited()
+        return self._take_unsolicited_frames()
 
     def _update_thermal(self, t_ns: int) -> None:
         """Advance the temperatures of the drive.
@@ -467,8 +469,8 @@ class Cia402Node:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self.thermal_ns = t_ns
-        if self.thermal.winding > HOT_C and self.power.state == ENABLED_STATE:
-            self.trip(MOTOR_HOT)
+        if self.thermal.winding > OVERHEATING_C and self.power.state == ENABLED_STATE:
+            self.trip(MOTOR_OVERHEATED_ERROR)
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, VALUE_CAPACITY
+from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, OBJECT_CAPACITY
 
 EDS_PATH = Path(__file__).with_name("cia402.eds")
 """Path of the EDS file of the simulated drive."""
@@ -13,24 +13,24 @@ _SIZE_BY_DATA_TYPE = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
 """Size of each data type [bytes]. Source: CiA 301, data types INTEGER8 to UNSIGNED32."""
 _SIGNED_DATA_TYPES = {0x02, 0x03, 0x04}
 """Numbers of the data types with a sign."""
-NO_OBJECT = 0x06020000
+ABORT_NO_OBJECT = 0x06020000
 """SDO abort code: the object does not exist. Source: CiA 301."""
-NO_SUB = 0x06090011
+ABORT_NO_SUBINDEX = 0x06090011
 """SDO abort code: the sub-index does not exist. Source: CiA 301."""
-READ_ONLY = 0x06010002
+ABORT_READ_ONLY = 0x06010002
 """SDO abort code: the object is read-only. Source: CiA 301."""
-WRONG_TYPE = 0x06070010
+ABORT_WRONG_TYPE = 0x06070010
 """SDO abort code: the data type does not match. Source: CiA 301."""
-OUT_OF_RANGE = 0x06090030
+ABORT_VALUE_OUT_OF_RANGE = 0x06090030
 """SDO abort code: the value is out of range. Source: CiA 301."""
-WRONG_STATE = 0x08000022
+ABORT_WRONG_STATE = 0x08000022
 """SDO abort code: the request is not possible in the present state of the device.
 
 Source: CiA 301.
 """
-UNKNOWN_COMMAND = 0x05040001
+ABORT_UNKNOWN_COMMAND = 0x05040001
 """SDO abort code: the command specifier is unknown. Source: CiA 301."""
-CLIENT_ABORTS = 0x80
+SDO_CLIENT_ABORT_COMMAND = 0x80
 """First byte of a request with which the client aborts a transfer.
 
 The drive does not answer this request.
@@ -88,7 +88,7 @@ class ObjectDictionary:
 
         Args:
             node_id: node number. The default identifiers depend on this number.
-            object_memory: memory for ``kernels.VALUE_CAPACITY`` values. If None, a list is
+            object_memory: memory for ``kernels.OBJECT_CAPACITY`` values. If None, a list is
                 allocated.
         """
         parser = configparser.ConfigParser(interpolation=None)
@@ -101,7 +101,7 @@ class ObjectDictionary:
         self._indices_of: dict[ObjectKey, int] = {
             key: place for place, key in enumerate(CYCLIC_OBJECTS)
         }
-        self.values: Any = [0] * VALUE_CAPACITY if object_memory is None else object_memory
+        self.values: Any = [0] * OBJECT_CAPACITY if object_memory is None else object_memory
         for name in parser.sections():
             if not parser.has_option(name, "DataType"):
                 continue
@@ -160,10 +160,10 @@ class ObjectDictionary:
             SdoAbort: the object does not exist.
         """
         if key not in self._sizes:
-            raise SdoAbort(NO_SUB if key[0] in self._indices else NO_OBJECT)
+            raise SdoAbort(ABORT_NO_SUBINDEX if key[0] in self._indices else ABORT_NO_OBJECT)
         return self._sizes[key]
 
-    def mappable(self, key: ObjectKey) -> bool:
+    def is_mappable(self, key: ObjectKey) -> bool:
         """Return True if an object may be mapped into a PDO."""
         return key in self._mappable
 
@@ -183,9 +183,9 @@ class ObjectDictionary:
             SdoAbort: the object does not exist, is read-only, or has a different length.
         """
         if len(value_bytes) != self.size(key):
-            raise SdoAbort(WRONG_TYPE)
+            raise SdoAbort(ABORT_WRONG_TYPE)
         if key not in self._writable:
-            raise SdoAbort(READ_ONLY)
+            raise SdoAbort(ABORT_READ_ONLY)
         self.values[self._indices_of[key]] = int.from_bytes(
             value_bytes, "little", signed=key in self._signed
         )

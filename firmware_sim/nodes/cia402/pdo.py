@@ -14,17 +14,17 @@ from collections.abc import Iterator
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.object_dictionary import (
-    OUT_OF_RANGE,
+    ABORT_VALUE_OUT_OF_RANGE,
     ObjectDictionary,
     ObjectKey,
     SdoAbort,
 )
 
-PDO_OFF_BIT = 1 << 31
+PDO_DISABLED_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""
-NOT_MAPPABLE = 0x06040041
+ABORT_NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
-PDO_TOO_LONG = 0x06040042
+ABORT_PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
 STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
 """Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
@@ -50,23 +50,23 @@ class NodePdos:
         """
         index, sub = key
         if index & 0x200:
-            if not self._objects[index - 0x200, 1] & PDO_OFF_BIT:
+            if not self._objects[index - 0x200, 1] & PDO_DISABLED_BIT:
                 raise SdoAbort(0x08000022)
             value = int.from_bytes(value_bytes, "little")
             if sub == 0:
                 self._check_mapping(index, value)
             elif self._objects[index, 0]:
                 raise SdoAbort(0x08000022)
-            elif value and not self._objects.mappable((value >> 16, value >> 8 & 0xFF)):
-                raise SdoAbort(NOT_MAPPABLE)
+            elif value and not self._objects.is_mappable((value >> 16, value >> 8 & 0xFF)):
+                raise SdoAbort(ABORT_NOT_MAPPABLE)
         self._objects.write(key, value_bytes)
 
     def _check_mapping(self, mapping_index: int, entry_count: int) -> None:
         """Check that a mapping has an allowed number of entries and an allowed length."""
         if entry_count > 4:
-            raise SdoAbort(OUT_OF_RANGE)
+            raise SdoAbort(ABORT_VALUE_OUT_OF_RANGE)
         if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
-            raise SdoAbort(PDO_TOO_LONG)
+            raise SdoAbort(ABORT_PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping_index: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""
@@ -81,7 +81,7 @@ class NodePdos:
         """
         return next((i for i in range(4) if self._objects[0x1400 + i, 1] == can_id), -1)
 
-    def receives(self, can_id: int) -> bool:
+    def accepts_identifier(self, can_id: int) -> bool:
         """Return True if an RPDO has this identifier."""
         return self._rpdo_index(can_id) >= 0
 
@@ -115,21 +115,23 @@ class NodePdos:
         Returns:
             The objects that were written.
         """
-        waiting = self._waiting
+        pending_pdos = self._waiting
         self._waiting = {}
-        return [key for number, data in waiting.items() for key in self._store_rpdo(number, data)]
+        return [
+            key for number, data in pending_pdos.items() for key in self._store_rpdo(number, data)
+        ]
 
-    def on_sync(self, syncs: int) -> list[Frame]:
+    def frames_on_sync(self, sync_count: int) -> list[Frame]:
         """Return the TPDOs that the node sends in reply to a SYNC frame.
 
         Args:
-            syncs: number of SYNC frames since the last reset.
+            sync_count: number of SYNC frames since the last reset.
         """
         transmissions = {i: self._objects[0x1800 + i, 2] for i in self._active_tpdos()}
         return [
             self._tpdo_frame(i)
             for i, transmission in transmissions.items()
-            if 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and syncs % transmission == 0
+            if 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and sync_count % transmission == 0
         ]
 
     @property
@@ -161,12 +163,12 @@ class NodePdos:
         identifier is -1.
         """
         active = self._active_tpdos()
-        waits = any(
+        waits_for_sync = any(
             self._objects[0x1400 + i, 2] <= MAX_SYNCHRONOUS_TYPE
             for i in range(4)
-            if self.identifiers[i] < PDO_OFF_BIT
+            if self.identifiers[i] < PDO_DISABLED_BIT
         )
-        if len(active) != 1 or waits or self._waiting:
+        if len(active) != 1 or waits_for_sync or self._waiting:
             return -1, 0
         (i,) = active
         transmission = self._objects[0x1800 + i, 2]
@@ -176,7 +178,7 @@ class NodePdos:
         )
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
-    def on_event(self) -> list[Frame]:
+    def event_driven_frames(self) -> list[Frame]:
         """Return the frames of the TPDOs that the node sends when a value has changed."""
         return [
             self._tpdo_frame(i) for i in self._active_tpdos() if self._objects[0x1800 + i, 2] >= 254
@@ -184,7 +186,7 @@ class NodePdos:
 
     def _active_tpdos(self) -> list[int]:
         """List the indices of the TPDOs that are switched on."""
-        return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
+        return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_DISABLED_BIT]
 
     def _tpdo_frame(self, pdo_number: int) -> Frame:
         """Build the frame of a TPDO."""

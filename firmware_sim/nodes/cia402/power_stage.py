@@ -54,10 +54,10 @@ class PowerStage:
 
         The bit fault reset acts on its rising edge. All other bits act by their level.
         """
-        edge = bool(control_word & 0x80) and not self.reset_bit
+        is_reset_edge = bool(control_word & 0x80) and not self.reset_bit
         self.reset_bit = bool(control_word & 0x80)
         if self.state == FAULT_STATE:
-            self.state = OFF_STATE if edge else FAULT_STATE
+            self.state = OFF_STATE if is_reset_edge else FAULT_STATE
             return
         if not control_word & 0x02 or not control_word & 0x04:
             self.state = OFF_STATE  # The control word commands *disable voltage* or *quick stop*.
@@ -68,7 +68,7 @@ class PowerStage:
         elif self.state != OFF_STATE and control_word & 0x0F == 0x07:
             self.state = ON_STATE
 
-    def fail(self) -> None:
+    def enter_fault_state(self) -> None:
         """Enter the fault state."""
         self.state = FAULT_STATE
 

@@ -24,13 +24,13 @@ import numpy as np
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import SensorSpec
 from firmware_sim.nodes.cia402.object_dictionary import (
-    CLIENT_ABORTS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
+    ABORT_UNKNOWN_COMMAND,
+    ABORT_WRONG_STATE,
+    SDO_CLIENT_ABORT_COMMAND,
     SdoAbort,
     sdo_reply,
 )
-from firmware_sim.nodes.cia404.objects import PDO_OFF_BIT, TPDO_COUNT, AmplifierObjects
+from firmware_sim.nodes.cia404.objects import PDO_DISABLED_BIT, TPDO_COUNT, AmplifierObjects
 from firmware_sim.nodes.noise import NormalNoise
 
 OPERATIONAL_STATE = 0x05
@@ -87,7 +87,7 @@ class LoadCellAmplifiers:
             for i, node_id in enumerate(spec.node_ids)
         ]
 
-    def frame_of_cell(self, index: int) -> int:
+    def frame_index_of_cell(self, index: int) -> int:
         """Return the identifier of the frame that contains the reading of a given load cell.
 
         The identifier belongs to the mapping that a host usually sets.
@@ -121,7 +121,7 @@ class AmplifierNode:
         nmt: NMT state of the amplifier.
         objects: object dictionary of the amplifier.
         ids: identifiers of the frames that the node may answer.
-        malformed: number of frames that the node could not decode.
+        malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next heartbeat [ns].
         serial: serial number of the amplifier.
     """
@@ -140,7 +140,7 @@ class AmplifierNode:
         self.node_id = node_id
         self.cells = cell_indices
         self.serial = serial
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self._now_ns = 0
         self._out: list[Frame] = []
         self.restart()
@@ -179,7 +179,7 @@ class AmplifierNode:
             self._synchronise(data)
         elif self.nmt != STOPPED_STATE:
             self._answer_sdo_request(data)
-        return self._take_waiting_frames()
+        return self._take_queued_frames()
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Return the heartbeat if it is due, and all frames that wait to be sent."""
@@ -188,35 +188,35 @@ class AmplifierNode:
         if period_ns and not self._out:
             self._out.append(Frame(0x700 + self.node_id, bytes((self.nmt,))))
         self.wake_ns = t_ns + period_ns if period_ns else _NEVER_NS
-        return self._take_waiting_frames()
+        return self._take_queued_frames()
 
-    def _take_waiting_frames(self) -> list[Frame]:
+    def _take_queued_frames(self) -> list[Frame]:
         """Return the frames that wait to be sent, except suppressed frames. Then empty the list."""
-        out = self._out
+        queued_frames = self._out
         self._out = []
         suppressed = self._load_cells.suppressed
-        for frame in out:
+        for frame in queued_frames:
             if frame.can_id in suppressed:
                 suppressed[frame.can_id]()
-        return [frame for frame in out if frame.can_id not in suppressed]
+        return [frame for frame in queued_frames if frame.can_id not in suppressed]
 
     def _nmt_command(self, nmt_command: int) -> None:
         """Execute a command of the CANopen network management (NMT)."""
         if nmt_command in (0x81, 0x82):
             self.restart()
             return
-        before = self.nmt
+        nmt_before = self.nmt
         self.nmt = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
-            nmt_command, before
+            nmt_command, nmt_before
         )
-        if self.nmt == OPERATIONAL_STATE != before:
+        if self.nmt == OPERATIONAL_STATE != nmt_before:
             self._syncs = 0
             self._send_tpdos(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
 
     def _synchronise(self, data: bytes) -> None:
         """Process a SYNC frame: read the load cells, and send the TPDOs that are due."""
         if data:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return
         if self.nmt == OPERATIONAL_STATE:
             self._syncs += 1
@@ -229,7 +229,7 @@ class AmplifierNode:
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]
-            if not can_id & PDO_OFF_BIT and is_due(self.objects[0x1800 + i, 2]):
+            if not can_id & PDO_DISABLED_BIT and is_due(self.objects[0x1800 + i, 2]):
                 self._out.append(Frame(can_id & 0x7FF, self.objects.payload(i)))
 
     def _sample_load_cells(self) -> None:
@@ -243,9 +243,9 @@ class AmplifierNode:
         Objects have up to four bytes and are transferred in one frame.
         """
         if len(data) != 8:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return
-        if data[0] != CLIENT_ABORTS:
+        if data[0] != SDO_CLIENT_ABORT_COMMAND:
             self._out.append(
                 Frame(0x580 + self.node_id, sdo_reply(data, self._execute_sdo_request))
             )
@@ -261,14 +261,16 @@ class AmplifierNode:
         """
         if data[0] >> 5 == 2:
             self._sample_load_cells()
-            raw = self.objects.read(key)
-            return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
+            raw_bytes = self.objects.read(key)
+            return (
+                bytes((0x43 | (4 - len(raw_bytes)) << 2,)) + data[1:4] + raw_bytes.ljust(4, b"\0")
+            )
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         # Bit 0 is set if the request gives the size.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
-            raise SdoAbort(UNKNOWN_COMMAND)
+            raise SdoAbort(ABORT_UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):
-            raise SdoAbort(WRONG_STATE)
+            raise SdoAbort(ABORT_WRONG_STATE)
         self.objects.write(key, data[4 : 8 - (data[0] >> 2 & 3)])
         if key[0] < 0x1C00:
             self._update_ids()

@@ -20,33 +20,33 @@ import math
 import struct
 
 from firmware_sim.nodes.cia402.object_dictionary import (
-    NO_OBJECT,
-    NO_SUB,
-    OUT_OF_RANGE,
-    READ_ONLY,
-    WRONG_STATE,
-    WRONG_TYPE,
+    ABORT_NO_OBJECT,
+    ABORT_NO_SUBINDEX,
+    ABORT_READ_ONLY,
+    ABORT_VALUE_OUT_OF_RANGE,
+    ABORT_WRONG_STATE,
+    ABORT_WRONG_TYPE,
     ObjectKey,
     SdoAbort,
 )
 
-PDO_OFF_BIT = 1 << 31
+PDO_DISABLED_BIT = 1 << 31
 """Bit in the identifier object of a TPDO: the TPDO is off."""
 NEWTON_UNIT = 0x0021_0000
 """Number of the unit newton in object 0x6131. Source: CiA 303-2."""
-AS_DELIVERED = 0x00FD_0000
+FACTORY_UNIT = 0x00FD_0000
 """Number of the maker's unit in object 0x6131, until a host sets another unit."""
 TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
-NOT_MAPPABLE = 0x06040041
+ABORT_NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
-PDO_TOO_LONG = 0x06040042
+ABORT_PDO_TOO_LONG = 0x06040042
 """SDO abort code: the mapped objects exceed the length of a PDO. Source: CiA 301."""
-NOT_VALID = 1
+NOT_VALID_STATUS = 1
 """Status bit: the reading of the channel is not valid."""
-POSITIVE_OVERLOAD = 2
+POSITIVE_OVERLOAD_STATUS = 2
 """Status bit: the reading is above the range."""
-NEGATIVE_OVERLOAD = 4
+NEGATIVE_OVERLOAD_STATUS = 4
 """Status bit: the reading is below the range."""
 OVERLOAD_RATIO = 1.03125
 """Smallest reading that counts as overload, divided by the rated load.
@@ -80,17 +80,17 @@ class AmplifierObjects:
         readings: present reading of each channel [N].
     """
 
-    def __init__(self, node_id: int, channels: int, full_range: float, serial: int) -> None:
+    def __init__(self, node_id: int, channels: int, measurement_range: float, serial: int) -> None:
         """Set all objects to the values with which the maker delivers the amplifier.
 
         Args:
             node_id: node number of the amplifier.
             channels: number of channels of the amplifier.
-            full_range: rated load of the connected load cells [N].
+            measurement_range: rated load of the connected load cells [N].
             serial: serial number of the amplifier.
         """
         self.readings = [0.0] * channels
-        self._range = full_range
+        self._range = measurement_range
         self._sizes: dict[ObjectKey, int] = {}
         self._values: dict[ObjectKey, int] = {}
         self._fixed: set[ObjectKey] = set()
@@ -99,20 +99,24 @@ class AmplifierObjects:
         self._add_object((0x1017, 0), 2, 0)
         self._add_object((0x1018, 4), 4, serial, is_fixed=True)
         for i in range(TPDO_COUNT):
-            mapped = [
+            mapped_objects = [
                 INT32_VALUE_INDEX << 16 | c << 8 | 32
                 for c in (2 * i + 1, 2 * i + 2)
                 if c <= channels
             ]
-            can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else PDO_OFF_BIT)
+            can_id = 0x180 + 0x100 * i + node_id | (0 if mapped_objects else PDO_DISABLED_BIT)
             for sub, size, value in ((1, 4, can_id), (2, 1, 254), (3, 2, 0), (5, 2, 0)):
                 self._add_object((0x1800 + i, sub), size, value)
-            self._add_object((0x1A00 + i, 0), 1, len(mapped))
+            self._add_object((0x1A00 + i, 0), 1, len(mapped_objects))
             for sub in range(1, 9):
-                self._add_object((0x1A00 + i, sub), 4, mapped[sub - 1] if sub <= len(mapped) else 0)
+                self._add_object(
+                    (0x1A00 + i, sub),
+                    4,
+                    mapped_objects[sub - 1] if sub <= len(mapped_objects) else 0,
+                )
         self._add_object((0x6131, 0), 1, channels, is_fixed=True)
         for channel in range(1, channels + 1):
-            self._add_object((0x6131, channel), 4, AS_DELIVERED)
+            self._add_object((0x6131, channel), 4, FACTORY_UNIT)
             self._add_object((0x6132, channel), 1, 2)
 
     def _add_object(
@@ -140,11 +144,13 @@ class AmplifierObjects:
         """
         if key[0] in _MAPPABLE_SIZES_BYTES:
             if not 1 <= key[1] <= len(self.readings):
-                raise SdoAbort(NO_SUB)
+                raise SdoAbort(ABORT_NO_SUBINDEX)
             return self._measured_bytes(*key)
         if key not in self._sizes:
             raise SdoAbort(
-                NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT
+                ABORT_NO_SUBINDEX
+                if any(index == key[0] for index, _ in self._sizes)
+                else ABORT_NO_OBJECT
             )
         return self._values[key].to_bytes(self._sizes[key], "little")
 
@@ -157,9 +163,9 @@ class AmplifierObjects:
         """
         self.read(key)
         if key[0] in _MAPPABLE_SIZES_BYTES or key in self._fixed:
-            raise SdoAbort(READ_ONLY)
+            raise SdoAbort(ABORT_READ_ONLY)
         if len(value_bytes) != self._sizes[key]:
-            raise SdoAbort(WRONG_TYPE)
+            raise SdoAbort(ABORT_WRONG_TYPE)
         value = int.from_bytes(value_bytes, "little")
         if 0x1A00 <= key[0] < 0x1A00 + TPDO_COUNT:
             self._check_mapping(key, value)
@@ -168,19 +174,19 @@ class AmplifierObjects:
     def _check_mapping(self, key: ObjectKey, value: int) -> None:
         """Check that a new mapping value is possible, and that the TPDO of the mapping is off."""
         index, sub = key
-        if not self[index - 0x200, 1] & PDO_OFF_BIT:
-            raise SdoAbort(WRONG_STATE)
+        if not self[index - 0x200, 1] & PDO_DISABLED_BIT:
+            raise SdoAbort(ABORT_WRONG_STATE)
         if sub and self[index, 0]:
-            raise SdoAbort(WRONG_STATE)
+            raise SdoAbort(ABORT_WRONG_STATE)
         if sub and (
             value >> 16 not in _MAPPABLE_SIZES_BYTES
             or not 1 <= value >> 8 & 0xFF <= len(self.readings)
         ):
-            raise SdoAbort(NOT_MAPPABLE)
+            raise SdoAbort(ABORT_NOT_MAPPABLE)
         if not sub and value > 8:
-            raise SdoAbort(OUT_OF_RANGE)
+            raise SdoAbort(ABORT_VALUE_OUT_OF_RANGE)
         if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
-            raise SdoAbort(PDO_TOO_LONG)
+            raise SdoAbort(ABORT_PDO_TOO_LONG)
 
     def payload(self, tpdo_number: int) -> bytes:
         """Return the payload of a TPDO with the present readings."""
@@ -192,7 +198,9 @@ class AmplifierObjects:
         reading = self.readings[channel - 1]
         if abs(reading) < OVERLOAD_RATIO * self._range:
             return 0
-        return NOT_VALID | (POSITIVE_OVERLOAD if reading > 0 else NEGATIVE_OVERLOAD)
+        return NOT_VALID_STATUS | (
+            POSITIVE_OVERLOAD_STATUS if reading > 0 else NEGATIVE_OVERLOAD_STATUS
+        )
 
     def _measured_bytes(self, index: int, channel: int) -> bytes:
         """Return the process value or the status of a channel as bytes."""
@@ -207,5 +215,5 @@ class AmplifierObjects:
             return struct.pack("<f", value)
         size = _MAPPABLE_SIZES_BYTES[index]
         count = _OVERLOAD_VALUES[index] if status else round(value * 10 ** self[0x6132, channel])
-        top = (1 << 8 * size - 1) - 1
-        return min(top, max(-top - 1, count)).to_bytes(size, "little", signed=True)
+        max_value = (1 << 8 * size - 1) - 1
+        return min(max_value, max(-max_value - 1, count)).to_bytes(size, "little", signed=True)

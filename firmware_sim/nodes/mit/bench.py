@@ -40,29 +40,29 @@ class MotorRating(NamedTuple):
 
     Attributes:
         peak: peak torque of the motor [N m].
-        no_load: speed of the motor without load [1/min].
+        no_load_speed: speed of the motor without load [1/min].
         torque_constant: torque of the motor per phase current [N m/A].
         resistance: resistance of a motor phase [ohm].
-        supply: supply voltage of the drive [V].
+        supply_voltage: supply voltage of the drive [V].
     """
 
     peak: float
-    no_load: float
+    no_load_speed: float
     torque_constant: float
     resistance: float
-    supply: float = 24.0
+    supply_voltage: float = 24.0
 
     @property
     def top_speed(self) -> float:
         """Return the speed of the motor without load [rad/s]."""
-        return self.no_load * math.tau / 60.0
+        return self.no_load_speed * math.tau / 60.0
 
     @property
     def stall_torque(self) -> float:
         """Return the torque at standstill that the supply voltage alone would allow [N m]."""
         # With space-vector modulation, the largest amplitude of a phase voltage is the supply
         # voltage divided by sqrt(3).
-        return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
+        return self.torque_constant * self.supply_voltage / math.sqrt(3.0) / self.resistance
 
 
 MOTOR_RATINGS = {
@@ -157,9 +157,9 @@ def _corrupt_reply(frame: Frame) -> Frame:
     # The reply belongs to a read request (0x33) for register 23 (TMAX), from a motor with an
     # identifier below 0x100.
     data = frame.data
-    matches = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
+    is_corrupted = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
     return (
-        frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
+        frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if is_corrupted else frame
     )  # the value of TMAX becomes 1
 
 

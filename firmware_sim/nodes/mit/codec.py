@@ -102,10 +102,10 @@ def to_code(value: float, limit: float, bits: int) -> int:
     The value is limited to -limit..limit, and the code is truncated in the same way as in the
     firmware.
     """
-    clamped = -limit if value < -limit else limit if value > limit else value
+    clamped_value = -limit if value < -limit else limit if value > limit else value
     # The operations are in the same order as in the firmware, because another order would round
     # differently.
-    return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
+    return int((clamped_value + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
 @compiled("count", "real", "count")
@@ -146,13 +146,13 @@ def _degrees(value: float) -> int:
 
 @compiled("count", *("real",) * 8)
 def write_feedback(
-    state_and_id: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
+    state_and_id_byte: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet_temperature: float, winding_temperature: float,
 ) -> int:  # fmt: skip
     """Encode the feedback of an MIT drive.
 
     Args:
-        state_and_id: one byte with the state or error nibble and the low four bits of ESC_ID.
+        state_and_id_byte: one byte with the state or error nibble and the low four bits of ESC_ID.
         p: measured position [rad], limited to the range of the motor type.
         v: measured velocity [rad/s], limited to the range of the motor type.
         t: measured torque [N m], limited to the range of the motor type.
@@ -170,9 +170,9 @@ def write_feedback(
     )
     # The most significant byte is first converted to a signed byte. In compiled code, the shift of
     # an unsigned byte above 127 would overflow 64 bits.
-    signed = state_and_id - 256 if state_and_id > 127 else state_and_id
+    signed_byte = state_and_id_byte - 256 if state_and_id_byte > 127 else state_and_id_byte
     return (
-        signed << 56
+        signed_byte << 56
         | motion << 16
         | _degrees(mosfet_temperature) << 8
         | _degrees(winding_temperature)
@@ -214,12 +214,12 @@ def feedback_word(
         Payload of the feedback as an integer.
     """
     sign = node.direction
-    head = node.state << 4 | node.node_id & 0xF
+    first_byte = node.state << 4 | node.node_id & 0xF
     p = sign * angle + node.offset
     v = sign * rotor.velocity
     t = sign * rotor.torque
     ranges = node.position_range, node.velocity_range, node.torque_range
-    return write_feedback(head, p, v, t, *ranges, mosfet_temperature, winding_temperature)
+    return write_feedback(first_byte, p, v, t, *ranges, mosfet_temperature, winding_temperature)
 
 
 @kernel_helper

@@ -60,16 +60,19 @@ class MotionModes:
     def follow_position(self, position: float, speed: float) -> None:
         """Take the target position [rad] and the largest speed [rad/s] from a frame."""
         self._set_target(
-            assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0
+            assumed_gains(self._node.motor.inertia), self._position_at_spool(position), speed, 1.0
         )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
         """Store target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
         self._set_target(
-            assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction
+            assumed_gains(self._node.motor.inertia),
+            self._position_at_spool(position),
+            speed,
+            fraction,
         )
 
-    def _at_spool(self, position: float) -> float:
+    def _position_at_spool(self, position: float) -> float:
         return float(self._node.direction * (position - self._node.offset))
 
     def _set_target(self, gains: LoopGains, target: float, speed: float, fraction: float) -> None:
@@ -87,7 +90,7 @@ class MotionModes:
         if not self._running:
             self._running = True
             self._updated_ns = t_ns
-            self._setpoint.jump(self._node.motor.encoder(), self._node.motor.velocity)
+            self._setpoint.set_immediately(self._node.motor.encoder(), self._node.motor.velocity)
             self._cascade.integral = 0.0
             self.due_ns = t_ns
         self.advance(t_ns)
@@ -109,18 +112,18 @@ class MotionModes:
         largest = min(registers[reg.MAX_SPEED], node.velocity_range)
         speed = min(self._speed, largest)
         rise = registers[reg.ACCELERATION] or math.inf
-        fall = -registers[reg.DECELERATION] or math.inf
+        deceleration = -registers[reg.DECELERATION] or math.inf
         if self._gains.position == 0.0:
             self._setpoint.position = node.motor.encoder()
             target = min(largest, max(-largest, self._target))
-            if rise == fall == math.inf:
+            if rise == deceleration == math.inf:
                 self._setpoint.velocity = target
             elif step_s:
-                self._setpoint.ramp(target, rise, fall, step_s)
-        elif node.mode == reg.MODE_FORCE or rise == fall == math.inf:
+                self._setpoint.ramp(target, rise, deceleration, step_s)
+        elif node.mode == reg.MODE_FORCE or rise == deceleration == math.inf:
             # In this mode, the controllers limit the speed, and the setpoint does not.
-            self._setpoint.jump(self._target)
+            self._setpoint.set_immediately(self._target)
         elif step_s:
-            self._setpoint.trapezoid(self._target, speed, rise, fall, step_s)
+            self._setpoint.trapezoid(self._target, speed, rise, deceleration, step_s)
         limit = min(1.0, self._fraction) * min(node.torque_peak, node.torque_range)
         self._cascade.regulate(self._setpoint, self._gains, speed, limit, step_s)

@@ -71,7 +71,7 @@ WATCHDOG_BEHAVIOURS = {
 }
 """Possible behaviours of the watchdog, by the value of the option ``watchdog``."""
 EACH_CLEAR_ANSWERED, ERROR_CLEAR_ANSWERED, NO_CLEAR_ANSWERED = "each", "error", "never"
-CLEAR_ANSWERS = {
+CLEAR_COMMAND_ANSWERS = {
     EACH_CLEAR_ANSWERED: "each clear command is answered",
     ERROR_CLEAR_ANSWERED: "only one that clears an error",
     NO_CLEAR_ANSWERED: "none is answered",
@@ -88,8 +88,8 @@ class FeedbackState(enum.IntEnum):
     DISABLED = 0x0
     ENABLED = 0x1
     OVER_CURRENT = 0xA
-    MOSFET_HOT = 0xB
-    WINDING_HOT = 0xC
+    MOSFET_OVERHEATED = 0xB
+    WINDING_OVERHEATED = 0xC
     COMMUNICATION_LOST = 0xD
     OVERLOAD = 0xE
 
@@ -107,7 +107,7 @@ class MitNode:
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         thermal: temperatures of the motor and its drive.
         ids: identifiers of the frames that the node answers.
-        malformed: number of frames with an identifier of the node that the node could not decode.
+        malformed_frame_count: number of frames with an identifier of the node that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last frame that restarted the watchdog [ns].
         timeout_ns: timeout of the watchdog [ns], or 0 if the watchdog is off.
@@ -137,7 +137,7 @@ class MitNode:
         self.registers = reg.MitRegisters(spec)
         self.thermal = self._temperatures(spec.torque_constant)
         self.state = FeedbackState.DISABLED
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = 0
         self.direction = spec.direction
         self.mode = reg.MODE_MIT
@@ -147,7 +147,7 @@ class MitNode:
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
         self._motion_modes = MotionModes(self)
-        self._update_derived()
+        self._update_derived_values()
 
     def _temperatures(self, torque_constant: float) -> DriveTemperatures:
         """Create the temperatures of a drive, all at ambient temperature."""
@@ -158,7 +158,7 @@ class MitNode:
         """Return the identifiers of the frames that the node receives in every tick."""
         return (self.node_id,)
 
-    def _update_derived(self) -> None:
+    def _update_derived_values(self) -> None:
         """Update the attributes derived from registers."""
         self.node_id = int(self.registers[reg.ESC_ID])
         self.reply_id = int(self.registers[reg.MST_ID])
@@ -205,7 +205,7 @@ class MitNode:
             return None
         self._schedule()
         if answer is None:
-            self.malformed += 1
+            self.malformed_frame_count += 1
         if not answer:
             return []
         return [Frame(self.reply_id, answer, flags, bus, t_ns)]
@@ -318,34 +318,34 @@ class MitNode:
         register = data[3]
         if operation == _REFRESH_REQUEST:
             return self.feedback()
-        head = data[:3]
+        request_head = data[:3]
         if operation == _SAVE_REQUEST and self.state != FeedbackState.ENABLED:
             self.registers.save()
-            return head + b"\x01\0\0\0\0"
+            return request_head + b"\x01\0\0\0\0"
         if operation not in (_READ_REQUEST, _WRITE_REQUEST) or register not in self.registers:
             return None
         if operation == _WRITE_REQUEST:
             if len(data) != 8:
                 return None
             self.registers.write(register, data[4:])
-            self._update_derived()
+            self._update_derived_values()
         self._update_measured_registers()
-        return head + data[3:4] + self.registers.read(register)
+        return request_head + data[3:4] + self.registers.read(register)
 
     def _update_measured_registers(self) -> None:
         """Update the registers that hold measured values."""
         position = self.direction * self.motor.encoder() + self.offset
-        self.registers.show(reg.MOTOR_POSITION, position)
-        self.registers.show(reg.OUTPUT_POSITION, position)
-        self.registers.show(reg.T_BOARD, self.thermal.mosfet)
-        self.registers.show(reg.T_MOTOR, self.thermal.winding)
+        self.registers.set_measured(reg.MOTOR_POSITION, position)
+        self.registers.set_measured(reg.OUTPUT_POSITION, position)
+        self.registers.set_measured(reg.T_BOARD, self.thermal.mosfet)
+        self.registers.set_measured(reg.T_MOTOR, self.thermal.winding)
 
     def power_cycle(self) -> None:
         """Restart the motor, disabled and with the saved registers."""
         self.registers.power_cycle()
         self._release_motor()
         self.state = FeedbackState.DISABLED
-        self._update_derived()
+        self._update_derived_values()
 
     def lose_settings(self, torque_max: float) -> None:
         """Restore the saved registers, but keep the state of the motor.
@@ -355,19 +355,19 @@ class MitNode:
         """
         self.registers.power_cycle()
         if torque_max:
-            self.registers.show(reg.TMAX, torque_max)
-        self._update_derived()
+            self.registers.set_measured(reg.TMAX, torque_max)
+        self._update_derived_values()
 
     def wake(self, t_ns: int) -> None:
         """Do the work that is due: temperatures, watchdog and motion mode."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        watched = (
+        is_watchdog_active = (
             FeedbackState.ENABLED,
             *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS),
         )
         silence_ns = t_ns - self.watchdog_fed_ns
-        if self.state in watched and self.timeout_ns and silence_ns >= self.timeout_ns:
+        if self.state in is_watchdog_active and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
         self._motion_modes.advance(t_ns)
         self._schedule()
@@ -390,7 +390,7 @@ class MitNode:
             self.state == FeedbackState.ENABLED
             and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]
         ):
-            self.trip(FeedbackState.WINDING_HOT)
+            self.trip(FeedbackState.WINDING_OVERHEATED)
 
 
 class MitNodeRow(MitStruct, MitNode):

@@ -95,7 +95,7 @@ class MitRegisters:
         """Return the value of a register."""
         return self._values[register]
 
-    def show(self, register: int, value: float) -> None:
+    def set_measured(self, register: int, value: float) -> None:
         """Set a register from inside the drive, for example to a measured value."""
         self._values[register] = value
 

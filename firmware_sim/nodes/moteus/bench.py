@@ -37,12 +37,12 @@ def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the torque limit by 1 N m in the reply to a read request."""
     return (
         frame._replace(data=TORQUE_LIMIT_HEAD + b"\0\0\x80\x3f" + frame.data[6:])
-        if _is_limit(frame)
+        if _is_torque_limit_frame(frame)
         else frame
     )
 
 
-def _is_limit(frame: Frame) -> bool:
+def _is_torque_limit_frame(frame: Frame) -> bool:
     return bool(frame.flags & FDF) and frame.data[:2] == TORQUE_LIMIT_HEAD
 
 

@@ -58,7 +58,7 @@ class PayloadReader:
         self._at = 0
 
     @property
-    def more(self) -> bool:
+    def has_more(self) -> bool:
         """Return True if bytes of the payload are left."""
         return self._at < len(self._data)
 

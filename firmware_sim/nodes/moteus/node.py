@@ -42,7 +42,7 @@ LAST_MODE = 16
 """Largest number of a mode."""
 OVER_TEMPERATURE = 38
 """Fault code: the motor or the drive is too hot."""
-OUTSIDE_LIMIT = 39
+OUTSIDE_LIMIT_FAULT = 39
 """Fault code: the position is outside its limits at the start of position mode."""
 UNDER_VOLTAGE = 40
 """Fault code: the supply voltage is too low."""
@@ -50,7 +50,7 @@ MAX_TORQUE_LIMITS = 102
 """Fault code in an active mode: the commanded torque limit acts."""
 BROADCAST_NUMBER = 0x7F
 """Destination number of frames to all drives."""
-ENABLING_NS = 10_000_000
+ENABLING_DURATION_NS = 10_000_000
 """Assumed duration of the preparation of the power stage [ns]."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
@@ -79,7 +79,7 @@ class MoteusNode:
         thermal: temperatures of motor and drive.
         offset: angle in the frames of the drive when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: number of frames that the node could not decode.
+        malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
@@ -101,7 +101,7 @@ class MoteusNode:
         self.fault = 0
         self.command = dict(reg.REGISTER_DEFAULTS)
         self.channel = TextChannel(lambda: self._stop())
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = 0
         self.watchdog_fed_ns = 0
         self._direction = spec.direction
@@ -153,24 +153,24 @@ class MoteusNode:
     def _execute_payload(self, data: bytes) -> bytes:
         """Execute the subframes of a payload, and return the reply."""
         reader = mp.PayloadReader(data)
-        out = b""
+        reply_bytes = b""
         try:
-            while reader.more:
+            while reader.has_more:
                 (kind,) = reader.take(1)
                 if kind == mp.PADDING_SUBFRAME[0]:
                     continue
                 if kind < 0x20:
                     part = self._execute_register_subframe(kind, reader)
                     if part is None:
-                        return out
-                    out += part
+                        return reply_bytes
+                    reply_bytes += part
                 elif kind in (0x40, 0x42):
-                    out += self._execute_text_subframe(kind, reader)
+                    reply_bytes += self._execute_text_subframe(kind, reader)
                 else:
                     raise mp.MalformedPayload
         except mp.MalformedPayload:
-            self.malformed += 1
-        return out
+            self.malformed_frame_count += 1
+        return reply_bytes
 
     def _execute_register_subframe(self, subframe: int, reader: mp.PayloadReader) -> bytes | None:
         """Execute a subframe that writes or reads registers.
@@ -181,20 +181,20 @@ class MoteusNode:
         """
         kind = subframe >> 2 & 3
         count = subframe & 3 or reader.varuint()
-        first = reader.varuint()
-        out = b""
+        first_value = reader.varuint()
+        reply_bytes = b""
         if subframe >= 0x10:
-            return self._read_registers(kind, count, first)
-        for number in range(first, first + count):
-            raw = reader.take(mp.REGISTER_STRUCTS[kind].size)
+            return self._read_registers(kind, count, first_value)
+        for number in range(first_value, first_value + count):
+            raw_bytes = reader.take(mp.REGISTER_STRUCTS[kind].size)
             if reg.UUID_MASK <= number < reg.UUID_MASK + 4:
                 expected = struct.pack("<I", self._uuid_word(number - reg.UUID_MASK))
-                if kind != mp.INT32 or raw != expected:
+                if kind != mp.INT32 or raw_bytes != expected:
                     return None
                 continue
-            if error := self._write_register(number, kind, raw):
-                out += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
-        return out
+            if error := self._write_register(number, kind, raw_bytes):
+                reply_bytes += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
+        return reply_bytes
 
     def _read_registers(self, value_type: int, count: int, first_register: int) -> bytes:
         """Return the reply to a request that reads registers.
@@ -204,15 +204,15 @@ class MoteusNode:
         values = list[bytes]()
         error = b""
         for number in range(first_register, first_register + min(count, 64)):
-            raw = self._read_register(number, value_type)
-            if raw is None:
+            raw_bytes = self._read_register(number, value_type)
+            if raw_bytes is None:
                 error = (
                     b"\x31"
                     + mp.encode_varuint(number)
                     + mp.encode_varuint(reg.UNKNOWN_REGISTER_ERROR)
                 )
                 break
-            values.append(raw)
+            values.append(raw_bytes)
         return (
             mp.subframe_head(0x20, value_type, len(values), first_register) + b"".join(values)
             if values
@@ -232,10 +232,10 @@ class MoteusNode:
             self.command[register] = mp.decode_register(
                 register_bytes, value_type, reg.COMMAND_REGISTER_STEPS[register]
             )
-        elif register in (reg.SET_NEAREST, reg.SET_EXACT):
+        elif register in (reg.SET_OUTPUT_NEAREST, reg.SET_OUTPUT_EXACT):
             self._set_position(
                 mp.decode_register(register_bytes, value_type, mp.POSITION_STEPS),
-                register == reg.SET_NEAREST,
+                register == reg.SET_OUTPUT_NEAREST,
             )
         elif register == reg.RECAPTURE:
             self._apply_mode(self.mode, self._t_ns)
@@ -245,11 +245,11 @@ class MoteusNode:
             return reg.UNKNOWN_REGISTER_ERROR
         return 0
 
-    def _set_position(self, turns: float, nearest: bool) -> None:
+    def _set_position(self, turns: float, to_nearest_turn: bool) -> None:
         """Shift the reported position to a value, or as near as possible to the value by whole turns."""
         if math.isfinite(turns):
             shift = turns - self._position
-            self.offset += TURN_RAD * (round(shift) if nearest else shift)
+            self.offset += TURN_RAD * (round(shift) if to_nearest_turn else shift)
 
     def _read_register(self, register: int, value_type: int) -> bytes | None:
         """Return the bytes of a register.
@@ -284,14 +284,14 @@ class MoteusNode:
             return self._uuid_word(register - reg.UUID)
         # These registers contain the model number, the firmware version, the version of the
         # register map, the node number, and the support of the UUID mask.
-        fixed = {
+        value_by_register = {
             0x100: 3,
             0x101: FIRMWARE_VERSION,
             0x102: 6,
             reg.MULTIPLEX_ID: self.node_id,
             0x158: 1,
         }
-        return fixed[register]
+        return value_by_register[register]
 
     def _uuid_word(self, word_index: int) -> int:
         """Return 32 of the 128 bits of the drive's UUID."""
@@ -329,13 +329,14 @@ class MoteusNode:
         sign = self._direction
         torque = sign * motor.torque
         velocity = sign * motor.velocity / TURN_RAD
-        commanded = sign * motor.servo.torque
+        commanded_torque = sign * motor.servo.torque
         values: dict[int, float] = {
             0x001: self._position, 0x002: velocity, 0x003: torque, 0x004: torque / self._torque_constant,
             0x006: self._position, 0x007: motor.torque * motor.velocity, 0x00A: self.thermal.winding, 0x00B: 1.0,
-            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._fault_code, 0x033: commanded,
-            0x034: commanded, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN_RAD, 0x03A: commanded,
-            0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
+            0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._fault_code, 0x033: commanded_torque,
+            0x034: commanded_torque, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN_RAD,
+            0x03A: commanded_torque,
+            0x03D: torque - commanded_torque, 0x050: self._position, 0x051: velocity,
             0x070: self._t_ns // 1_000_000 % 8388608,
         }  # fmt: skip
         return values.get(register, 0.0)
@@ -435,18 +436,18 @@ class MoteusNode:
             self._peak, self._configuration_item("servo.max_current_A") * self._torque_constant
         )
         largest = peak if math.isnan(limit) else min(peak, abs(limit))
-        finite = torque if math.isfinite(torque) else 0.0
-        if not self.command[reg.IGNORE_BOUNDS]:
+        finite_torque = torque if math.isfinite(torque) else 0.0
+        if not self.command[reg.IGNORE_POSITION_BOUNDS]:
             if self._position > self._configuration_item("servopos.position_max"):
-                finite = min(0.0, finite)
+                finite_torque = min(0.0, finite_torque)
             if self._position < self._configuration_item("servopos.position_min"):
-                finite = max(0.0, finite)
-        self.fault = MAX_TORQUE_LIMITS if abs(finite) > largest else 0
+                finite_torque = max(0.0, finite_torque)
+        self.fault = MAX_TORQUE_LIMITS if abs(finite_torque) > largest else 0
         servo.kp = kp
         servo.kd = kd
         servo.position = sign * (position * TURN_RAD - self.offset)
         servo.velocity = servo.target_speed = sign * velocity * TURN_RAD
-        servo.torque = sign * max(-largest, min(largest, finite))
+        servo.torque = sign * max(-largest, min(largest, finite_torque))
         servo.limit = largest
 
     def trip(self, fault: int) -> None:
@@ -464,11 +465,11 @@ class MoteusNode:
         """Restart in the mode *stopped*, with the stored configuration."""
         self._stop()
         self.command = dict(reg.REGISTER_DEFAULTS)
-        self.channel.forget()
+        self.channel.restore_saved()
 
     def lose_settings(self) -> None:
         """Restore the stored configuration, but keep the present mode."""
-        self.channel.forget()
+        self.channel.restore_saved()
 
     @property
     def _timeout_ns(self) -> int:
@@ -480,17 +481,17 @@ class MoteusNode:
 
     def _schedule(self) -> None:
         """Set the time of the next call of ``wake``."""
-        due = [self._thermal_ns + THERMAL_PERIOD_NS]
+        due_times = [self._thermal_ns + THERMAL_PERIOD_NS]
         if self.mode in (ENABLING, CALIBRATING, CALIBRATED):
-            due.append(self._enabling_ns + ENABLING_NS)
+            due_times.append(self._enabling_ns + ENABLING_DURATION_NS)
         if self.mode in (POSITION, STAY_WITHIN_MODE) and self._timeout_ns:
-            due.append(self.watchdog_fed_ns + self._timeout_ns + 1)
-        self.wake_ns = min(due)
+            due_times.append(self.watchdog_fed_ns + self._timeout_ns + 1)
+        self.wake_ns = min(due_times)
 
     def wake(self, t_ns: int) -> None:
         """Do the work that is due: end of the preparation, watchdog and temperatures."""
         self._t_ns = t_ns
-        if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
+        if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_DURATION_NS:
             self._start_mode()
         timeout_ns = self._timeout_ns
         if (
@@ -498,7 +499,7 @@ class MoteusNode:
             and timeout_ns
             and t_ns - self.watchdog_fed_ns > timeout_ns
         ):
-            self._time_out()
+            self._enter_timeout_mode()
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             self._update_thermal(t_ns)
         self._schedule()
@@ -509,16 +510,20 @@ class MoteusNode:
         In position mode, a position outside of its limits is a fault.
         """
         position = self._position
-        outside = position < self._configuration_item(
+        is_outside = position < self._configuration_item(
             "servopos.position_min"
         ) or position > self._configuration_item("servopos.position_max")
-        if self._next_mode == POSITION and outside and not self.command[reg.IGNORE_BOUNDS]:
-            self.trip(OUTSIDE_LIMIT)
+        if (
+            self._next_mode == POSITION
+            and is_outside
+            and not self.command[reg.IGNORE_POSITION_BOUNDS]
+        ):
+            self.trip(OUTSIDE_LIMIT_FAULT)
             return
         self.mode = self._next_mode
         self._follow_mode()
 
-    def _time_out(self) -> None:
+    def _enter_timeout_mode(self) -> None:
         """Enter the mode *timeout*.
 
         An item of the configuration selects the effect of this mode.
@@ -542,8 +547,8 @@ class MoteusNode:
             self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self._thermal_ns = t_ns
-        too_hot = self.thermal.winding > self._configuration_item(
+        is_overheated = self.thermal.winding > self._configuration_item(
             "servo.motor_fault_temperature"
         ) or self.thermal.mosfet > self._configuration_item("servo.fault_temperature")
-        if too_hot and self.mode not in (STOPPED, FAULT):
+        if is_overheated and self.mode not in (STOPPED, FAULT):
             self.trip(OVER_TEMPERATURE)

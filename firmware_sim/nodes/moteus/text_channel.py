@@ -28,7 +28,7 @@ FACTORY_CONFIGURATION: dict[str, float] = {
     "motor_position.rotor_to_output_ratio": 1.0,
 }
 """Configuration items of a calibrated drive as delivered. The simulation has no other items."""
-INTEGER_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
+INTEGER_CONFIGURATION_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
 """Configuration items whose values are integers."""
 MAX_COMMAND_LINE_BYTES = 256
 """Size of the drive's line buffer [bytes]. A longer line is dropped."""
@@ -73,7 +73,7 @@ class TextChannel:
         self.out = self.out[max_bytes:]
         return part
 
-    def forget(self) -> None:
+    def restore_saved(self) -> None:
         """Load the stored configuration, and empty the channel, as a restart does."""
         self.items = dict(self.saved)
         self.out = self._line = b""
@@ -82,7 +82,7 @@ class TextChannel:
         """Execute a command line, and return the answer without its line end."""
         match command_words:
             case ["conf", "get", name]:
-                return self._item_text(name) if name in self.items else "ERR error reading"
+                return self._configuration_text(name) if name in self.items else "ERR error reading"
             case ["conf", "set", name, value]:
                 return self._set_item(name, value)
             case ["conf", "write"]:
@@ -99,10 +99,10 @@ class TextChannel:
                 return "ERR unknown command"
         return "OK"
 
-    def _item_text(self, name: str) -> str:
+    def _configuration_text(self, name: str) -> str:
         """Return the value of a configuration item as the drive prints it."""
         value = self.items[name]
-        return f"{int(value)}" if name in INTEGER_ITEMS else f"{value:f}"
+        return f"{int(value)}" if name in INTEGER_CONFIGURATION_ITEMS else f"{value:f}"
 
     def _set_item(self, name: str, text: str) -> str:
         """Set a configuration item and return the answer to the host."""
@@ -113,7 +113,7 @@ class TextChannel:
         if (
             name not in self.items
             or math.isinf(value)
-            or (name in INTEGER_ITEMS and not value.is_integer())
+            or (name in INTEGER_CONFIGURATION_ITEMS and not value.is_integer())
         ):
             return "ERR error setting"
         self.items[name] = value

@@ -5,7 +5,7 @@ from typing import Any
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.odrive.node import OdriveNode, OdriveNodeRow
-from firmware_sim.nodes.protocol_spec import ODRIVE_KIND, UNADDRESSED_FRAME, ProtocolSpec, ShaftSpec
+from firmware_sim.nodes.protocol_spec import FRAME_FOR_NO_NODE, ODRIVE_KIND, ProtocolSpec, ShaftSpec
 
 ENDPOINT_NUMBERS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
@@ -41,14 +41,14 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the commands Estop and Set_Axis_State(IDLE) by a frame that no node receives."""
     command = frame.can_id & 0x1F
-    releases = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
-    return UNADDRESSED_FRAME if releases else frame
+    is_release_command = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
+    return FRAME_FOR_NO_NODE if is_release_command else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of an endpoint by 1 in the reply to a read request."""
-    matches = frame.can_id & 0x1F == 0x05 and len(frame.data) == 8
-    return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
+    is_corrupted = frame.can_id & 0x1F == 0x05 and len(frame.data) == 8
+    return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if is_corrupted else frame
 
 
 def _force_command(node: OdriveNode, frame: Frame) -> None:

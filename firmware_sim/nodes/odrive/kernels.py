@@ -104,11 +104,11 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
     torque = torque if torque > node.torque_min else node.torque_min
     torque = torque if torque < node.torque_max else node.torque_max
     servo.torque = node.direction * node.gear * torque
-    limit_speed(node, servo)
+    trip_at_speed_limit(node, servo)
 
 
 @kernel_helper
-def limit_speed(node: Any, servo: Any) -> None:
+def trip_at_speed_limit(node: Any, servo: Any) -> None:
     """Set the speed limit of the servo, and the gain with which the limit acts.
 
     Speed limit and gain act in every control mode of an ODrive.
@@ -158,7 +158,7 @@ def schedule_wake(node: Any) -> None:
 
 
 @kernel_helper
-def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
+def next_period_ns(due_ns: int, t_ns: int, period_ns: int) -> int:
     """Return the next due time of a cyclic message after it was sent [ns].
 
     Args:

@@ -109,15 +109,15 @@ class MotionModes:
         self.input_position = self.input_velocity = 0.0
         self.done = False
         self._setpoint = MotionSetpoint()
-        self._at_spool = MotionSetpoint()
+        self._position_at_spool = MotionSetpoint()
         self._torque = 0.0
         self._cascade = CascadeController(node.motor)
         self._updated_ns = 0
 
     def set(self, command: int, values: tuple[float, ...]) -> None:
         """Apply the settings of a message, if all its values are possible."""
-        lowest = 0.0 if command in _MESSAGES_THAT_ALLOW_ZERO else math.ulp(0.0)
-        if all(lowest <= value < math.inf for value in values):
+        min_value = 0.0 if command in _MESSAGES_THAT_ALLOW_ZERO else math.ulp(0.0)
+        if all(min_value <= value < math.inf for value in values):
             self.settings = self.settings._replace(
                 **dict(zip(_FIELDS_BY_MESSAGE[command], values, strict=True))
             )
@@ -143,26 +143,28 @@ class MotionModes:
         self.input_position = position_in_turns(node, node.motor.encoder())
         self.input_velocity = 0.0
         node.setpoint = self._torque = 0.0
-        self._setpoint.jump(self.input_position)
+        self._setpoint.set_immediately(self.input_position)
         self._cascade.integral = 0.0
         self.done = False
         self._updated_ns = t_ns
-        plain = node.control_mode == TORQUE_CONTROL and node.input_mode == PASSTHROUGH_MODE
-        node.motion_due_ns = 0 if plain else max(1, t_ns)
+        is_plain_torque = (
+            node.control_mode == TORQUE_CONTROL and node.input_mode == PASSTHROUGH_MODE
+        )
+        node.motion_due_ns = 0 if is_plain_torque else max(1, t_ns)
         self.advance(t_ns)
 
-    def advance(self, t_ns: int, update_now: bool = False) -> None:
+    def advance(self, t_ns: int, forces_update: bool = False) -> None:
         """Update the setpoint and the servo if the update is due.
 
         Args:
             t_ns: present time [ns].
-            update_now: True to use new inputs at once, even if no update is due.
+            forces_update: True to use new inputs at once, even if no update is due.
         """
         node = self._node
         if (
             node.motion_due_ns == 0
             or node.state != CLOSED_LOOP
-            or (t_ns < node.motion_due_ns and not update_now)
+            or (t_ns < node.motion_due_ns and not forces_update)
         ):
             return
         step_s = (t_ns - self._updated_ns) * 1e-9
@@ -190,7 +192,7 @@ class MotionModes:
         settings = self.settings
         mode = node.input_mode
         if mode == PASSTHROUGH_MODE:
-            setpoint.jump(self.input_position, self.input_velocity)
+            setpoint.set_immediately(self.input_position, self.input_velocity)
             self._torque = node.setpoint
         elif mode == VELOCITY_RAMP:
             rate = node.endpoint_float(VELOCITY_RAMP_RATE)
@@ -211,14 +213,14 @@ class MotionModes:
         node = self._node
         settings = self.settings
         scale = node.direction * TURN_RAD / node.gear
-        self._at_spool.jump(
+        self._position_at_spool.set_immediately(
             node.direction * (self._setpoint.position * TURN_RAD - node.offset) / node.gear,
             self._setpoint.velocity * scale,
         )
         position_gain = settings.position_gain if node.control_mode == POSITION_CONTROL else 0.0
-        to_spool = node.gear**2 / TURN_RAD
+        spool_sign = node.gear**2 / TURN_RAD
         gains = LoopGains(
-            position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool
+            position_gain, settings.velocity_gain * spool_sign, settings.integral_gain * spool_sign
         )
         # The drive has a torque limit for each direction. The servo has one limit for both
         # directions. So the smaller of both limits is used.
@@ -226,4 +228,4 @@ class MotionModes:
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
         speed = node.velocity_limit * TURN_RAD / node.gear
         torque = node.direction * node.gear * self._torque
-        self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
+        self._cascade.regulate(self._position_at_spool, gains, speed, limit, step_s, torque)

@@ -39,7 +39,7 @@ Choices where the fact sheet has only an assumption:
 - The hand file gives the numbers of the endpoints.
 - With the option ``confirms_writes``, the axis has firmware 0.6.11, which confirms the write of an
   endpoint. The confirmation is a TxSdo without a value.
-- A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
+- A calibration takes ``CALIBRATION_DURATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
 - The module ``motion_modes`` has position control, velocity control and their input modes.
 """
@@ -58,7 +58,7 @@ from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     TURN_RAD,
     OdriveStruct,
-    next_due,
+    next_period_ns,
     position_in_turns,
     schedule_wake,
     set_torque,
@@ -73,9 +73,9 @@ from firmware_sim.nodes.odrive.motion_modes import (
 )
 from firmware_sim.plant.motor import Motor
 
-MISSING_INPUT = 1 << 6
+MISSING_INPUT_ERROR = 1 << 6
 """Error bit: a setpoint is not finite."""
-MOTOR_HOT = 1 << 13
+MOTOR_OVERHEATED_ERROR = 1 << 13
 """Error bit: over-temperature of the motor."""
 WATCHDOG_ERROR = 1 << 24
 """Error bit: the watchdog has fired."""
@@ -93,7 +93,7 @@ INVALID_STATE = 13
 """Procedure result: the requested state is not possible."""
 NOT_CALIBRATED = 14
 """Procedure result: closed loop needs a calibration first."""
-CALIBRATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
+CALIBRATION_DURATION_NS = {3: 4_000_000_000, 4: 2_000_000_000, 7: 2_000_000_000}
 """Duration of each calibration (full, motor, encoder offset) by its axis state [ns].
 
 The durations are assumptions.
@@ -102,13 +102,13 @@ COUNTS_PER_TURN = 8192
 """Encoder counts of one turn: the vendor's default of firmware 0.5."""
 BROADCAST_NUMBER = 0x3F
 """Node number of messages to all nodes."""
-HEARTBEAT_MS = 100
+HEARTBEAT_PERIOD_MS = 100
 """Vendor's default period of the heartbeat [ms]."""
-ENCODER_MS = 10
+ENCODER_PERIOD_MS = 10
 """Vendor's default period of the encoder estimates [ms]."""
 FIRST_SERIAL_NUMBER = 0x0D_5A_11_00_00_00
 """Serial number of node 0. Other nodes add their node number."""
-HOT_C = 120.0
+OVERHEATING_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
 _MIN_PAYLOAD_BYTES = {
     0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8,
@@ -118,8 +118,8 @@ _MIN_PAYLOAD_BYTES = {
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
 """Command numbers of the Get messages that firmware 0.5.x answers."""
 _LEGACY_ERRORS = {
-    MISSING_INPUT: 1 << 0,
-    MOTOR_HOT: 1 << 6,
+    MISSING_INPUT_ERROR: 1 << 0,
+    MOTOR_OVERHEATED_ERROR: 1 << 6,
     WATCHDOG_ERROR: 1 << 11,
     ESTOP_ERROR: 1 << 14,
 }
@@ -150,7 +150,7 @@ class OdriveNode:
         velocity_gain: gain of the velocity loop [N m s/turn].
         thermal: temperatures of motor and drive.
         ids: None, because the node answers many identifiers.
-        malformed: number of frames that the node could not decode.
+        malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last setpoint [ns].
         thermal_ns: time of the last update of the temperatures [ns].
@@ -223,13 +223,15 @@ class OdriveNode:
         self._factory = self._storable_settings()
         self._saved = self._factory
         self.setpoint = 0.0
-        self.heartbeat_period_ns = HEARTBEAT_MS * 1_000_000
-        self.encoder_period_ns = int(options.get("encoder_period_ms", ENCODER_MS)) * 1_000_000
+        self.heartbeat_period_ns = HEARTBEAT_PERIOD_MS * 1_000_000
+        self.encoder_period_ns = (
+            int(options.get("encoder_period_ms", ENCODER_PERIOD_MS)) * 1_000_000
+        )
         self.heartbeat_due_ns = self.encoder_due_ns = 0
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
-        self._update_derived()
-        self.malformed = 0
+        self._update_derived_values()
+        self.malformed_frame_count = 0
         self.wake_ns = 0
 
     def _set_modes(self, control_mode: int, input_mode: int) -> None:
@@ -237,7 +239,7 @@ class OdriveNode:
         self.control_mode = control_mode
         self.input_mode = input_mode
 
-    def _update_derived(self) -> None:
+    def _update_derived_values(self) -> None:
         """Update the attributes derived from endpoints."""
         self.torque_min, self.torque_max = (
             self._endpoint_limit("torque_min", -math.inf),
@@ -269,15 +271,15 @@ class OdriveNode:
         if node not in (self.node_id, BROADCAST_NUMBER) or frame.flags & FDF:
             return None
         if frame.can_id & REMOTE_FLAG or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
-            return self._answer_remote(node, command)
+            return self._answer_remote_frame(node, command)
         if command not in _MIN_PAYLOAD_BYTES:
             return [] if node == self.node_id else None
         if len(frame.data) < _MIN_PAYLOAD_BYTES[command]:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         return self._execute_message(command, frame.data, t_ns)
 
-    def _answer_remote(self, node: int, command: int) -> list[Frame]:
+    def _answer_remote_frame(self, node: int, command: int) -> list[Frame]:
         """Answer a request for a Get message.
 
         Only the request for Get_Address may be a broadcast.
@@ -353,10 +355,10 @@ class OdriveNode:
         """
         if state == IDLE_STATE:
             self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
-        elif self._can_calibrate(state):
+        elif self._is_calibration_possible(state):
             self.state = state
             self.result = BUSY_RESULT
-            self.busy_until_ns = t_ns + CALIBRATION_NS[state]
+            self.busy_until_ns = t_ns + CALIBRATION_DURATION_NS[state]
         elif state == CLOSED_LOOP and not self.calibrated:
             self.result = NOT_CALIBRATED
         elif state != CLOSED_LOOP or self.active_errors or self.disarm_reason:
@@ -367,10 +369,10 @@ class OdriveNode:
             self.watchdog_fed_ns = t_ns
             self.motion.start(t_ns)
 
-    def _can_calibrate(self, state: int) -> bool:
+    def _is_calibration_possible(self, state: int) -> bool:
         """Return True if an axis state is a calibration that may start now."""
         has_error = self.active_errors or self.disarm_reason
-        return state in CALIBRATION_NS and self.state == IDLE_STATE and not has_error
+        return state in CALIBRATION_DURATION_NS and self.state == IDLE_STATE and not has_error
 
     def _set_mode(self, control_mode: int, input_mode: int) -> None:
         """Set the control mode and the input mode, but only while the axis is idle."""
@@ -392,10 +394,10 @@ class OdriveNode:
     def _set_torque(self, torque: float, t_ns: int) -> None:
         """Set a torque setpoint [N m], or disarm the axis if the setpoint is not finite."""
         if not math.isfinite(torque):
-            self.disarm(MISSING_INPUT)
+            self.disarm(MISSING_INPUT_ERROR)
             return
         set_torque(self, self.motor.servo, torque, t_ns)
-        self.motion.advance(t_ns, update_now=True)
+        self.motion.advance(t_ns, forces_update=True)
 
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
@@ -408,16 +410,16 @@ class OdriveNode:
         else:
             values = (self.motion.input_position, *struct.unpack("<ff", data))
         if not all(map(math.isfinite, values)):
-            self.disarm(MISSING_INPUT)
+            self.disarm(MISSING_INPUT_ERROR)
             return
         self.motion.take(command == 0x0C, *values[:2])
         set_torque(self, self.motor.servo, values[2], t_ns)
-        self.motion.advance(t_ns, update_now=True)
+        self.motion.advance(t_ns, forces_update=True)
 
     def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint, or the default if the hand file does not give its number."""
-        raw = self.endpoints.get(self._numbers[name])
-        return float(struct.unpack("<f", raw)[0]) if raw else default
+        raw_limit = self.endpoints.get(self._numbers[name])
+        return float(struct.unpack("<f", raw_limit)[0]) if raw_limit else default
 
     def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
@@ -436,17 +438,20 @@ class OdriveNode:
         """
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
-        stored = self.endpoints.get(endpoint)
-        if stored is None or operation > 1 or self.legacy:
+        stored_value = self.endpoints.get(endpoint)
+        if stored_value is None or operation > 1 or self.legacy:
             return []
         if operation == 1:
-            if len(data) - 4 >= len(stored):
-                self.endpoints[endpoint] = data[4 : 4 + len(stored)]
-                self._update_derived()
+            if len(data) - 4 >= len(stored_value):
+                self.endpoints[endpoint] = data[4 : 4 + len(stored_value)]
+                self._update_derived_values()
             confirmation = b"\0" + endpoint.to_bytes(2, "little") + b"\0"
             return [Frame(self.node_id << 5 | 0x05, confirmation)] if self._confirms_writes else []
         return [
-            Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)
+            Frame(
+                self.node_id << 5 | 0x05,
+                b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored_value,
+            )
         ]
 
     def _set_position(self, data: bytes) -> None:
@@ -482,14 +487,14 @@ class OdriveNode:
 
     def lose_settings(self) -> None:
         """Restore the saved settings, but keep the axis state."""
-        saved = self._saved
-        self.velocity_limit = saved["velocity_limit"]
-        self.current_limit = saved["current_limit"]
-        self.motion.settings = saved["motion"]
+        saved_settings = self._saved
+        self.velocity_limit = saved_settings["velocity_limit"]
+        self.current_limit = saved_settings["current_limit"]
+        self.motion.settings = saved_settings["motion"]
         self.velocity_gain = self.motion.settings.velocity_gain
-        self.calibrated = saved["calibrated"]
-        self.endpoints = dict(saved["endpoints"])
-        self._update_derived()
+        self.calibrated = saved_settings["calibrated"]
+        self.endpoints = dict(saved_settings["endpoints"])
+        self._update_derived_values()
 
     def _release_axis(self, procedure_result: int) -> None:
         """Enter the axis state idle with a procedure result. The motor turns freely."""
@@ -522,10 +527,12 @@ class OdriveNode:
         frames = []
         if t_ns >= self.heartbeat_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat_payload()))
-            self.heartbeat_due_ns = next_due(self.heartbeat_due_ns, t_ns, self.heartbeat_period_ns)
+            self.heartbeat_due_ns = next_period_ns(
+                self.heartbeat_due_ns, t_ns, self.heartbeat_period_ns
+            )
         if t_ns >= self.encoder_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x09, self._get_payload(0x09)))
-            self.encoder_due_ns = next_due(self.encoder_due_ns, t_ns, self.encoder_period_ns)
+            self.encoder_due_ns = next_period_ns(self.encoder_due_ns, t_ns, self.encoder_period_ns)
         schedule_wake(self)
         return frames
 
@@ -534,12 +541,17 @@ class OdriveNode:
         if self.legacy:
             errors = sum(
                 legacy
-                for new, legacy in _LEGACY_ERRORS.items()
-                if (self.active_errors | self.disarm_reason) & new
+                for new_error, legacy in _LEGACY_ERRORS.items()
+                if (self.active_errors | self.disarm_reason) & new_error
             )
             done = self.motion.done << 7
             return struct.pack(
-                "<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, done
+                "<IBBBB",
+                errors,
+                self.state,
+                errors == _LEGACY_ERRORS[MOTOR_OVERHEATED_ERROR],
+                0,
+                done,
             )
         errors = self.active_errors | self.disarm_reason
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
@@ -550,8 +562,8 @@ class OdriveNode:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self.thermal_ns = t_ns
-        if self.thermal.winding > HOT_C and self.state == CLOSED_LOOP:
-            self.disarm(MOTOR_HOT)
+        if self.thermal.winding > OVERHEATING_C and self.state == CLOSED_LOOP:
+            self.disarm(MOTOR_OVERHEATED_ERROR)
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):

@@ -7,7 +7,7 @@ from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.nodes.robstride.node import (
     DEFAULT_TYPE,
-    FULL_SCALE,
+    FULL_SCALE_BY_MOTOR_TYPE,
     POSITION_RANGE,
     RobstrideNode,
 )
@@ -18,7 +18,7 @@ INERTIA_PER_TORQUE = 2e-4
 
 def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model."""
-    velocity, peak, _, _ = FULL_SCALE[motor_type]
+    velocity, peak, _, _ = FULL_SCALE_BY_MOTOR_TYPE[motor_type]
     return ShaftSpec(
         peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type}
     )
@@ -34,14 +34,14 @@ def _corrupt_command(frame: Frame) -> Frame:
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame
-    limp = EXTENDED_FLAG | 1 << 24 | 0x7FFF00 | number & 0xFF
-    return frame._replace(can_id=limp, data=b"\x7f\xff\x7f\xff\0\0\0\0")
+    zero_torque_id = EXTENDED_FLAG | 1 << 24 | 0x7FFF00 | number & 0xFF
+    return frame._replace(can_id=zero_torque_id, data=b"\x7f\xff\x7f\xff\0\0\0\0")
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the torque limit by 1 N m in the reply to a read request."""
-    matches = (frame.can_id & ~EXTENDED_FLAG) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
-    return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
+    is_corrupted = (frame.can_id & ~EXTENDED_FLAG) >> 24 == 0x11 and frame.data[:2] == b"\x0b\x70"
+    return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if is_corrupted else frame
 
 
 def _force_command(node: RobstrideNode, frame: Frame) -> None:

@@ -47,7 +47,7 @@ POSITION_RANGE = 12.57
 """Largest position in the frames of MIT mode [rad]."""
 FACTORY_HOST = 0
 """Number of the host in a motor as delivered."""
-HOST_OFFSET = 0x10
+HOST_ID_OFFSET = 0x10
 """The host's number minus the motor's number, if the hand file does not give ``host_id``."""
 _SPECIAL_COMMAND_START = b"\xff" * 6
 """First six bytes of a special command."""
@@ -71,7 +71,7 @@ class RobstrideMitNode(RobstrideNode):
             offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         """
         super().__init__(spec, motor, offset)
-        self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_OFFSET))
+        self.host_id = int(spec.options.get("host_id", spec.node_id + HOST_ID_OFFSET))
         self.next_protocol = 2
         counts = int(spec.options.get("can_timeout", 0))
         self._saved[0x7028] = struct.pack("<I", counts)
@@ -84,12 +84,12 @@ class RobstrideMitNode(RobstrideNode):
         Returns:
             The answers, or None if the frame is not for the motor.
         """
-        wrong = frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG) or frame.flags & FDF
-        if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
+        is_other_frame = frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG) or frame.flags & FDF
+        if is_other_frame or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
             return None
         data = frame.data
         if len(data) != 8:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         if frame.can_id >> 8:
             return [self._feedback_frame(frame)]
@@ -108,25 +108,25 @@ class RobstrideMitNode(RobstrideNode):
 
         Byte 6 of the frame is either FF, or a value that belongs to the command.
         """
-        plain = data_area == 0xFF
-        if command_code == 0xFB and not plain:
+        is_plain_request = data_area == 0xFF
+        if command_code == 0xFB and not is_plain_request:
             return [
                 Frame(
                     self.host_id,
                     bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3),
                 )
             ]
-        if command_code == 0xFC and plain:
+        if command_code == 0xFC and is_plain_request:
             self._enable(b"", t_ns)
         elif command_code == 0xFC and data_area <= 2:
             self._set_run_mode(data_area)
-        elif command_code == 0xFD and plain:
+        elif command_code == 0xFD and is_plain_request:
             self._stop(clear_faults=False)
         elif command_code == 0xFB:
             # LeRobot sends this command repeatedly to running motors. So the command must not stop
             # a motor.
             self.fault = 0
-        elif command_code == 0xFE and plain:
+        elif command_code == 0xFE and is_plain_request:
             self.offset = -self._direction * self.motor.encoder()
         else:
             return self._change_configuration(data_area, command_code)
@@ -150,7 +150,7 @@ class RobstrideMitNode(RobstrideNode):
         elif data_area == 0xFD and command_code < 0x80:
             self.host_id = command_code
         else:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         return [Frame(node_id, self._serial.to_bytes(8, "big"))]
 
@@ -158,7 +158,7 @@ class RobstrideMitNode(RobstrideNode):
     def _fault_word(self) -> int:
         """Return the present faults, coded as in a fault report."""
         return (
-            sum(reported for bit, reported in FAULT_REPORT_BITS.items() if self.fault & bit)
+            sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if self.fault & bit)
             | self.fault >> REPORT_SHIFT
         )
 

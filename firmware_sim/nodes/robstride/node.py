@@ -36,7 +36,7 @@ from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
-FULL_SCALE = {
+FULL_SCALE_BY_MOTOR_TYPE = {
     "rs00": (33.0, 14.0, 500.0, 5.0),
     "rs01": (44.0, 17.0, 500.0, 5.0),
     "rs02": (44.0, 17.0, 500.0, 5.0),
@@ -71,7 +71,7 @@ Faults with higher bits appear only in the fault report, see ``REPORT_SHIFT``.
 """
 REPORT_SHIFT = 8
 """Number of the fault bit that corresponds to bit 0 of the fault report."""
-HOT_C = 135.0
+OVERHEATING_C = 135.0
 """Winding temperature above which the motor reports a fault [degC]."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
@@ -119,7 +119,7 @@ class RobstrideNode:
         thermal: temperatures of the motor and the drive.
         offset: angle in the frames of the motor when the spool angle theta is 0 [rad].
         ids: None, because the node answers many identifiers.
-        malformed: number of frames that the node could not decode.
+        malformed_frame_count: number of frames that the node could not decode.
         wake_ns: time of the next call of ``wake`` [ns].
         watchdog_fed_ns: time of the last command [ns].
     """
@@ -139,11 +139,11 @@ class RobstrideNode:
         self.thermal = DriveTemperatures(spec.torque_constant)
         self.mode = RESET_MODE
         self.fault = 0
-        self.malformed = 0
+        self.malformed_frame_count = 0
         self.wake_ns = 0
         self.watchdog_fed_ns = 0
         model = str(spec.options.get("motor_type", DEFAULT_TYPE))
-        self._velocity, self._torque, self._kp, self._kd = FULL_SCALE[model]
+        self._velocity, self._torque, self._kp, self._kd = FULL_SCALE_BY_MOTOR_TYPE[model]
         self._direction = spec.direction
         self._peak = spec.torque_peak
         self._torque_constant = spec.torque_constant
@@ -192,7 +192,7 @@ class RobstrideNode:
         if kind == 2 or kind == 0x15:
             return None
         if len(frame.data) != 8:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         if kind == 1:
             self._follow_control_command(number >> 8 & 0xFFFF, frame.data, t_ns)
@@ -219,7 +219,7 @@ class RobstrideNode:
             0x16: self._save_parameters,
         }
         if frame_type not in requests:
-            self.malformed += 1
+            self.malformed_frame_count += 1
             return []
         requests[frame_type](frame.data, t_ns)
         return [self._feedback_frame(frame)]
@@ -289,8 +289,10 @@ class RobstrideNode:
         value = self.parameters.get(number)
         if value is None and number in READ_ONLY_PARAMETERS:
             value = struct.pack("<f", self._measured_parameter(number))
-        head = EXTENDED_FLAG | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
-        return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
+        reply_id = (
+            EXTENDED_FLAG | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
+        )
+        return Frame(reply_id, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
     def _measured_parameter(self, parameter: int) -> float:
         """Return the present value of a measured parameter."""
@@ -306,15 +308,15 @@ class RobstrideNode:
     def _write_parameter(self, data: bytes, _t_ns: int) -> None:
         """Write a parameter. Unknown parameters, and values out of range, are ignored."""
         number = int.from_bytes(data[:2], "little")
-        coding = WRITABLE_PARAMETERS.get(number)
-        if coding is None:
+        value_coding = WRITABLE_PARAMETERS.get(number)
+        if value_coding is None:
             return
-        (value,) = struct.unpack_from(f"<{coding}", data, 4)
+        (value,) = struct.unpack_from(f"<{value_coding}", data, 4)
         if number == 0x7005 and (value not in (0, 1, 2, 3, 5) or self.mode == RUN_MODE):
             return
         if number == 0x700B and not 0.0 <= value <= self._torque:
             return
-        self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
+        self.parameters[number] = struct.pack(f"<{value_coding}", value).ljust(4, b"\0")
 
     def _feedback_frame(self, frame: Frame) -> Frame:
         """Return the feedback frame for the host that has sent the latest request."""
@@ -379,7 +381,7 @@ class RobstrideNode:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
             self.motor.heat = 0.0
             self._thermal_ns = t_ns
-            if self.thermal.winding > HOT_C and not self.fault & HOT_FAULT:
+            if self.thermal.winding > OVERHEATING_C and not self.fault & HOT_FAULT:
                 self.trip(HOT_FAULT)
         reports = [self._fault_report_frame(fault) for fault in self._reports]
         self._reports.clear()
@@ -389,10 +391,10 @@ class RobstrideNode:
     def _fault_report_frame(self, fault: int) -> Frame:
         """Return the frame that reports faults."""
         bits = (
-            sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit)
+            sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if fault & bit)
             | fault >> REPORT_SHIFT
         )
-        warning = int(self.thermal.winding > HOT_C)
+        warning = int(self.thermal.winding > OVERHEATING_C)
         return Frame(
             EXTENDED_FLAG | 0x15 << 24 | self.node_id << 8 | self._host,
             struct.pack("<II", bits, warning),

@@ -94,17 +94,21 @@ def campaign_scenarios(
     sample. Another seed selects another sample.
     """
     period_ms = 1e3 / rate_hz
-    selected = scenarios_of_hand(hand, protocol, period_ms)
+    selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)
     if row_ids:
-        return [scenario for scenario in selected if scenario.row.id in row_ids]
-    selected += fault_pairs(hand, protocol, period_ms)
-    return selected[seed % QUICK_SCENARIO_STEP :: QUICK_SCENARIO_STEP] if is_quick else selected
+        return [scenario for scenario in selected_scenarios if scenario.row.id in row_ids]
+    selected_scenarios += fault_pairs(hand, protocol, period_ms)
+    return (
+        selected_scenarios[seed % QUICK_SCENARIO_STEP :: QUICK_SCENARIO_STEP]
+        if is_quick
+        else selected_scenarios
+    )
 
 
 def run_campaign(
     name: str,
     protocols: Iterable[str],
-    rate_of: Callable[[Hand], float],
+    rate_of_hand: Callable[[Hand], float],
     *,
     jobs: int,
     is_quick: bool,
@@ -120,7 +124,7 @@ def run_campaign(
     Args:
         name: name of the hand.
         protocols: drive protocols to test, one after the other.
-        rate_of: function that returns the control rate of a hand [Hz].
+        rate_of_hand: function that returns the control rate of a hand [Hz].
         jobs: number of processes that run at the same time.
         is_quick: True to run only a sample of the scenarios.
         fault_free_s: simulated time of the runs without faults, for each protocol [s].
@@ -134,7 +138,7 @@ def run_campaign(
     report = CampaignReport(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
-        rate = report.control_rates_hz[protocol] = rate_of(hand)
+        rate = report.control_rates_hz[protocol] = rate_of_hand(hand)
         scenarios_to_run = (
             []
             if fault_free_only
@@ -154,9 +158,16 @@ def run_campaign(
             on_progress(protocol, len(results), total)
 
         if scenarios_to_run:
-            attempt = partial(run_scenario, protocol=protocol)
+            run_protocol_scenario = partial(run_scenario, protocol=protocol)
             run_experiments(
-                hand, rate, scenarios_to_run, jobs, attempt, add_result, on_failure, seed
+                hand,
+                rate,
+                scenarios_to_run,
+                jobs,
+                run_protocol_scenario,
+                add_result,
+                on_failure,
+                seed,
             )
         # A quick campaign also contains the runs without faults, because false alarms are as bad as
         # missed faults.
@@ -185,20 +196,21 @@ def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1)
                     f"deaf bus={bus} p={FRAME_LOSS_PROBABILITY} seed={seed}"
                 )
             alarms_before = len(alarms)
-            ended = False
-            while remaining_s > 0.0 and not ended:
-                out = simulation.run_tick()
+            has_ended = False
+            while remaining_s > 0.0 and not has_ended:
+                tick_output = simulation.run_tick()
                 remaining_s -= simulation.period_ns * 1e-9
                 alarms += [
                     event.text
-                    for event in out.events
-                    if event.name == "fault" and _is_hold_or_more(event)
+                    for event in tick_output.events
+                    if event.name == "fault" and _demands_hold_or_stop(event)
                 ]
-                ended = (
-                    out.mode == HandMode.DONE or simulation.k * simulation.period_ns >= MAX_RUN_NS
+                has_ended = (
+                    tick_output.mode == HandMode.DONE
+                    or simulation.k * simulation.period_ns >= MAX_RUN_NS
                 )
             if (
-                ended
+                has_ended
                 and len(alarms) == alarms_before
                 and simulation.last_output
                 and simulation.last_output.phase != LAST_PHASE
@@ -210,7 +222,7 @@ def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1)
     return alarms
 
 
-def _is_hold_or_more(event: TickEvent) -> bool:
+def _demands_hold_or_stop(event: TickEvent) -> bool:
     """Return True if the reaction to a fault is HOLD or a more severe one.
 
     The text of the fault event ends with the name of the reaction.

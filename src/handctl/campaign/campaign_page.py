@@ -43,7 +43,7 @@ def write_page(path: Path, report: CampaignReport) -> None:
     """Write the report of a campaign as an HTML page."""
     figures = report.as_json()
     title = f"Fault campaign: {html.escape(report.hand)}"
-    head = "".join(
+    title_cells = "".join(
         f"<tr><th>{html.escape(label)}</th><td class=n>{value}</td></tr>"
         for label, value in (
             ("scenarios", figures["scenarios"]),
@@ -56,15 +56,19 @@ def write_page(path: Path, report: CampaignReport) -> None:
             ("simulated without faults [s]", f"{figures['false_alarm_run_s']:g}"),
         )
     )
-    parts = [f"<h1>{title}</h1><table>{head}</table>"]
+    parts = [f"<h1>{title}</h1><table>{title_cells}</table>"]
     for protocol, results in report.results.items():
         rate = report.control_rates_hz[protocol]
         number = Counter(result.id for result in results)
-        title_ = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
-        parts.append(f"<h2>{title_}</h2>{_html_table(_slowest_of_rows(results), rate, number)}")
-        bad = [result for result in results if not result.ok]
-        if bad:
-            parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
+        table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
+        parts.append(
+            f"<h2>{table_title}</h2>{_html_table(_slowest_of_rows(results), rate, number)}"
+        )
+        failed_results = [result for result in results if not result.ok]
+        if failed_results:
+            parts.append(
+                f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, number)}"
+            )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
         for id_, reason in UNTESTED_ROWS.items()
@@ -76,13 +80,15 @@ def write_page(path: Path, report: CampaignReport) -> None:
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
     """Return, for each row of the fault matrix, the scenario whose reaction was slowest relative to its limit."""
-    slowest: dict[str, ScenarioResult] = {}
+    slowest_by_row: dict[str, ScenarioResult] = {}
     for result in results:
-        current = slowest.get(result.id)
+        current = slowest_by_row.get(result.id)
         if current is None or bound_fraction(result) > bound_fraction(current):
-            slowest[result.id] = result
+            slowest_by_row[result.id] = result
     # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
-    return sorted(slowest.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id))
+    return sorted(
+        slowest_by_row.values(), key=lambda result: ("BNTHI".index(result.id[0]), result.id)
+    )
 
 
 def bound_fraction(result: ScenarioResult) -> float:
@@ -94,21 +100,21 @@ def bound_fraction(result: ScenarioResult) -> float:
 
 
 def _html_table(results: Iterable[ScenarioResult], rate_hz: float, number: Counter[str]) -> str:
-    head = "".join(f"<th>{name}" for name in TABLE_TITLES)
+    title_cells = "".join(f"<th>{name}" for name in TABLE_TITLES)
     rows = "".join(_html_row(result, rate_hz, number[result.id]) for result in results)
-    return f"<table><tr>{head}</tr>{rows}</table>"
+    return f"<table><tr>{title_cells}</tr>{rows}</table>"
 
 
 def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
-    bad = "" if result.ok else " bad"
+    failure_class = "" if result.ok else " bad"
     width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
-    took = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
+    reaction_time_text = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
         f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
-        f"<td class=n>{took}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
-        f'<td><span class="bar{bad}" style="width:{width:.2f}em"></span></td>',
+        f"<td class=n>{reaction_time_text}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
+        f'<td><span class="bar{failure_class}" style="width:{width:.2f}em"></span></td>',
         f"<td class=n>{result.tension:.0f} of {result.tension_bound:.0f} N</td>",
         f"<td class=bad>{html.escape(result.problem)}</td>",
     ]

@@ -48,7 +48,7 @@ POSITION_NOISE_MS = 5.0
 MAX_READABLE_TRIP_N = 0.9 * TENSION_RAIL_N
 """Largest trip tension that a load cell can read without looking saturated (fault T06) [N]."""
 TIME_LIMIT_PERIOD_MS = 2.0
-"""Control period at which a row with ``keeps_time`` has exactly its ``max_ticks`` as time limit [ms]."""
+"""Control period at which a row with ``scales_with_period`` has exactly its ``max_ticks`` as time limit [ms]."""
 HOST_PREFIX = "host "
 """Prefix of the fault texts that concern the host: I/O events, missed ticks, requests."""
 
@@ -76,14 +76,14 @@ class MatrixRow(NamedTuple):
             the protocol.
         extra_ticks: further number of ticks that the reaction may take with some protocols, by the
             name of the protocol. These ticks are added to the time ``extra_ms``.
-        no_cell_ms: further time if the tendon of the fault has no load cell [ms].
+        extra_ms_without_cell: further time if the tendon of the fault has no load cell [ms].
         sensor_frames: number of further frames of the sensor node that the detection needs.
             ``max_ticks`` contains one tick for each of these frames. If the hand has no load cells,
             the sensor node sends only joint frames, and each comes after ``joint_decimation`` ticks.
         force_change_N: variation of the motor force that the detection needs [N]. The time limit
             counts from the instant at which the motor force has varied by this much since the
             fault. If the motor force never varies by this much, no reaction is required.
-        keeps_time: True if the detection waits for a time constant or a delay in milliseconds. At a
+        scales_with_period: True if the detection waits for a time constant or a delay in milliseconds. At a
             control period below ``TIME_LIMIT_PERIOD_MS``, ``max_ticks`` then stands for the same
             time in more ticks.
     """
@@ -98,19 +98,19 @@ class MatrixRow(NamedTuple):
     protocols: tuple[str, ...] = ALL_PROTOCOLS
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
     extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
-    no_cell_ms: float = 0.0
+    extra_ms_without_cell: float = 0.0
     sensor_frames: int = 0
     force_change_N: float = 0.0
-    keeps_time: bool = False
+    scales_with_period: bool = False
 
     def bound_ticks(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
         ticks = self.max_ticks + self.extra_ticks.get(protocol, 0)
-        if self.keeps_time:
+        if self.scales_with_period:
             ticks = math.ceil(ticks * max(1.0, TIME_LIMIT_PERIOD_MS / period_ms))
         return ticks + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
-    def sensing_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
+    def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
         """Return the time that is added to the time limit of a fault because a hand lacks sensors [ticks].
 
         Args:
@@ -123,7 +123,7 @@ class MatrixRow(NamedTuple):
         if not node.tendons:
             ticks += self.sensor_frames * (node.joint_decimation - 1)
         if _lacks_load_cell(hand, fault):
-            ticks += math.ceil(self.no_cell_ms / period_ms)
+            ticks += math.ceil(self.extra_ms_without_cell / period_ms)
         return ticks
 
 
@@ -135,14 +135,14 @@ class FaultScenario(NamedTuple):
         fault: fault text of the row, in which the place holders are filled in.
         stage: stage of the run at which the fault is injected.
         second_fault: text of the second fault of a pair. The text is empty for a single fault.
-        sensing_ticks: addition to the time limit of the row, see ``MatrixRow.sensing_ticks``.
+        missing_sensor_ticks: addition to the time limit of the row, see ``MatrixRow.missing_sensor_ticks``.
     """
 
     row: MatrixRow
     fault: str
     stage: str
     second_fault: str = ""
-    sensing_ticks: int = 0
+    missing_sensor_ticks: int = 0
 
     @property
     def id(self) -> str:
@@ -163,17 +163,17 @@ WARN = SafetyAction.WARN
 HOLD = SafetyAction.HOLD
 RELAX = SafetyAction.RELAX
 CUT = SafetyAction.CUT
-ONE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
+SINGLE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
-CONFIRMING_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
+READBACK_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
 """Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
 SHORT_ID_PROTOCOLS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 
-_EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
+_FAULTS_OF_EXCHANGED_DRIVES = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
-_PARTED_FAULTS = ("T08", "N06")
+_TORN_TENDON_FAULTS = ("T08", "N06")
 """Faults that show that joint and spool do not move together.
 
 The controller may report them in place of T01 and T02 after a tendon has torn.
@@ -183,16 +183,17 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, accepted_faults=("B01", "N02"), stages=ALL_STAGES),
     MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
     MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
-        protocols=ONE_ANSWER_PROTOCOLS),
+        protocols=SINGLE_ANSWER_PROTOCOLS),
     MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
     # The delayed frame shows the fault only when it arrives.
-    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",), keeps_time=True),
+    MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, accepted_faults=("B04",),
+        scales_with_period=True),
     MatrixRow("B05", "duplicate node={node}", WARN, 2, accepted_faults=("B05", "N13", "B06"),
-              protocols=ONE_ANSWER_PROTOCOLS),
+              protocols=SINGLE_ANSWER_PROTOCOLS),
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, accepted_faults=("B05",)),
-    MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("B06", "twin node={node}", RELAX, 2, accepted_faults=("B06",), protocols=SINGLE_ANSWER_PROTOCOLS),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, accepted_faults=("B06",)),
     # The first frame comes after the second frame, so the detector needs two frames.
     MatrixRow("B07", "reorder node=sensors", WARN, 2, accepted_faults=("B07",), sensor_frames=1),
@@ -209,7 +210,7 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, accepted_faults=("B15",)),
     MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, accepted_faults=("B16",), stages=ALL_STAGES),
     MatrixRow("B17", "deaf node={node}", RELAX, 4, accepted_faults=("B17", "N08", "B02", "B03"),
-        protocols=CONFIRMING_PROTOCOLS,
+        protocols=READBACK_PROTOCOLS,
         extra_ms={ODRIVE: 160.0}),
     MatrixRow("B17", "drop node={node}", RELAX, 4, accepted_faults=("B17",)),
     MatrixRow("N01", "reset node={node}", RELAX, 2, accepted_faults=("N01", "N11", "B17"),
@@ -229,9 +230,9 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
         extra_ms=REPORT_DELAY_MS),
     MatrixRow("N08", "watchdog node={node}", RELAX, 2, accepted_faults=("N08", "N01"), stages=ALL_STAGES,
         protocols=(ROBSTRIDE,)),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=CONFIRMING_PROTOCOLS,
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, accepted_faults=("N09b",), protocols=READBACK_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=CONFIRMING_PROTOCOLS,
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, accepted_faults=("N09a",), protocols=READBACK_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
     MatrixRow("N10", "voltage node={node}", RELAX, 2, accepted_faults=("N10",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
@@ -254,43 +255,43 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
     # lost command. The controller recognises the restart by the settings that the drive has lost.
     MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
     MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, accepted_faults=("B06", "N13"),
-              protocols=ONE_ANSWER_PROTOCOLS),
+              protocols=SINGLE_ANSWER_PROTOCOLS),
     MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, accepted_faults=("N13", "B06"),
-              protocols=ONE_ANSWER_PROTOCOLS),
+              protocols=SINGLE_ANSWER_PROTOCOLS),
     # A load cell shows the missing tension. Without a load cell, the fault N17 finds the drive
     # within the time constant of the comparison, although the command of this drive is smaller than
     # the thresholds of N14. N14 compares low-passed forces, so its detection takes the same time at
     # every control rate.
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, accepted_faults=("N14", "T02", "T04", "N17"),
-        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS, no_cell_ms=250.0, keeps_time=True),
+        stages=(GRASP_STAGE,), protocols=SINGLE_ANSWER_PROTOCOLS, extra_ms_without_cell=250.0, scales_with_period=True),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, accepted_faults=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
         ("N14b", "T03", "N07", "T01", "N17", "N14"), (GRASP_STAGE,)),
-    MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N15", "slow node={node} size=2", WARN, 22, accepted_faults=("N15",), protocols=SINGLE_ANSWER_PROTOCOLS),
     MatrixRow("N15", "slow node={node} size=4", WARN, 4, accepted_faults=("B01",), protocols=(ODRIVE,)),
     MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
-        protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
-        protocols=ONE_ANSWER_PROTOCOLS),
-    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
-        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+        protocols=SINGLE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+        protocols=SINGLE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
+        protocols=SINGLE_ANSWER_PROTOCOLS),
     # While a grasp is at rest, the velocity limit of ODrive drives hides that two drives have been
     # exchanged.
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
         (FREE_STAGE,), (ODRIVE,)),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_FAULTS_OF_EXCHANGED_DRIVES),
         (FREE_STAGE,), (ODRIVE,)),
     # Without a load cell, a torn tendon is visible only after the joint and the spool have moved
     # apart. If the torque command of a motor is smaller than the friction of the motor, the spool
     # does not turn. In this case the joint moves slowly, and the filter of the fault N06b takes 0.3
     # s more.
-    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_PARTED_FAULTS), stages=(GRASP_STAGE,),
-        no_cell_ms=500.0),
-    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_PARTED_FAULTS), (FREE_STAGE,),
-        no_cell_ms=100.0),
-    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01", *_PARTED_FAULTS),
-        stages=(GRASP_STAGE,), no_cell_ms=500.0),
+    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, accepted_faults=("T01", *_TORN_TENDON_FAULTS),
+        stages=(GRASP_STAGE,), extra_ms_without_cell=500.0),
+    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04", *_TORN_TENDON_FAULTS), (FREE_STAGE,),
+        extra_ms_without_cell=100.0),
+    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, accepted_faults=("T02", "T01", *_TORN_TENDON_FAULTS),
+        stages=(GRASP_STAGE,), extra_ms_without_cell=500.0),
     MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, accepted_faults=("T03",), stages=(GRASP_STAGE,)),
     MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, accepted_faults=("T03b",), stages=(GRASP_STAGE,)),
     MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, accepted_faults=("T03", "N14", "T06"),
@@ -319,7 +320,20 @@ FAULT_MATRIX: tuple[MatrixRow, ...] = (
 )  # fmt: skip
 """Rows for all faults that the simulator or the control loop can inject while the hand is armed."""
 
-PAIRED_ROWS = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
+ROWS_TESTED_IN_PAIRS = (
+    "B01",
+    "B02",
+    "B03",
+    "B17",
+    "N01",
+    "N02",
+    "N08",
+    "N11",
+    "T01",
+    "T04",
+    "T06",
+    "H02",
+)
 """Ids of the faults that are also tested in pairs.
 
 The faults concern wires, connectors, supply, tendons and a busy host.
@@ -346,23 +360,26 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
         protocol: protocol of the drives.
         period_ms: control period [ms].
     """
-    selected = []
+    scenarios = []
     for row in FAULT_MATRIX:
         if protocol in row.protocols:
             fault_texts = texts_of_fault(hand, row.fault, period_ms)
-            ends = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
-            selected += [
+            end_texts = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
+            scenarios += [
                 FaultScenario(
-                    row, text, stage, sensing_ticks=row.sensing_ticks(hand, text, period_ms)
+                    row,
+                    text,
+                    stage,
+                    missing_sensor_ticks=row.missing_sensor_ticks(hand, text, period_ms),
                 )
                 for stage in row.stages
-                for text in ends
+                for text in end_texts
             ]
-    return selected
+    return scenarios
 
 
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
-    """Return a scenario during a grasp for every pair of the faults in `PAIRED_ROWS`.
+    """Return a scenario during a grasp for every pair of the faults in `ROWS_TESTED_IN_PAIRS`.
 
     The fault with the more severe reaction comes first. The other fault of the pair starts a few
     ticks later, on another part of the hand, such as another motor. If the hand has no part that a
@@ -371,20 +388,28 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
-        for id_ in PAIRED_ROWS
+        for id_ in ROWS_TESTED_IN_PAIRS
     ]
-    selected = []
-    for i, first in enumerate(rows):
-        for second in rows[i + 1 :]:
+    scenarios = []
+    for i, first_scenario in enumerate(rows):
+        for second_scenario in rows[i + 1 :]:
             # If two faults are present, the controller must react as it does to the more severe
             # fault alone.
-            main, other = (first, second) if first.action >= second.action else (second, first)
-            texts = texts_of_fault(hand, main.fault, period_ms)
-            second_texts = texts_of_fault(hand, other.fault, period_ms)
-            if texts and second_texts:
-                waits = main.sensing_ticks(hand, texts[0], period_ms)
-                selected.append(FaultScenario(main, texts[0], GRASP_STAGE, second_texts[-1], waits))
-    return selected
+            main_row, other_row = (
+                (first_scenario, second_scenario)
+                if first_scenario.action >= second_scenario.action
+                else (second_scenario, first_scenario)
+            )
+            texts = texts_of_fault(hand, main_row.fault, period_ms)
+            second_fault_texts = texts_of_fault(hand, other_row.fault, period_ms)
+            if texts and second_fault_texts:
+                extra_ticks = main_row.missing_sensor_ticks(hand, texts[0], period_ms)
+                scenarios.append(
+                    FaultScenario(
+                        main_row, texts[0], GRASP_STAGE, second_fault_texts[-1], extra_ticks
+                    )
+                )
+    return scenarios
 
 
 def texts_of_fault(hand: Hand, fault: str, period_ms: float) -> list[str]:
@@ -409,8 +434,8 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
     A fault text without such a place holder gives a single entry.
     """
     if "{tendon}" in fault:
-        limited = "{trip}" in fault or "{limit}" in fault
-        of_cell = "cell={tendon}" in fault
+        has_limit = "{trip}" in fault or "{limit}" in fault
+        names_cell = "cell={tendon}" in fault
         return [
             {
                 "tendon": tendon.name,
@@ -418,10 +443,10 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
                 "limit": f"{tendon.drive_limit_N:g}",
             }
             for tendon in hand.tendon
-            if not of_cell or tendon.name in hand.sensor_node.tendons
+            if not names_cell or tendon.name in hand.sensor_node.tendons
             # If a trip tension is near the end of the load cell's range, the controller would
             # report it as saturation.
-            if not limited or tendon.tension_trip_N < MAX_READABLE_TRIP_N
+            if not has_limit or tendon.tension_trip_N < MAX_READABLE_TRIP_N
         ]
     if "{other}" in fault:
         motors = [motor.name for motor in hand.motor]

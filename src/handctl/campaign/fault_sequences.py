@@ -44,7 +44,7 @@ PERMANENT_FAULTS = ("snap", "slack")
 """Names of the faults that never end by themselves."""
 HOST_FAULT_FRACTION = 0.2
 """Fraction of a sequence's steps that are requests or faults of the host."""
-BRIEF_FRACTION = 0.6
+BRIEF_FAULT_FRACTION = 0.6
 """Fraction of the simulator's faults in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
     f"{HOST_PREFIX}ask stop",
@@ -64,7 +64,7 @@ WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
 REACTION_TICKS = 10
 """The controller stops commanding a runaway drive after at most this number of ticks."""
-MODES_IN_ORDER = (
+SHUTDOWN_MODE_ORDER = (
     HandMode.ARMING,
     HandMode.ACTIVE,
     HandMode.RELAX,
@@ -135,15 +135,15 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
         fault = chance.choice(
             texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_FAULT_TEXTS)
         )
-        brief = (
+        is_brief = (
             not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
-            and chance.random() < BRIEF_FRACTION
+            and chance.random() < BRIEF_FAULT_FRACTION
         )
         steps.append(
             FaultStep(
                 tick,
-                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms" if brief else fault,
+                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms" if is_brief else fault,
             )
         )
     return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
@@ -196,11 +196,11 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
     violations: list[str] = []
     tension = 0.0
     for inputs in _sequence_ticks(simulation, sequence):
-        before = simulation.state
+        state_before = simulation.state
         simulation.run_tick(**inputs)
         tension = max(tension, *simulation.simulated_hand.truth()["tension"])
         violations += violations_in_tick(
-            before, simulation.state, is_cleared=CLEAR_REQUEST in inputs["requests"]
+            state_before, simulation.state, is_cleared=CLEAR_REQUEST in inputs["requests"]
         )
         if simulation.state.mode == HandMode.DONE:
             break
@@ -247,22 +247,26 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
 
 
 def violations_in_tick(
-    before: ControllerState, after: ControllerState, is_cleared: bool
+    state_before: ControllerState, state_after: ControllerState, is_cleared: bool
 ) -> list[str]:
     """Return a text for each rule that the controller violates in a tick."""
     violations = []
-    if MODES_IN_ORDER.index(after.mode) < MODES_IN_ORDER.index(before.mode):
-        violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
-    unlatched = set(before.latched) - set(after.latched)
-    if unlatched and not is_cleared:
-        violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
-    if before.mode == after.mode == HandMode.RELAX and np.any(
-        after.view("setpoint") > before.view("setpoint") + 1e-9
+    if SHUTDOWN_MODE_ORDER.index(state_after.mode) < SHUTDOWN_MODE_ORDER.index(state_before.mode):
+        violations.append(
+            f"the mode goes back: {state_before.mode.name} to {state_after.mode.name}"
+        )
+    unlatched_faults = set(state_before.latched) - set(state_after.latched)
+    if unlatched_faults and not is_cleared:
+        violations.append(
+            f"no longer latched: {', '.join(sorted(latched_fault.id for latched_fault in unlatched_faults))}"
+        )
+    if state_before.mode == state_after.mode == HandMode.RELAX and np.any(
+        state_after.view("setpoint") > state_before.view("setpoint") + 1e-9
     ):
         violations.append("a setpoint rises while the hand relaxes")
     # The relative tolerance covers the rounding of torques that the CAN frames cause.
-    if after.mode == HandMode.RELAX and np.any(
-        after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
+    if state_after.mode == HandMode.RELAX and np.any(
+        state_after.view("asked") > np.maximum(state_before.view("asked"), 0.0) * (1.0 + 1e-9)
     ):
         violations.append("a motor is commanded to pull harder while the hand relaxes")
     return violations
@@ -282,9 +286,9 @@ def _tension_bound(
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
-    at_rest = [0.0] * model.tendon_count
+    rest_speeds = [0.0] * model.tendon_count
     return runaway_tension(
-        model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
+        model, rest_speeds, rest_speeds, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
     )
 
 
@@ -294,14 +298,14 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
     names = simulation.controller.model.hand.tendon_names
     if state.mode != HandMode.DONE:
         return [f"the run does not end: {state.mode.name}"]
-    with_torque = [
+    motors_with_torque = [
         name
         for name, torque in zip(names, simulation.simulated_hand.truth()["torque"], strict=True)
         if torque
     ]
     return (
-        [f"torque remains: {', '.join(with_torque)}"]
-        if with_torque and REMOVE_POWER not in state.failure
+        [f"torque remains: {', '.join(motors_with_torque)}"]
+        if motors_with_torque and REMOVE_POWER not in state.failure
         else []
     )
 
@@ -314,12 +318,12 @@ def violations_on_replay(
     If a tick has another state, other frames or other events than before, return a text about the
     first tick of this kind.
     """
-    for entry, out in simulation.recorded_ticks[first_tick:]:
+    for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (
-            out.state_hash,
-            out.frames,
-            out.events,
+            tick_output.state_hash,
+            tick_output.frames,
+            tick_output.events,
         ):
             return [f"tick {entry.k} does not repeat with the same inputs"]
     return []

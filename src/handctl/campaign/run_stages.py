@@ -48,7 +48,7 @@ CAMPAIGN_TASK: dict[str, Any] = {
 """Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
 RUN_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
-FREE_STAGE_DELAY_S = 0.2
+DELAY_OF_FREE_STAGE_S = 0.2
 """Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
 STAGE_TIMEOUT_S = 12.0
 """Longest simulated time until a run reaches the next stage [s]."""
@@ -87,26 +87,28 @@ def hand_with_drives(
         protocol: name of the protocol.
         motor_options: options of every drive, or None for the default options of the protocol.
     """
-    traits = PROTOCOL_TRAITS[protocol]
+    protocol_traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
         motor.model_copy(
             update={
                 "protocol": protocol,
                 "node_id": FIRST_NODE_NUMBER + i,
-                "options": dict(traits.options if motor_options is None else motor_options),
+                "options": dict(
+                    protocol_traits.options if motor_options is None else motor_options
+                ),
             }
         )
         for i, motor in enumerate(hand.motor)
     )
     buses = tuple(
         bus.model_copy(update={"data_bitrate": DATA_BITRATE})
-        if traits.can_fd and bus.data_bitrate is None
+        if protocol_traits.can_fd and bus.data_bitrate is None
         else bus
         for bus in hand.bus
     )
-    replaced = hand.model_copy(update={"motor": motors, "bus": buses})
-    too_slow = len(buses) == 1 and default_control_rate(replaced) < MIN_CONTROL_RATE_HZ
-    return with_more_buses(replaced, SPLIT_BUS_RATE_HZ) if too_slow else replaced
+    hand_copy = hand.model_copy(update={"motor": motors, "bus": buses})
+    is_too_slow = len(buses) == 1 and default_control_rate(hand_copy) < MIN_CONTROL_RATE_HZ
+    return with_more_buses(hand_copy, SPLIT_BUS_RATE_HZ) if is_too_slow else hand_copy
 
 
 @contextmanager
@@ -149,19 +151,20 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     """
     free_ticks = 0
 
-    def is_stage_reached(out: Any) -> bool:
+    def is_stage_reached(tick_output: Any) -> bool:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
-            return bool(out.mode == HandMode.ARMING)
+            return bool(tick_output.mode == HandMode.ARMING)
         # A run has reached the grasp stage if at least one digit touches an object and a tendon has
         # at least 16 N.
-        free_ticks += out.phase == "free"
-        free = free_ticks * simulation.period_ns > FREE_STAGE_DELAY_S * 1e9
-        holds = (
-            out.phase == "hold"
-            and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
+        free_ticks += tick_output.phase == "free"
+        is_free_stage = free_ticks * simulation.period_ns > DELAY_OF_FREE_STAGE_S * 1e9
+        is_holding = (
+            tick_output.phase == "hold"
+            and min(tick_output.telemetry.contact.max(), tick_output.telemetry.tension.max() / 16.0)
+            >= 1.0
         )
-        return bool(free if stage == FREE_STAGE else holds)
+        return bool(is_free_stage if stage == FREE_STAGE else is_holding)
 
     if not simulation.run_until(is_stage_reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
@@ -245,11 +248,11 @@ def run_in_branches(
         on_failure: function called in the copy of a failed experiment, with the simulation and the
             result.
     """
-    running: dict[int, tuple[int, T]] = {}
-    waiting = list(experiments)
-    while waiting or running:
-        while waiting and len(running) < jobs:
-            experiment = waiting.pop(0)
+    experiment_by_child: dict[int, tuple[int, T]] = {}
+    waiting_experiments = list(experiments)
+    while waiting_experiments or experiment_by_child:
+        while waiting_experiments and len(experiment_by_child) < jobs:
+            experiment = waiting_experiments.pop(0)
             child, reading = run_in_forked_copy(
                 partial(
                     _run_to_json,
@@ -257,10 +260,10 @@ def run_in_branches(
                     partial(on_failure, simulation),
                 )
             )
-            running[child] = (reading, experiment)
+            experiment_by_child[child] = (reading, experiment)
         child, status = os.wait()
-        if child in running:
-            reading, experiment = running.pop(child)
+        if child in experiment_by_child:
+            reading, experiment = experiment_by_child.pop(child)
             on_result(_read_result(reading, experiment, status))
 
 

@@ -105,7 +105,7 @@ def run_scenario(
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + scenario.sensing_ticks
+    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + scenario.missing_sensor_ticks
     bound += PAIR_EXTRA_TICKS if scenario.second_fault else 0
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
@@ -136,17 +136,17 @@ def run_scenario(
         # If the fault stops the host for some ticks, the reaction time begins with the tick in
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
-        out = simulation.run_tick(**inputs)
+        tick_output = simulation.run_tick(**inputs)
         effect_ns = _first_effect_ns(simulation, host, start_ns)
         _observe_tick(
             result,
             simulation,
             scenario,
-            out,
+            tick_output,
             reaction_start.update(simulation, effect_ns, t_ns),
             t_ns,
         )
-        if out.mode == HandMode.DONE:
+        if tick_output.mode == HandMode.DONE:
             break
     result.effects = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
@@ -304,7 +304,7 @@ def _observe_tick(
     result: ScenarioResult,
     simulation: SimulatedRun,
     scenario: FaultScenario,
-    out: TickOut,
+    tick_output: TickOut,
     reaction_start_ns: int,
     t_ns: int,
 ) -> None:
@@ -314,35 +314,41 @@ def _observe_tick(
     result.tension = max(result.tension, *truth["tension"])
     if reaction_start_ns < 0:
         return
-    since = math.ceil((t_ns - reaction_start_ns) / simulation.period_ns)
-    for event in out.events:
-        is_report = event.name == "fault" or REMOVE_POWER in event.text
+    ticks_since_start = math.ceil((t_ns - reaction_start_ns) / simulation.period_ns)
+    for event in tick_output.events:
+        reports_fault = event.name == "fault" or REMOVE_POWER in event.text
         is_expected = (
             event.text.startswith(tuple(filter(None, row.accepted_faults)))
             or not any(row.accepted_faults)
             or scenario.second_fault
         )
-        if not result.detected_by and is_report and is_expected:
+        if not result.detected_by and reports_fault and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
     # If the required reaction is RELAX or a more severe one, any mode in which the hand relaxes or
     # shuts down counts as a reaction. But if CUT is required, the mode RELAX is not enough.
-    reacted = out.action >= row.action or (
+    has_reacted = tick_output.action >= row.action or (
         row.action >= SafetyAction.RELAX
-        and out.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)
+        and tick_output.mode in (*SHUT_DOWN_MODES, HandMode.RELAX, HandMode.CUT)
     )
-    reacted = reacted and not (row.action == SafetyAction.CUT and out.mode == HandMode.RELAX)
+    has_reacted = has_reacted and not (
+        row.action == SafetyAction.CUT and tick_output.mode == HandMode.RELAX
+    )
     # The controller only reports the fault H01 and does not react otherwise. So the report counts
     # as the reaction.
     if row.id == "H01":
-        reacted = bool(result.detected_by)
+        has_reacted = bool(result.detected_by)
     if (
         result.ticks < 0
-        and reacted
-        and (result.detected_by or not any(row.accepted_faults) or out.mode in SHUT_DOWN_MODES)
+        and has_reacted
+        and (
+            result.detected_by
+            or not any(row.accepted_faults)
+            or tick_output.mode in SHUT_DOWN_MODES
+        )
     ):
-        result.ticks = max(0, since)
+        result.ticks = max(0, ticks_since_start)
     if result.ticks >= 0 and result.safe_ticks < 0 and not any(truth["torque"]):
-        result.safe_ticks = max(0, since)
+        result.safe_ticks = max(0, ticks_since_start)
 
 
 def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> ScenarioResult:
@@ -364,8 +370,8 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
         problems.append(f"late: {result.ticks} ticks, at most {result.bound}")
     elif not result.detected_by and any(row.accepted_faults):
         problems.append(f"none of {', '.join(filter(None, row.accepted_faults))} was reported")
-    must_relax = row.action >= SafetyAction.RELAX and (is_visible or result.ticks >= 0)
-    if must_relax and result.effects and result.safe_ticks < 0:
+    is_relax_required = row.action >= SafetyAction.RELAX and (is_visible or result.ticks >= 0)
+    if is_relax_required and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
         problems.append(
@@ -389,13 +395,15 @@ class HostFault:
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""
-        first = i == 0
+        is_first = i == 0
         if self.kind == "io":
-            if not first and "lasting" not in self.words:
+            if not is_first and "lasting" not in self.words:
                 return {}
-            where = self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
-            return {"io_events": (IoEvent(self.words[0], where),)}
-        if not first:
+            location = (
+                self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
+            )
+            return {"io_events": (IoEvent(self.words[0], location),)}
+        if not is_first:
             return {}
         if self.kind == "skip":
             return {"skipped_ticks": int(self.words[0])}

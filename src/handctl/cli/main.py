@@ -172,11 +172,11 @@ def _run_and_report_errors(command_words: list[str]) -> int:
         discard_output()
         return ExitCode.DONE
     except OSError as error:
-        nameless = (
+        has_no_file_name = (
             "the working folder: " if error.errno == errno.ENOENT else ""
         )  # the current folder was deleted
-        where = f"{error.filename}: " if error.filename else nameless
-        text = f"{where}{error.strerror or error}"
+        location = f"{error.filename}: " if error.filename else has_no_file_name
+        text = f"{location}{error.strerror or error}"
         return _report_error(
             text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED
         )
@@ -211,8 +211,8 @@ def _run_command_line(command_words: list[str]) -> int:
     )
     parser.add_argument("--version", action="store_true", help="print the version")
     if command_words and not command_words[0].startswith("-"):
-        what = f"unknown verb {printable_text(command_words[0])!r}{did_you_mean(command_words[0], VERB_HELP)}"
-        raise ConfigError(what, "the command line", "one that handctl --help lists")
+        problem_text = f"unknown verb {printable_text(command_words[0])!r}{did_you_mean(command_words[0], VERB_HELP)}"
+        raise ConfigError(problem_text, "the command line", "one that handctl --help lists")
     args = parser.parse_args(command_words)
     if args.version:
         print(_version_text())
@@ -237,14 +237,14 @@ def _version_text() -> str:
     return version("handctl")
 
 
-def _folder_of(name: str) -> str:
+def _folder_of_verb(name: str) -> str:
     """Return the folder that contains the module of a verb."""
     return next(folder for folder, verbs in VERBS_BY_FOLDER.items() if name in verbs)
 
 
 def _import_arguments(name: str) -> Any:
     """Import the module that declares the arguments of a verb."""
-    return importlib.import_module(f"handctl.cli.{_folder_of(name)}.arguments")
+    return importlib.import_module(f"handctl.cli.{_folder_of_verb(name)}.arguments")
 
 
 def verb_parser(name: str) -> VerbParser:
@@ -295,9 +295,9 @@ def _run_verb(name: str, command_words: list[str]) -> int:
 
             raise NoSimulatorError(error.bus, error.reason, simulator_command(args)) from None
         except ModuleNotFoundError as error:
-            if (missing := missing_extra(name, error)) is None:
+            if (missing_package := missing_extra(name, error)) is None:
                 raise
-            raise missing from None
+            raise missing_package from None
         print_detail(
             f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s"
         )
@@ -315,7 +315,7 @@ def _start_recorder_early() -> AbstractContextManager[None]:
 
 def _import_verb(name: str) -> Any:
     """Import and return the module of a verb."""
-    module = f"handctl.cli.{_folder_of(name)}.{name}"
+    module = f"handctl.cli.{_folder_of_verb(name)}.{name}"
     if module in sys.modules:
         return sys.modules[module]
     with _pause_garbage_collection():

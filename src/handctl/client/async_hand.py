@@ -155,11 +155,11 @@ class AsyncHandClient:
         Raises:
             BusError: the next tick of the controller does not arrive within this time.
         """
-        for seen in self.client.poll_observations(timeout_s):
-            if seen is None:
+        for observation in self.client.poll_observations(timeout_s):
+            if observation is None:
                 await asyncio.sleep(OBSERVATION_POLL_PERIOD_S)
             else:
-                yield seen
+                yield observation
 
     async def stream(
         self,

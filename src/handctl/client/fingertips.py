@@ -51,11 +51,11 @@ class Fingertips:
                 another digit. The tip of a digit that is mounted on another digit would move with
                 the other digit.
         """
-        on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
-        self.digits = tuple(on_palm if digits is None else digits)
+        fingertips_on_palm = [digit.name for digit in hand.digit if digit.mount_on is None]
+        self.digits = tuple(fingertips_on_palm if digits is None else digits)
         for name in self.digits:
-            if name not in on_palm or self.digits.count(name) > 1:
-                right = f"some of {', '.join(on_palm)}, each once"
+            if name not in fingertips_on_palm or self.digits.count(name) > 1:
+                right = f"some of {', '.join(fingertips_on_palm)}, each once"
                 raise ConfigError(f"{name!r}: no digit on the palm, or twice", "fingertips", right)
         self._digit_models = [DigitModel.from_hand(hand, name) for name in self.digits]
         self.joints = tuple(joint for model in self._digit_models for joint in model.joint_names)
@@ -90,23 +90,23 @@ class Fingertips:
         angles: dict[str, float] = {}
         for d, target in self._positions_by_digit(positions).items():
             model = self._digit_models[d]
-            found = closest_tip(model, target, self._coordinates[d])
-            self._coordinates[d] = found.coordinates
-            self.distances_m[d] = found.distance
-            joints = model.joint_units.displayed(model.coupling @ found.coordinates).tolist()
+            solution = closest_tip(model, target, self._coordinates[d])
+            self._coordinates[d] = solution.coordinates
+            self.distances_m[d] = solution.distance
+            joints = model.joint_units.to_displayed(model.coupling @ solution.coordinates).tolist()
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
         """Check goal positions of fingertips, and return the positions by the index of the digit."""
         if isinstance(positions, Mapping):
-            if unknown := [str(name) for name in positions if name not in self.digits]:
+            if unknown_digits := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(
-                    f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}"
+                    f"no {unknown_digits[0]!r}", "fingertips", f"some of {', '.join(self.digits)}"
                 )
-            given = {
-                self.digits.index(name): np.asarray(one, np.float64)
-                for name, one in positions.items()
+            position_by_digit = {
+                self.digits.index(name): np.asarray(tip_position, np.float64)
+                for name, tip_position in positions.items()
             }
         else:
             table = np.asarray(positions, np.float64)
@@ -114,13 +114,13 @@ class Fingertips:
                 raise ConfigError(
                     f"positions of shape {table.shape}", "fingertips", f"({len(self.digits)}, 3)"
                 )
-            given = dict(enumerate(table))
-        for d, target in given.items():
+            position_by_digit = dict(enumerate(table))
+        for d, target in position_by_digit.items():
             if target.shape != (3,) or not np.isfinite(target).all():
                 raise ConfigError(
                     f"{target.tolist()} for {self.digits[d]}", "fingertips", "x, y, z [m]"
                 )
-        return given
+        return position_by_digit
 
 
 class FingertipStream(TargetStream):
@@ -169,7 +169,9 @@ class FingertipStream(TargetStream):
 
     def _present_values(self) -> NDArray[np.float64]:
         """Return the present joint angles [deg]."""
-        present = self._hand.observe().named("q_rad")
+        present_angles = self._hand.observe().named("q_rad")
         units = self._hand.description.display_units
-        known = dict(zip(self._hand.description.joints, units.factor.tolist(), strict=True))
-        return np.array([known[joint] * present[joint] for joint in self.joints])
+        factor_by_joint = dict(
+            zip(self._hand.description.joints, units.factor.tolist(), strict=True)
+        )
+        return np.array([factor_by_joint[joint] * present_angles[joint] for joint in self.joints])

@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, get_args
 
 from handctl.client.fingertips import Fingertips, FingertipStream
-from handctl.client.heartbeat import BEATS_PER_LEASE, Heartbeat
+from handctl.client.heartbeat import HEARTBEATS_PER_LEASE, Heartbeat
 from handctl.client.observation import Observation
 from handctl.client.stream import TargetStream
 from handctl.core.tick_types import SHUTDOWN_MODES
@@ -83,7 +83,7 @@ SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTDOWN_MODES}
 RUN_OWNER = "a running handctl run"
 CONFIRMATION_OPTION = "--yes"
 """Argument of ``handctl run`` that confirms that a hand on a real bus may move."""
-_client_numbers = itertools.count(1)
+_client_number_counter = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
 
@@ -132,10 +132,10 @@ def connect(
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
-        if others := [text for text in arguments if text != CONFIRMATION_OPTION]:
-            where = f"arguments for the controller that already runs on {specs[0]}"
+        if other_arguments := [text for text in arguments if text != CONFIRMATION_OPTION]:
+            location = f"arguments for the controller that already runs on {specs[0]}"
             right = f"none, or first handctl stop --bus {specs[0]}"
-            raise ConfigError(" ".join(others), where, right)
+            raise ConfigError(" ".join(other_arguments), location, right)
         expected = None if hand is None else load_hand(os.fspath(hand)).name
         return HandClient(specs[0], (), lease_s, watchdog_s, expected)
     if hand is None:
@@ -209,7 +209,7 @@ class HandClient:
         self._lease_s = lease_s
         self._watchdog_s = watchdog_s
         self._heartbeat: Heartbeat | None = None
-        self.name = f"client-{os.getpid()}-{next(_client_numbers)}"
+        self.name = f"client-{os.getpid()}-{next(_client_number_counter)}"
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
         self._has_been_live = self._has_commanded = self._closed = self._error_raised = (
@@ -248,14 +248,14 @@ class HandClient:
         Notebooks, which cannot use a `with` block over several cells, need this method. This method
         raises the same errors as the ``with`` statement. Call ``close`` at the end.
         """
-        with ExitStack() as undo:
-            undo.callback(self._end_command, False)
+        with ExitStack() as exit_stack:
+            exit_stack.callback(self._finish_command, False)
             self.wait(phase="live", timeout_s=START_TIMEOUT_S if self.child else ATTACH_TIMEOUT_S)
-            expected, found = self._expected_hand, self.description.name
-            if expected not in (None, found):
-                right = f"hand={found!r}, or the bus of {expected}"
-                raise ConfigError(f"controls {found}", f"the controller of {self.bus}", right)
-            undo.pop_all()
+            expected, found_name = self._expected_hand, self.description.name
+            if expected not in (None, found_name):
+                right = f"hand={found_name!r}, or the bus of {expected}"
+                raise ConfigError(f"controls {found_name}", f"the controller of {self.bus}", right)
+            exit_stack.pop_all()
         return self
 
     def __exit__(
@@ -264,7 +264,7 @@ class HandClient:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._end_command(raise_error=kind is None)
+        self._finish_command(raises_error=kind is None)
 
     def move(
         self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
@@ -379,28 +379,28 @@ class HandClient:
         if isinstance(names, str):
             raise ConfigError(repr(names), "stream.names", f"a list, as in [{names!r}]")
         hand = self.description
-        everything = {"joint": hand.joints, "tension": hand.tendon_names}.get(
+        all_names = {"joint": hand.joints, "tension": hand.tendon_names}.get(
             space, hand.digit_names
         )
         tips = Fingertips(hand, names) if space == "fingertip" else None
         if tips is not None:
             names = tips.joints
-        number = next(_client_numbers)
+        number = next(_client_number_counter)
         numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
         if stiffness_N_m_per_rad is not None:
             numbers["stiffness_N_m_per_rad"] = stiffness_N_m_per_rad
         goal = {
             "do": "stream", "stream": stream_name(os.getpid(), number),
             "space": "joint" if tips else space,
-            "names": list(everything if names is None else names), "interpolation": interpolation,
+            "names": list(all_names if names is None else names), "interpolation": interpolation,
             **_with_float_numbers(numbers),
         }  # fmt: skip
         validate_content(goal, OpenStreamRequest, "stream")
-        with ExitStack() as undo:
+        with ExitStack() as exit_stack:
             sender = TargetSender(self.bus, os.getpid(), number)
-            undo.callback(sender.close)
+            exit_stack.callback(sender.close)
             self._set_goal(goal)
-            undo.pop_all()
+            exit_stack.pop_all()
         constants = self._open_reader().description
         horizon = target_horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         if tips is not None:
@@ -427,22 +427,24 @@ class HandClient:
             DriveError: the task has ended before its hold phase, the timeout has passed, or the run
                 has ended.
         """
-        found, _ = load_task_for_hand(Path(task), self.description)
-        hold = next((phase.name for phase in found.phase if isinstance(phase, HoldPhase)), "live")
-        content = found.model_dump(by_alias=True, exclude_unset=True, mode="json")
+        grasp_task, _ = load_task_for_hand(Path(task), self.description)
+        hold_name = next(
+            (phase.name for phase in grasp_task.phase if isinstance(phase, HoldPhase)), "live"
+        )
+        content = grasp_task.model_dump(by_alias=True, exclude_unset=True, mode="json")
         self._set_goal({"do": "grasp", "task": content})
         if not wait:
             return self.observe(wait=True)
         end = time.monotonic() + timeout_s
-        seen = self.observe(wait=True)
-        while seen.phase != hold:
-            if seen.phase == "live" or time.monotonic() > end:
+        observation = self.observe(wait=True)
+        while observation.phase != hold_name:
+            if observation.phase == "live" or time.monotonic() > end:
                 raise DriveError(
-                    f"the hand does not hold an object: it is in phase {seen.phase!r}",
-                    f"task {found.name}",
+                    f"the hand does not hold an object: it is in phase {observation.phase!r}",
+                    f"task {grasp_task.name}",
                 )
-            seen = self.observe(wait=True)
-        return seen
+            observation = self.observe(wait=True)
+        return observation
 
     def release(self, wait: bool = True, timeout_s: float = 30.0) -> None:
         """End the hold phase that ``grasp`` has reached, and execute the remaining phases of the task.
@@ -524,11 +526,11 @@ class HandClient:
         Raises:
             BusError: no tick of the controller arrives in this time.
         """
-        for seen in self.poll_observations(timeout_s):
-            if seen is None:
+        for observation in self.poll_observations(timeout_s):
+            if observation is None:
                 time.sleep(OBSERVATION_POLL_PERIOD_S)
             else:
-                yield seen
+                yield observation
 
     def poll_observations(self, timeout_s: float) -> Iterator[Observation | None]:
         """Yield the observation of each tick. If there is no new observation yet, yield None.
@@ -574,19 +576,21 @@ class HandClient:
         """
         digits = [contact] if isinstance(contact, str) else list(contact or ())
         names = self.description.digit_names
-        if unknown := [digit for digit in digits if digit not in names]:
-            raise ConfigError(f"no digit {unknown[0]!r}", "wait_for", f"one of {', '.join(names)}")
+        if unknown_digits := [digit for digit in digits if digit not in names]:
+            raise ConfigError(
+                f"no digit {unknown_digits[0]!r}", "wait_for", f"one of {', '.join(names)}"
+            )
         if not digits and phase is None:
             raise ConfigError("no condition", "wait_for", "contact or phase")
         end = time.monotonic() + timeout_s
         while True:
-            seen = self.observe(wait=True)
-            touching = all(seen.contact[names.index(digit)] > 0.5 for digit in digits)
-            if touching and (phase is None or seen.phase == phase):
-                return seen
+            observation = self.observe(wait=True)
+            all_in_contact = all(observation.contact[names.index(digit)] > 0.5 for digit in digits)
+            if all_in_contact and (phase is None or observation.phase == phase):
+                return observation
             if time.monotonic() > end:
                 raise DriveError(
-                    f"condition not met after {timeout_s:g} s: {seen.phase}",
+                    f"condition not met after {timeout_s:g} s: {observation.phase}",
                     f"bus {self.bus}: wait_for",
                 )
 
@@ -599,7 +603,7 @@ class HandClient:
             if not self._observations.has_run_ended:
                 return self._observations
             self._collect_result()
-        self._check_not_ended()
+        self._check_run_active()
         if self._observations is None or self._observations.has_run_ended:
             self._observations = ObservationReader(self.bus)
         return self._observations
@@ -608,10 +612,10 @@ class HandClient:
         """Raise an error if the run has ended, or if the end time ``end`` of a wait has passed."""
         if reader.has_run_ended:
             self._collect_result()
-            self._check_not_ended()
+            self._check_run_active()
             raise DriveError("the run has ended", f"bus {self.bus}")
         if time.monotonic() >= end:
-            self._check_not_ended()
+            self._check_run_active()
             raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
 
     def state(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> dict[str, Any]:
@@ -640,7 +644,7 @@ class HandClient:
         self._note_call()
         end = time.monotonic() + timeout_s
         while True:
-            self._check_not_ended()
+            self._check_run_active()
             with self._lock:
                 line = self._watcher.request_status_line(
                     max(0.0, min(STATE_POLL_PERIOD_S, end - time.monotonic()))
@@ -664,7 +668,7 @@ class HandClient:
         end = time.monotonic() + timeout_s
         last_phase = "no state received"
         while (remaining_s := end - time.monotonic()) > 0.0:
-            self._check_not_ended()
+            self._check_run_active()
             with suppress(BusError):
                 line = self.state(min(STATE_POLL_PERIOD_S, remaining_s))
                 self._has_been_live |= line["phase"] == "live"
@@ -697,7 +701,7 @@ class HandClient:
             DriveError: a fault ended the run.
             PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
         """
-        self._end_command(raise_error=True)
+        self._finish_command(raises_error=True)
 
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Send a goal, wait until the controller confirms it, and return the time of the confirming tick [s]."""
@@ -712,11 +716,11 @@ class HandClient:
             with self._lock:
                 line, replies = send_with_confirmation(self._watcher, {**goal, "client": self.name})
         except UnconfirmedError:
-            self._check_not_ended()
+            self._check_run_active()
             raise
-        if refused := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
+        if refused_replies := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
             raise ConfigError(
-                refused[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
+                refused_replies[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
             )
         self._has_commanded = True
         self._start_heartbeat()
@@ -731,7 +735,10 @@ class HandClient:
             with suppress(BusError, DriveError):  # the run may have ended already
                 time_scale = self._open_reader().description["time_scale"]
             self._heartbeat = Heartbeat(
-                self.bus, self.name, self._lease_s / BEATS_PER_LEASE / time_scale, self._watchdog_s
+                self.bus,
+                self.name,
+                self._lease_s / HEARTBEATS_PER_LEASE / time_scale,
+                self._watchdog_s,
             )
 
     def _note_call(self) -> None:
@@ -747,7 +754,7 @@ class HandClient:
         line = self.state(timeout_s)
         if line["mode"] in SHUTDOWN_MODE_NAMES:
             self._collect_result()
-            self._check_not_ended()
+            self._check_run_active()
             raise DriveError(f"the hand no longer accepts goals: {line['mode']}", f"bus {self.bus}")
         return line
 
@@ -758,11 +765,13 @@ class HandClient:
         """
         line = self._wait_until_following(CONFIRMATION_TIMEOUT_S)
         if line["commander"] != self.name:
-            other = line["commander"] or "another client"
-            raise DriveError(f"{other} has taken over the hand", f"bus {self.bus}", "take_over")
+            other_client = line["commander"] or "another client"
+            raise DriveError(
+                f"{other_client} has taken over the hand", f"bus {self.bus}", "take_over"
+            )
         return float(line["t_s"])
 
-    def _check_not_ended(self) -> None:
+    def _check_run_active(self) -> None:
         """Raise an error if the controller or this client has ended.
 
         If the controller has ended, the method first waits for the result of the run.
@@ -781,7 +790,7 @@ class HandClient:
         if self._closed:
             raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
 
-    def _end_command(self, raise_error: bool) -> None:
+    def _finish_command(self, raises_error: bool) -> None:
         """Stop the hand if this client has started the controller.
 
         Otherwise give up the right of this client to move the hand.
@@ -789,7 +798,7 @@ class HandClient:
         Later calls of this method have no effect.
 
         Args:
-            raise_error: True to raise the error that ended the run. True to raise the error that
+            raises_error: True to raise the error that ended the run. True to raise the error that
                 ended the run. While another exception is handled, it is False, and an error is
                 raised only if a drive may still make torque.
         """
@@ -814,7 +823,7 @@ class HandClient:
             with self._output_lock:
                 self._stderr.close()
         code = self.child.returncode if self.child else 0
-        if code and not self._error_raised and (raise_error or code == ExitCode.REMOVE_POWER):
+        if code and not self._error_raised and (raises_error or code == ExitCode.REMOVE_POWER):
             raise self._run_error()
 
     def _collect_result(self) -> None:
@@ -825,20 +834,20 @@ class HandClient:
         with self._output_lock:
             if self.child is None or self.child.stdout is None or self.child.stdout.closed:
                 return
-            out, _ = self.child.communicate()
+            output_text, _ = self.child.communicate()
             self._print_new_messages()
             # if the process was killed, it leaves no output or incomplete output
             with suppress(ValueError):
-                self.result = json.loads(out)
+                self.result = json.loads(output_text)
 
     def _run_error(self) -> DriveError:
         """Return the exception for the error that ended the run."""
         code = self.child.returncode if self.child else 0
-        killed = f"killed by signal {-code}" if code < 0 else ""
+        signal_text = f"killed by signal {-code}" if code < 0 else ""
         # If no failure ended the run, the last message of the controller is a notice that explains
         # nothing.
         message = self._last_message if code else ""
-        reason = self.result.get("failure") or killed or message or "it was stopped"
+        reason = self.result.get("failure") or signal_text or message or "it was stopped"
         if code == ExitCode.REMOVE_POWER:
             return PowerError(reason, f"bus {self.bus}", "its power removed")
         return DriveError(f"the controller ended: {reason}", f"bus {self.bus}")
@@ -848,16 +857,16 @@ class HandClient:
         with self._output_lock:
             if self._stderr.closed:
                 return
-            new = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
-            self._printed_bytes += len(new)
-            if text := new.decode("utf-8", "replace"):
+            new_output = os.pread(self._stderr.fileno(), 1 << 16, self._printed_bytes)
+            self._printed_bytes += len(new_output)
+            if text := new_output.decode("utf-8", "replace"):
                 self._last_message = (
                     text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
                 )
                 print(escape_text(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
-def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
+def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -> dict[str, Any]:
     """Combine the values of a mapping and of keyword arguments, and return them by name of the digit.
 
     Raises:
@@ -866,11 +875,11 @@ def _values_by_digit(do: str, goals: object, named: Mapping[str, Any]) -> dict[s
     if goals is not None and not isinstance(goals, Mapping):
         raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
     values = {str(name): value for name, value in (goals or {}).items()}
-    if twice := values.keys() & named.keys():
-        raise ConfigError(f"{min(twice)} is given twice", do, "one value for each digit")
-    if not values and not named:
+    if repeated_names := values.keys() & keyword_goals.keys():
+        raise ConfigError(f"{min(repeated_names)} is given twice", do, "one value for each digit")
+    if not values and not keyword_goals:
         raise ConfigError("no digit", do, "one at least, as in index=30")
-    return values | dict(named)
+    return values | dict(keyword_goals)
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -878,9 +887,9 @@ def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
 
     Other values stay unchanged, so that the error message of a later check can show them.
     """
-    converted = dict(values)
+    converted_values = dict(values)
     for key, value in values.items():
         if isinstance(value, Real) and not isinstance(value, bool):
             with suppress(OverflowError):
-                converted[key] = float(value)
-    return converted
+                converted_values[key] = float(value)
+    return converted_values

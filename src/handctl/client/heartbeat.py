@@ -10,7 +10,7 @@ from contextlib import closing, suppress
 from handctl.programs.requests import alive_request_text
 from handctl.runtime.mailbox import RequestSender
 
-BEATS_PER_LEASE = 4
+HEARTBEATS_PER_LEASE = 4
 """Number of signs of life that a client sends in the time of one lease.
 
 The lease survives if three successive signs are late or lost.

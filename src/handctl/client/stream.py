@@ -93,8 +93,8 @@ class TargetStream:
         self.space: str = goal["space"]
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
-        in_si = unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg"
-        self._unit_factor: Any = self._displayed_per_si() if in_si else 1.0
+        takes_si_units = unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg"
+        self._unit_factor: Any = self._displayed_per_si() if takes_si_units else 1.0
         self.rate_Hz: float = goal["rate_Hz"]
         self.horizon_s = horizon_s
         self.sent = self.skipped = 0
@@ -177,9 +177,11 @@ class TargetStream:
             ConfigError: as for ``send``.
         """
         if isinstance(values, Mapping):
-            if unknown := [str(name) for name in values if name not in self.names]:
+            if unknown_names := [str(name) for name in values if name not in self.names]:
                 raise ConfigError(
-                    f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}"
+                    f"no {unknown_names[0]!r} in this stream",
+                    "send",
+                    f"some of {', '.join(self.names)}",
                 )
             target = self._present_values() if self._last is None else self._last.copy()
             for name, value in values.items():
@@ -210,15 +212,17 @@ class TargetStream:
 
         If the first target of a stream leaves out a value, the value of the hand replaces it.
         """
-        seen = self._hand.observe()
+        observation = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":
-            present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")
-            return np.array([present[name] for name in self.names])
+            present_values = observation.named(
+                "tension_N" if self.space == "tension" else "tip_force_N"
+            )
+            return np.array([present_values[name] for name in self.names])
         hand = self._hand.description
-        displayed = hand.display_units.displayed(seen.q_rad)
-        angles = dict(zip(hand.joints, displayed.tolist(), strict=True))
+        displayed_angles = hand.display_units.to_displayed(observation.q_rad)
+        angles = dict(zip(hand.joints, displayed_angles.tolist(), strict=True))
         for name, part in hand.digit_joints.items():
-            angles[name] = float(displayed[part].mean())
+            angles[name] = float(displayed_angles[part].mean())
         return np.asarray(np.array([angles[name] for name in self.names]) / self._unit_factor)
 
 

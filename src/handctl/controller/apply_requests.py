@@ -55,7 +55,7 @@ from handctl.programs.requests import (
 from handctl.programs.stream_plans import streamed_digits
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
-BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
+MODES_BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 """Modes in which a request to clear faults also clears the errors of the drives."""
 
 
@@ -75,7 +75,7 @@ def apply_requests(
     Returns:
         The stop and cut requests among the given requests, and the events that the requests cause.
     """
-    operator = OperatorRequests()
+    operator_requests = OperatorRequests()
     events = list[TickEvent]()
     for text in request_texts:
         request = parse_request(text)
@@ -85,17 +85,17 @@ def apply_requests(
         if not is_routine_request(text):
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
-            operator = replace(operator, stop=True)
+            operator_requests = replace(operator_requests, stop=True)
         elif isinstance(request, CutTorqueRequest):
-            operator = replace(operator, cut=True)
+            operator_requests = replace(operator_requests, cut=True)
         elif isinstance(request, ArmRequest):
-            state.armed = True
+            state.arming_requested = True
         elif isinstance(request, ClearFaultsRequest):
             clear_latched_faults(state)
-            state.clearing = state.mode in BEFORE_READY
+            state.clearing = state.mode in MODES_BEFORE_READY
         else:
             events += _apply_other_request(model, program, state, request)
-    return operator, tuple(events)
+    return operator_requests, tuple(events)
 
 
 def _apply_other_request(
@@ -117,12 +117,12 @@ def _set_gains(
     """Begin to design the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
-    pending = state.decisions.pending
-    designed, refused = gain_change.begin_design(
-        pending.gains if pending else model.gains, request.set
+    pending_gains = state.decisions.pending
+    progress_of_design, refusal_text = gain_change.begin_design(
+        pending_gains.gains if pending_gains else model.gains, request.set
     )
-    state.decide(pending=designed or pending)
-    return refused
+    state.decide(pending=progress_of_design or pending_gains)
+    return refusal_text
 
 
 def _apply_command(
@@ -185,12 +185,10 @@ def _refusal_reason(
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
     if state.mode != HandMode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
-    commander = state.decisions.commander
-    if commander in (None, request.client) or request.take_over:
+    commanding_client = state.decisions.commander
+    if commanding_client in (None, request.client) or request.take_over:
         return None
-    text = (
-        f"refused: {commander or 'a client without a name'} commands this hand, expected take_over"
-    )
+    text = f"refused: {commanding_client or 'a client without a name'} commands this hand, expected take_over"
     return TickEvent("info", "request", "", text)
 
 
@@ -229,7 +227,9 @@ def clear_latched_faults(state: ControllerState) -> None:
     # still present becomes active again in this tick. The count of any other fault returns to zero.
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
-        one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1))
-        for one in state.decisions.reported_faults
+        reported_fault._replace(
+            ticks=min(reported_fault.ticks, FAULT_BY_ID[reported_fault.id].debounce - 1)
+        )
+        for reported_fault in state.decisions.reported_faults
     ]
     state.decide(latched=(), reported_faults=tuple(reported_faults))

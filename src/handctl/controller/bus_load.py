@@ -20,8 +20,8 @@ class BusLoadRow:
         what: name of the motor, or of the part of the sensor node, that sends the frames.
         size: payload of each frame [bytes].
         fd: True for CAN FD frames.
-        per_tick: number of these frames in every tick.
-        per_second: number of these frames per second, for frames whose rate does not depend on the
+        frames_per_tick: number of these frames in every tick.
+        frames_per_second: number of these frames per second, for frames whose rate does not depend on the
             control rate.
         frame_s: longest duration of one frame [s].
     """
@@ -29,8 +29,8 @@ class BusLoadRow:
     what: str
     size: int
     fd: bool
-    per_tick: float
-    per_second: float
+    frames_per_tick: float
+    frames_per_second: float
     frame_s: float
 
 
@@ -51,16 +51,16 @@ class BusLoad:
     @property
     def tick_s(self) -> float:
         """Return the time that all frames of one tick take on the bus [s]."""
-        return sum(row.per_tick * row.frame_s for row in self.rows)
+        return sum(row.frames_per_tick * row.frame_s for row in self.rows)
 
     @property
-    def timed_fraction(self) -> float:
+    def periodic_load_fraction(self) -> float:
         """Return the fraction of time that is taken by frames whose rate does not depend on the control rate."""
-        return sum(row.per_second * row.frame_s for row in self.rows)
+        return sum(row.frames_per_second * row.frame_s for row in self.rows)
 
     def load_at(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
-        return rate_hz * self.tick_s + self.timed_fraction
+        return rate_hz * self.tick_s + self.periodic_load_fraction
 
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
@@ -68,7 +68,7 @@ class BusLoad:
         If no frame is sent in every tick, return infinity.
         """
         return (
-            max(0.0, load_limit - self.timed_fraction) / self.tick_s
+            max(0.0, load_limit - self.periodic_load_fraction) / self.tick_s
             if self.tick_s
             else float("inf")
         )
@@ -101,11 +101,11 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
             drive.name,
             size,
             fd,
-            tick,
-            second,
+            frames_per_tick,
+            frames_per_second,
             frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, drive.has_extended_ids),
         )
-        for size, fd, tick, second in kinds
+        for size, fd, frames_per_tick, frames_per_second in kinds
     )
 
 
@@ -125,8 +125,15 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
     ]
     kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
-        BusLoadRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
-        for name, size, tick, second in kinds
+        BusLoadRow(
+            name,
+            size,
+            False,
+            frames_per_tick,
+            frames_per_second,
+            frame_time_s(size, False, bus.bitrate),
+        )
+        for name, size, frames_per_tick, frames_per_second in kinds
     )
 
 
@@ -148,30 +155,30 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         The names of the motors on each bus. If a single motor already overloads a bus, the list is
         empty.
     """
-    first = hand.bus[0]
+    first_bus = hand.bus[0]
     # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
     # for motors.
-    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
+    free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at(rate_hz)
     # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
     # node's SYNC frame needs a SYNC frame of its own.
-    has_sync = SYNC in make_sensors(hand).host_ids
-    sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
+    uses_sync = SYNC in make_sensors(hand).host_ids
+    sync_load = rate_hz * frame_time_s(0, False, first_bus.bitrate)
     buses = list[list[str]]([[]])
     for drive in make_drives(hand):
-        listens = isinstance(drive, Cia402Drive)
+        listens_to_sync = isinstance(drive, Cia402Drive)
         # Any drive may become the one that makes the host send its heartbeat. ``sync_load`` has the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
-        load = BusLoad("", 1, drive_rows(drive, first)).load_at(rate_hz)
-        with_sync = load + sync_load * listens
-        if with_sync > MAX_BUS_LOAD:
+        load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at(rate_hz)
+        load_with_sync = load + sync_load * listens_to_sync
+        if load_with_sync > MAX_BUS_LOAD:
             return []
-        if (load if has_sync else with_sync) > capacity:
-            capacity = MAX_BUS_LOAD
+        if (load if uses_sync else load_with_sync) > free_bus_load:
+            free_bus_load = MAX_BUS_LOAD
             buses.append([])
-            has_sync = False
-        capacity -= load if has_sync else with_sync
-        has_sync |= listens
+            uses_sync = False
+        free_bus_load -= load if uses_sync else load_with_sync
+        uses_sync |= listens_to_sync
         buses[-1].append(drive.name)
     return buses
 
@@ -185,14 +192,16 @@ def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:
         return hand
-    first = hand.bus[0]
-    names = [first.name, *(f"bus_{number}" for number in range(1, len(groups)))]
-    bus_of = {motor: name for name, motors in zip(names, groups, strict=True) for motor in motors}
+    first_bus = hand.bus[0]
+    names = [first_bus.name, *(f"bus_{number}" for number in range(1, len(groups)))]
+    bus_by_motor = {
+        motor: name for name, motors in zip(names, groups, strict=True) for motor in motors
+    }
     return hand.model_copy(
         update={
-            "bus": tuple(first.model_copy(update={"name": name}) for name in names),
+            "bus": tuple(first_bus.model_copy(update={"name": name}) for name in names),
             "motor": tuple(
-                motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor
+                motor.model_copy(update={"bus": bus_by_motor[motor.name]}) for motor in hand.motor
             ),
         }
     )

@@ -15,7 +15,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.programs.requests import CommandBase, GiveUpCommandRequest
 
-RELAX_FACTOR = 2
+RELAX_TIMEOUT_IN_LEASES = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
@@ -45,7 +45,7 @@ def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ..
     )
 
 
-def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
+def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent for too long.
 
     A running task, and digits that hold a tension, continue until the run ends. A streamed target
@@ -64,13 +64,13 @@ def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, .
     if state.mode != HandMode.ACTIVE:
         state.decide(lease=None)
         return ()
-    heard_ns = lease.renewed_ns
+    last_heard_ns = lease.renewed_ns
     stream = state.decisions.stream
     if stream is not None and stream.client == lease.client:
-        heard_ns = max(heard_ns, state.run_integer(s.STREAM_SENT_NS))
-    silence_ns = state.run_integer(s.T_NS) - heard_ns
+        last_heard_ns = max(last_heard_ns, state.run_integer(s.STREAM_SENT_NS))
+    silence_ns = state.run_integer(s.T_NS) - last_heard_ns
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
-    if silence_ns > RELAX_FACTOR * lease.duration_ns:
+    if silence_ns > RELAX_TIMEOUT_IN_LEASES * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))
         return (TickEvent("error", "lease", "", f"{text}: the hand relaxes"),)
     if silence_ns > lease.duration_ns and not lease.resting:

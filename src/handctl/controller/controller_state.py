@@ -110,8 +110,8 @@ def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     goals = _goals_cache(decisions.progress.goals)
     # Without amplifiers, the hash equals the hash in logs of versions that did not support
     # amplifiers.
-    rest = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
-    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest]))
+    rest_hash = _rest_cache(decisions[1:] if decisions.amplifiers else decisions[1:-1])
+    return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest_hash]))
 
 
 _decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
@@ -211,11 +211,11 @@ class ControllerState:
         """Return the table or number of the state block that has the given name."""
         return self.layout.view(self.block, name)
 
-    def run_number(self, row: int) -> float:
+    def run_real(self, row: int) -> float:
         """Return the number in a row of the table ``run``."""
         return float(self._run[row])
 
-    def set_run_number(self, row: int, value: float) -> None:
+    def set_run_real(self, row: int, value: float) -> None:
         """Set the number in a row of the table ``run``."""
         self._run[row] = value
 
@@ -242,13 +242,13 @@ class ControllerState:
         self.set_run_integer(s.MODE, mode)
 
     @property
-    def mode_since(self) -> float:
+    def mode_start_time(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self.run_number(s.MODE_START_TIME)
+        return self.run_real(s.MODE_START_TIME)
 
-    @mode_since.setter
-    def mode_since(self, t: float) -> None:
-        self.set_run_number(s.MODE_START_TIME, t)
+    @mode_start_time.setter
+    def mode_start_time(self, t: float) -> None:
+        self.set_run_real(s.MODE_START_TIME, t)
 
     @property
     def goal_time(self) -> float:
@@ -256,19 +256,19 @@ class ControllerState:
 
         This time stops while the safety monitor makes the hand hold its position.
         """
-        return self.run_number(s.GOAL_TIME)
+        return self.run_real(s.GOAL_TIME)
 
     @goal_time.setter
     def goal_time(self, t: float) -> None:
-        self.set_run_number(s.GOAL_TIME, t)
+        self.set_run_real(s.GOAL_TIME, t)
 
     @property
-    def armed(self) -> bool:
+    def arming_requested(self) -> bool:
         """Return True if the arming of the drives is requested."""
         return bool(self.run_integer(s.ARMING_REQUESTED))
 
-    @armed.setter
-    def armed(self, is_armed: bool) -> None:
+    @arming_requested.setter
+    def arming_requested(self, is_armed: bool) -> None:
         self.set_run_integer(s.ARMING_REQUESTED, is_armed)
 
     @property
@@ -281,7 +281,7 @@ class ControllerState:
         self.set_run_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
 
     @property
-    def started(self) -> bool:
+    def has_started(self) -> bool:
         """Return True if the encoder and the load cell of every tendon have been read at least once."""
         return bool(self.run_integer(s.FILTER_STARTED))
 

@@ -57,52 +57,60 @@ class DesignCache:
         designed_pieces: control loops that are designed so far, for each of the last ``CACHE_SIZE``
             sets of requested gains.
         controllers: controllers whose design is complete.
-        used: gains of the controller that was returned last.
+        current_gains: gains of the controller that was returned last.
     """
 
     designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
     controllers: dict[Gains, Any] = field(default_factory=dict)
-    used: Gains | None = None
+    current_gains: Gains | None = None
 
-    def advance(self, model: HandModel, pending: PendingGains) -> DesignProgress | None:
+    def advance(self, model: HandModel, pending_gains: PendingGains) -> DesignProgress | None:
         """Design one more control loop for pending gains.
 
         When the design is complete, return None.
         """
         try:
-            check_tendon_names(pending.gains, model.space.names)
-            done = self._design_pieces(model, pending.gains, pending.step + 1)
+            check_tendon_names(pending_gains.gains, model.space.names)
+            designed_pieces = self._design_in_pieces(
+                model, pending_gains.gains, pending_gains.step + 1
+            )
         except ConfigError as error:
             return DesignProgress(
                 None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
             )
-        if len(done) >= control_loop_count(model.space):
+        if len(designed_pieces) >= control_loop_count(model.space):
             return None
-        return DesignProgress(replace(pending, step=pending.step + 1))
+        return DesignProgress(replace(pending_gains, step=pending_gains.step + 1))
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains, and keep the design for these gains in the cache."""
-        self.used = gains
+        self.current_gains = gains
         if gains not in self.controllers:
-            old: Any = controller
-            model = old.model
-            designed_pieces = self._design_pieces(model, gains, control_loop_count(model.space))
-            designed = replace(
+            old_controller: Any = controller
+            model = old_controller.model
+            designed_pieces = self._design_in_pieces(model, gains, control_loop_count(model.space))
+            designed_model = replace(
                 model, gains=gains, motion=combine_loop_designs(model.space, designed_pieces)
             )
-            self.controllers[gains] = replace(old, model=designed, similar=old.derived)
-        made: ControllerT = self.controllers[gains]
-        return made
+            self.controllers[gains] = replace(
+                old_controller, model=designed_model, similar_constants=old_controller.derived
+            )
+        controller_with_gains: ControllerT = self.controllers[gains]
+        return controller_with_gains
 
-    def _design_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
+    def _design_in_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
         """Return at least the first ``piece_count`` control loops of a design, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
             # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
             # entry of the gains in use is kept.
-            oldest = next(one for one in self.designed_pieces if one != self.used)
-            self.controllers.pop(oldest, None)
-            del self.designed_pieces[oldest]
+            oldest_gains = next(
+                designed_piece
+                for designed_piece in self.designed_pieces
+                if designed_piece != self.current_gains
+            )
+            self.controllers.pop(oldest_gains, None)
+            del self.designed_pieces[oldest_gains]
         while len(designed_pieces) < piece_count:
             designed_pieces.append(
                 design_control_loop(model.space, gains, model.period, len(designed_pieces))
@@ -131,8 +139,10 @@ def begin_design(
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
     """Return one event for each gain that has changed, and one last event for the switch to the new gains."""
-    different = changed_gain_values(old_gains, new_gains)
-    changed = tuple(
-        TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()
+    differences = changed_gain_values(old_gains, new_gains)
+    changed_tick_events = tuple(
+        TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in differences.items()
     )
-    return *changed, TickEvent("info", "gains", "", f"taken over: {len(changed)} changed")
+    return *changed_tick_events, TickEvent(
+        "info", "gains", "", f"taken over: {len(changed_tick_events)} changed"
+    )

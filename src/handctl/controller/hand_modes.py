@@ -14,7 +14,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.relaxing import (
     are_commands_relaxed,
     are_tensions_relaxed,
-    begin_relaxing,
+    start_relaxation,
     update_relax_rate,
 )
 from handctl.core import state_block as s
@@ -44,9 +44,9 @@ READY_DURATION_S = 0.1
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
-CUT_DURATION_S = PULL_AFTER_CUT_TIME_S
+TORQUE_CUT_DURATION_S = PULL_AFTER_CUT_TIME_S
 """Time for which the frames that cut the torque are repeated [s]."""
-RELEASE_CHECK_TICKS = 2
+RELEASE_DETECTION_TICKS = 2
 """Ticks after ``PULL_AFTER_CUT_TIME_S`` in which the detector of tendons that still pull (N16) has the last word."""
 
 
@@ -66,8 +66,8 @@ class ModeInputs(NamedTuple):
         drives: drives of all motors.
         elapsed: time since the present mode began [s].
         action: reaction that the safety monitor demands.
-        operator: stop and cut requests from the operator.
-        foreign: signs that a second controller uses the bus. Signs are frames that only a host
+        operator_requests: stop and cut requests from the operator.
+        other_host_texts: signs that a second controller uses the bus. Signs are frames that only a host
             sends, and replies of motors to which this host has sent no request.
         identities: identities that the drives had when the hand was calibrated, see
             ``Drive.identity``. The identity of a drive is empty if it is not known.
@@ -77,8 +77,8 @@ class ModeInputs(NamedTuple):
     drives: tuple[Drive, ...]
     elapsed: float
     action: SafetyAction
-    operator: OperatorRequests
-    foreign: tuple[str, ...]
+    operator_requests: OperatorRequests
+    other_host_texts: tuple[str, ...]
     identities: tuple[str, ...] = ()
 
     @property
@@ -87,9 +87,11 @@ class ModeInputs(NamedTuple):
         return tuple(drive.name for drive in self.drives)
 
     @property
-    def no_override(self) -> bool:
+    def is_without_override(self) -> bool:
         """Return True if the next mode is determined neither by the safety monitor nor by the operator."""
-        return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
+        return self.action < RELAX and not (
+            self.other_host_texts or self.operator_requests.stop or self.operator_requests.cut
+        )
 
 
 RELAX = SafetyAction.RELAX
@@ -99,10 +101,10 @@ NextMode = tuple[HandMode, str]
 
 def drive_target(mode: HandMode) -> DriveTarget:
     """Return the state into which every drive should go in a given mode of the hand."""
-    return _DRIVE_TARGETS[mode]
+    return _DRIVE_TARGET_BY_MODE[mode]
 
 
-_DRIVE_TARGETS = {
+_DRIVE_TARGET_BY_MODE = {
     HandMode.SILENT: DriveTarget.LISTEN,
     HandMode.INVENTORY: DriveTarget.POLL,
     HandMode.READY: DriveTarget.POLL,
@@ -124,8 +126,8 @@ def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[
         return ()
     return tuple(
         frame
-        for drive, own in zip(drives, state.drives, strict=True)
-        for frame in drive.release_frames(own)
+        for drive, drive_state in zip(drives, state.drives, strict=True)
+        for frame in drive.release_frames(drive_state)
     )
 
 
@@ -134,7 +136,7 @@ def next_mode(
     drives: tuple[Drive, ...],
     state: ControllerState,
     action: SafetyAction,
-    operator: OperatorRequests,
+    operator_requests: OperatorRequests,
     other_host_frames: tuple[str, ...],
     time_s: float,
     fault_identities: tuple[str, ...] = (),
@@ -146,7 +148,7 @@ def next_mode(
         drives: drives of all motors.
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
-        operator: stop and cut requests from the operator.
+        operator_requests: stop and cut requests from the operator.
         other_host_frames: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
         fault_identities: identities of the drives in the calibration. May be empty.
@@ -157,16 +159,16 @@ def next_mode(
     inputs = ModeInputs(
         model,
         drives,
-        time_s - state.mode_since,
+        time_s - state.mode_start_time,
         action,
-        operator,
+        operator_requests,
         other_host_frames,
         fault_identities,
     )
-    before = state.mode
-    demanded = None if inputs.no_override else _overriding_mode(state, inputs)
-    mode, failure = demanded or _NEXT_MODE_FUNCTIONS[before](state, inputs)
-    if mode == before:
+    mode_before = state.mode
+    overriding_mode = None if inputs.is_without_override else _overriding_mode(state, inputs)
+    mode, failure = overriding_mode or _NEXT_MODE_FUNCTIONS[mode_before](state, inputs)
+    if mode == mode_before:
         if mode == HandMode.RELAX:
             update_relax_rate(state)
         return ()
@@ -175,46 +177,48 @@ def next_mode(
     )  # this also applies to a fault during the move to the home position
     names = inputs.names
     level = "error" if failure else "info"
-    unconfirmed = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
-    text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
+    unconfirmed_motors = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
+    text = f"{mode_before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if (
-        unconfirmed and REMOVE_POWER not in text
+        unconfirmed_motors and REMOVE_POWER not in text
     ):  # an operator who has stopped the run reads only this line
-        text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
+        text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed_motors)}"
     reason = (
-        f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+        f"{state.failure}; {failure}"
+        if state.failure and unconfirmed_motors
+        else state.failure or failure
     )
-    state.decide(failure=reason, unconfirmed=unconfirmed)
+    state.decide(failure=reason, unconfirmed=unconfirmed_motors)
     state.mode = mode
-    state.mode_since = time_s
+    state.mode_start_time = time_s
     if mode == HandMode.RELAX:
-        begin_relaxing(model, state)
+        start_relaxation(model, state)
     return (TickEvent(level, "mode", "", text),)
 
 
 def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
-    acting = state.mode in TORQUE_MODES
-    if acting and (inputs.operator.cut or inputs.action == SafetyAction.CUT):
+    makes_torque = state.mode in TORQUE_MODES
+    if makes_torque and (inputs.operator_requests.cut or inputs.action == SafetyAction.CUT):
         return HandMode.CUT, _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.action == SafetyAction.RELAX:
         return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
-    if state.mode in _MODE_AFTER_STOP and inputs.operator.stop:
+    if state.mode in _MODE_AFTER_STOP and inputs.operator_requests.stop:
         return _MODE_AFTER_STOP[state.mode], ""
-    return _before_arming(state, inputs) if state.mode in MODES_BEFORE_ARMING else None
+    return _next_mode_before_arming(state, inputs) if state.mode in MODES_BEFORE_ARMING else None
 
 
-def _before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
+def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that ends a run before any motor makes torque.
 
     Return None if the run continues.
     """
-    if inputs.operator.stop or inputs.operator.cut:
+    if inputs.operator_requests.stop or inputs.operator_requests.cut:
         return HandMode.DONE, ""
-    if inputs.foreign:
+    if inputs.other_host_texts:
         return (
             HandMode.DONE,
-            f"another controller is on the bus (heard: {', '.join(inputs.foreign)})",
+            f"another controller is on the bus (heard: {', '.join(inputs.other_host_texts)})",
         )
     return (HandMode.DONE, _latched_faults(state)) if inputs.action >= SafetyAction.RELAX else None
 
@@ -233,55 +237,63 @@ def _latched_faults(state: ControllerState) -> str:
     """
     if not state.latched:
         return ""
-    return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
+    return "fault " + ", ".join(
+        f"{latched_fault.id} {latched_fault.instance}" for latched_fault in state.latched
+    )
 
 
-def _after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
+def _next_mode_after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
     return (HandMode.INVENTORY if inputs.elapsed >= LISTENING_DURATION_S else HandMode.SILENT), ""
 
 
-def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    named = tuple(_named_drives(state, inputs))
-    wrong = [
-        f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT
+def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    named_drives = tuple(_named_drives(state, inputs))
+    wrong_drives = [
+        f"{name}: {drive.error_text}"
+        for name, drive in named_drives
+        if drive.phase == DrivePhase.FAULT
     ]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return HandMode.DONE, "; ".join(wrong_amplifiers)
-    if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
-        return HandMode.DONE, "; ".join(wrong) + CLEAR_ADVICE
-    groups_missing = not state.view("group_frames").all()
+    if wrong_drives and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
+        return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ADVICE
+    is_group_missing = not state.view("group_frames").all()
     if (
         all(drive.phase == DrivePhase.READY for drive in state.drives)
-        and state.started
-        and not groups_missing
+        and state.has_started
+        and not is_group_missing
     ):
         return HandMode.READY, ""
     if inputs.elapsed < INVENTORY_TIMEOUT_S:
         return HandMode.INVENTORY, ""
-    behind = [(name, drive) for name, drive in named if drive.phase != DrivePhase.READY]
-    silent = [
-        name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text
+    unready_drives = [
+        (name, drive) for name, drive in named_drives if drive.phase != DrivePhase.READY
     ]
-    silent += _silent_sensors(state) if groups_missing else []
-    stuck = [
+    silent_names = [
+        name
+        for name, drive in unready_drives
+        if drive.phase == DrivePhase.SILENT and not drive.error_text
+    ]
+    silent_names += _silent_sensors(state) if is_group_missing else []
+    stuck_drives = [
         f"{name}: {drive.error_text or 'not configured in time'}"
-        for name, drive in behind
-        if name not in silent
+        for name, drive in unready_drives
+        if name not in silent_names
     ]
-    silence = (
-        [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
-        if silent
+    silence_text = (
+        [f"no answer from {', '.join(silent_names)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
+        if silent_names
         else []
     )
-    return HandMode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
+    return HandMode.DONE, "; ".join([*stuck_drives, *silence_text, *_missing_inputs(state, inputs)])
 
 
 def _wrong_amplifiers(state: ControllerState) -> list[str]:
     """Return the names of the amplifiers whose set-up has failed, each with the reason."""
     return [
-        f"{one.name}: {one.error_text}"
-        for one in state.decisions.amplifiers
-        if one.phase == DrivePhase.FAULT
+        f"{amplifier.name}: {amplifier.error_text}"
+        for amplifier in state.decisions.amplifiers
+        if amplifier.phase == DrivePhase.FAULT
     ]
 
 
@@ -291,9 +303,14 @@ def _silent_sensors(state: ControllerState) -> list[str]:
     If there is none, one name stands for all sensors.
     """
     amplifiers = state.decisions.amplifiers
-    behind = [one for one in amplifiers if one.phase != DrivePhase.READY]
-    silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
-    return silent or ["the load cells" if amplifiers else "the sensor node"]
+    unready_amplifiers = [
+        amplifier for amplifier in amplifiers if amplifier.phase != DrivePhase.READY
+    ]
+    silent_groups = [
+        identity.name + (f" ({identity.error_text})" if identity.error_text else "")
+        for identity in unready_amplifiers
+    ]
+    return silent_groups or ["the load cells" if amplifiers else "the sensor node"]
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
@@ -302,24 +319,26 @@ def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
     The tension filter needs the position of every motor.
     """
     drives = _named_drives(state, inputs)
-    blind = [
+    blind_tendons = [
         name
         for name, drive in drives
         if drive.phase == DrivePhase.READY and math.isnan(drive.position)
     ]
-    return [f"no position from {', '.join(blind)}"] if blind else []
+    return [f"no position from {', '.join(blind_tendons)}"] if blind_tendons else []
 
 
-def _after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    if wrong := _wrong_amplifiers(state):
-        return HandMode.DONE, "; ".join(wrong)
+def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    if wrong_amplifiers := _wrong_amplifiers(state):
+        return HandMode.DONE, "; ".join(wrong_amplifiers)
     if strange := _other_drives(state, inputs):
         return (
             HandMode.DONE,
             f"{strange}: the calibration is of another hand, give that of this hand or commission it",
         )
     return (
-        HandMode.ARMING if state.armed and inputs.elapsed >= READY_DURATION_S else HandMode.READY
+        HandMode.ARMING
+        if state.arming_requested and inputs.elapsed >= READY_DURATION_S
+        else HandMode.READY
     ), ""
 
 
@@ -330,74 +349,84 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
         The result has one phrase per drive. The text is empty if all identities are equal, or if
         the calibration contains none.
     """
-    there = [
+    drives_found = [
         drive.identity(drive_state)
         for drive, drive_state in zip(inputs.drives, state.drives, strict=True)
     ]
-    pairs = zip(inputs.names, there, inputs.identities, strict=False)
-    others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
+    pairs = zip(inputs.names, drives_found, inputs.identities, strict=False)
+    unexpected_drives = [
+        (name, present_target, expected_target)
+        for name, present_target, expected_target in pairs
+        if expected_target not in ("", present_target)
+    ]
     return ", ".join(
-        f"{name} is drive {now}, but was calibrated with drive {then}" for name, now, then in others
+        f"{name} is drive {present_target}, but was calibrated with drive {expected_target}"
+        for name, present_target, expected_target in unexpected_drives
     )
 
 
-def _after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
+def _next_mode_after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
     if all(phase == DrivePhase.ENABLED for phase in state.phases):
         return HandMode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
         return HandMode.ARMING, ""
-    late = [
+    late_names = [
         name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
     ]
-    return HandMode.DISARM, f"not enabled: {', '.join(late)}"
+    return HandMode.DISARM, f"not enabled: {', '.join(late_names)}"
 
 
-def _after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
+def _next_mode_after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
     return (HandMode.RELAX if state.progress.finished else HandMode.ACTIVE), state.progress.failure
 
 
-def _after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
+def _next_mode_after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
     # A load cell may read less than the true tension. Therefore the torque is removed only when the
     # commanded forces have also fallen.
-    relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
+    is_relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
         inputs.model, state
     )
-    return (HandMode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX), ""
+    return (
+        HandMode.DISARM if is_relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX
+    ), ""
 
 
-def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    pulling = _pulling_motors(inputs.model, state, inputs.names)
-    if pulling:
-        return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
+def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    pulling_motors = _pulling_motors(inputs.model, state, inputs.names)
+    if pulling_motors:
+        return (
+            HandMode.DONE,
+            f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling_motors)}",
+        )
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
         # A drive may report that it is disabled although its motor still pulls.
-        ticks_without_torque = state.run_integer(s.TICKS_SINCE_CUT) - RELEASE_CHECK_TICKS
-        checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
-        return (HandMode.DONE if checked else HandMode.DISARM), ""
+        ticks_without_torque = state.run_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
+        is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
+        return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
     return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
-def _after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.DISARM if inputs.elapsed >= CUT_DURATION_S else HandMode.CUT), ""
+def _next_mode_after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.DISARM if inputs.elapsed >= TORQUE_CUT_DURATION_S else HandMode.CUT), ""
 
 
-def _after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:
+def _next_mode_after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:
     return HandMode.DONE, ""
 
 
 _NEXT_MODE_FUNCTIONS: dict[HandMode, Callable[[ControllerState, ModeInputs], NextMode]] = {
-    HandMode.SILENT: _after_silent,
-    HandMode.INVENTORY: _after_inventory,
-    HandMode.READY: _after_ready,
-    HandMode.ARMING: _after_arming,
-    HandMode.ACTIVE: _after_active,
-    HandMode.RELAX: _after_relax,
-    HandMode.DISARM: _after_disarm,
-    HandMode.CUT: _after_cut,
-    HandMode.DONE: _after_done,
+    HandMode.SILENT: _next_mode_after_silent,
+    HandMode.INVENTORY: _next_mode_after_inventory,
+    HandMode.READY: _next_mode_after_ready,
+    HandMode.ARMING: _next_mode_after_arming,
+    HandMode.ACTIVE: _next_mode_after_active,
+    HandMode.RELAX: _next_mode_after_relax,
+    HandMode.DISARM: _next_mode_after_disarm,
+    HandMode.CUT: _next_mode_after_cut,
+    HandMode.DONE: _next_mode_after_done,
 }
 
 
@@ -414,15 +443,16 @@ def motors_not_confirmed_off(
     listed. After the end of a run, a drive is listed only if it had not confirmed at the end of the
     run. A drive which reports that it is enabled is always listed.
     """
-    in_doubt = motor_names
+    doubtful_motors = motor_names
     if state.mode in MODES_BEFORE_ARMING:
-        in_doubt = ()
+        doubtful_motors = ()
     elif state.mode == HandMode.DONE:
-        in_doubt = state.unconfirmed
+        doubtful_motors = state.unconfirmed
     return tuple(
         name
         for name, drive in zip(motor_names, state.drives, strict=True)
-        if drive.phase == DrivePhase.ENABLED or (name in in_doubt and not is_confirmed_off(drive))
+        if drive.phase == DrivePhase.ENABLED
+        or (name in doubtful_motors and not is_confirmed_off(drive))
     )
 
 
@@ -431,7 +461,9 @@ def _pulling_motors(
 ) -> tuple[str, ...]:
     """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
     tendons = {
-        mark.instance for mark in state.latched if FAULT_BY_ID[mark.id].shows_torque_after_cut
+        latched_fault.instance
+        for latched_fault in state.latched
+        if FAULT_BY_ID[latched_fault.id].shows_torque_after_cut
     }
     return tuple(
         name
@@ -447,7 +479,7 @@ def _motors_possibly_on(
 
     If the run ends before arming, a tendon may have tension although the motor makes no torque.
     """
-    pulling = (
+    pulling_motors = (
         () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)
     )
-    return tuple(dict.fromkeys((*motors_not_confirmed_off(state, motor_names), *pulling)))
+    return tuple(dict.fromkeys((*motors_not_confirmed_off(state, motor_names), *pulling_motors)))

@@ -32,7 +32,7 @@ OVER_TENSION_RATE_N_PER_S = 2000.0
 START_MARGIN_N = 15.0
 """Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
 
-RELAXED_WITHIN_N = 3.0
+RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
 SETPOINT_MARGIN_N = 3.0
 """Largest margin of the first setpoint above the present tension [N].
@@ -41,7 +41,7 @@ During a steady hold the margin is at most 2 N.
 """
 
 
-def begin_relaxing(model: HandModel, state: ControllerState) -> None:
+def start_relaxation(model: HandModel, state: ControllerState) -> None:
     """Write the state at the start of relaxing: setpoints, rates and envelope.
 
     Relaxing begins at the present tension. The setpoint of a held digit may be above the present
@@ -49,17 +49,19 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     force is a further limit of the start, because a load cell may be wrong.
     """
     table = state.tendon
-    whole = state.tendon_int
+    tendon_integers = state.tendon_int
     in_tension_loop = np.array(
         [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of_tendon]
     )
     # A spool pair may pull in either direction. So all values are given in the direction of the
     # last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
-    present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
+    present_tensions = (
+        np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + SETPOINT_MARGIN_N
+    )
     setpoint = sign * table[s.SETPOINT]
     # A digit that follows a position goal has no tension setpoint.
-    setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
+    setpoint = np.where(in_tension_loop, np.minimum(setpoint, present_tensions), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
         DigitGoal(
@@ -73,22 +75,26 @@ def begin_relaxing(model: HandModel, state: ControllerState) -> None:
     table[s.SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force. The envelope starts from this force in the next
     # tick.
-    explained = present
-    if any(FAULT_BY_ID[mark.id].makes_tension_unreliable for mark in state.latched):
+    explained_force = present_tensions
+    if any(
+        FAULT_BY_ID[latched_fault.id].makes_tension_unreliable for latched_fault in state.latched
+    ):
         # If the load cell may be wrong, the true tension may be as large as the tension setpoint. A
         # digit that follows a position goal has no tension setpoint.
-        explained = np.where(in_tension_loop, np.maximum(present, start), present)
-    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
-    whole[s.GOAL_KIND] = int(GoalKind.TENSION)
+        explained_force = np.where(
+            in_tension_loop, np.maximum(present_tensions, start), present_tensions
+        )
+    table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained_force)
+    tendon_integers[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 
 def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
     """Return the tensions (N,) of a relaxed hand [N], limited to the setpoints (N,) at the start of relaxing."""
-    return np.where(model.is_pair, 0.0, np.minimum(start_tensions, model.relaxed))
+    return np.where(model.is_pair, 0.0, np.minimum(start_tensions, model.relaxed_tensions))
 
 
 def _envelope_start(
-    model: HandModel, state: ControllerState, sign: Vector, explained_force: Vector
+    model: HandModel, state: ControllerState, sign: Vector, accounted_force: Vector
 ) -> Vector:
     """Return the motor forces (N,) at which the envelopes start [N]: the last commands or smaller forces.
 
@@ -99,24 +105,28 @@ def _envelope_start(
         model: model of the hand.
         state: state when relaxing starts.
         sign: (N,) direction of the commanded force.
-        explained_force: (N,) largest tension in this direction that agrees with the measurement or
+        accounted_force: (N,) largest tension in this direction that agrees with the measurement or
             the setpoint [N].
     """
-    commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    return sign * np.minimum(sign * commanded, explained_force + model.space.coulomb)
+    commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
+    return sign * np.minimum(sign * commanded_force, accounted_force + model.space.coulomb)
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every motor command is at most slightly above the tension of a relaxed tendon."""
     return not np.any(
-        _force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N
+        _force_sizes(model, state.tendon[s.COMMANDED_FORCE])
+        > model.relaxed_tensions + RELAXED_TOLERANCE_N
     )
 
 
 def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
     """Return True if every tension is close to the tension of a relaxed tendon."""
     return bool(
-        np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N)
+        np.all(
+            _force_sizes(model, state.tendon[s.TENSION])
+            < model.relaxed_tensions + RELAXED_TOLERANCE_N
+        )
     )
 
 
@@ -152,4 +162,4 @@ def is_open_loop(state: ControllerState) -> bool:
 
 def _release_methods(state: ControllerState) -> set[RelaxMethod]:
     """Return the methods of relaxing that the reactions to the latched faults require."""
-    return {FAULT_BY_ID[mark.id].relax_method for mark in state.latched}
+    return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched}

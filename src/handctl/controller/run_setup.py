@@ -154,9 +154,12 @@ class RunSetup(Document):
         The construction includes the design of all gains.
         """
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
-        known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
+        known_hand = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
         model = HandModel.from_hand(
-            known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None
+            known_hand,
+            gains,
+            self.rate_hz,
+            np.array(self.torque_gain) if self.torque_gain else None,
         )
         tare = np.array(self.tare_N)
         zero = np.array(self.zero_rad)
@@ -189,8 +192,8 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
     The lines about the watchdog come first. A drive without a watchdog keeps its torque if the host
     fails.
     """
-    named = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
-    return lines_by_text(sorted(named, key=lambda one: not one[1].startswith("watchdog")))
+    drive_texts = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
+    return lines_by_text(sorted(drive_texts, key=lambda one: not one[1].startswith("watchdog")))
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
@@ -210,9 +213,9 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     for motor, drive in zip(motors, drives, strict=True):
         _check_position_loop(motor, drive)
     sensors = make_sensors(hand)
-    named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
-    where = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
-    check_identifiers([(where, sensors), *named])
+    drives_by_key = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
+    location = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
+    check_identifiers([(location, sensors), *drives_by_key])
     return _with_host_frames(drives, sensors)
 
 
@@ -224,21 +227,32 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     """
     if not motor.closes_position_loop:
         return
-    where = f"motor[{motor.name}]"
+    location = f"motor[{motor.name}]"
     message = drive.cyclic_messages.position
     if message is None:
-        right = position_loop_protocols_text()
+        expected = position_loop_protocols_text()
         if reason := PROTOCOL_TRAITS[motor.protocol].no_position_loop_reason:
-            right += f". {reason}"
-        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
-    given = {SignalQuantity.STIFFNESS: "kp_N_m_per_rad", SignalQuantity.DAMPING: "kd_N_m_s_per_rad"}
+            expected += f". {reason}"
+        raise ConfigError(f'"{motor.protocol}"', f"{location}.protocol", expected)
+    key_by_quantity = {
+        SignalQuantity.STIFFNESS: "kp_N_m_per_rad",
+        SignalQuantity.DAMPING: "kd_N_m_s_per_rad",
+    }
     for signal in message.signals:
-        value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None
-        largest = signal.ends[1]
-        smallest = signal.step if signal.quantity == SignalQuantity.STIFFNESS else 0.0
-        if value is not None and not smallest <= value <= largest:
-            right = f"{smallest:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
-            raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)
+        value = (
+            getattr(motor, key_by_quantity[signal.quantity])
+            if signal.quantity in key_by_quantity
+            else None
+        )
+        largest = signal.value_limits[1]
+        smallest_gain = signal.step if signal.quantity == SignalQuantity.STIFFNESS else 0.0
+        if value is not None and not smallest_gain <= value <= largest:
+            expected = (
+                f"{smallest_gain:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
+            )
+            raise ConfigError(
+                f"{value:g}", f"{location}.{key_by_quantity[signal.quantity]}", expected
+            )
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
@@ -251,26 +265,26 @@ def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tu
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
     sets the option ``sync`` for a drive.
     """
-    completed = list(drives)
-    of_bus = dict[int, dict[int, Cia402Drive]]()
+    completed_drives = list(drives)
+    drives_by_bus = dict[int, dict[int, Cia402Drive]]()
     for n, drive in enumerate(drives):
         if isinstance(drive, Cia402Drive):
-            of_bus.setdefault(drive.bus, {})[n] = drive
-    for bus, on_bus in of_bus.items():
-        period_ns = min(drive.heartbeat_period_ns for drive in on_bus.values())
-        has_sync = (bus == sensors.bus and SYNC in sensors.host_ids) or any(
-            drive.sync for drive in on_bus.values()
+            drives_by_bus.setdefault(drive.bus, {})[n] = drive
+    for bus, drives_on_bus in drives_by_bus.items():
+        period_ns = min(drive.heartbeat_period_ns for drive in drives_on_bus.values())
+        uses_sync = (bus == sensors.bus and SYNC in sensors.host_ids) or any(
+            drive.sync for drive in drives_on_bus.values()
         )
-        last = max(on_bus)
-        for n, drive in on_bus.items():
-            is_last = n == last
-            completed[n] = replace(
+        last_index = max(drives_on_bus)
+        for n, drive in drives_on_bus.items():
+            is_last_drive = n == last_index
+            completed_drives[n] = replace(
                 drive,
-                sync=drive.sync or (is_last and not has_sync),
-                sends_heartbeat=is_last,
+                sync=drive.sync or (is_last_drive and not uses_sync),
+                sends_heartbeat=is_last_drive,
                 heartbeat_period_ns=period_ns,
             )
-    return tuple(completed)
+    return tuple(completed_drives)
 
 
 def make_sensors(hand: Hand) -> SensorInterface:
@@ -301,17 +315,20 @@ def make_controller(
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)
     zero = calibration.zero(hand) if calibration else np.zeros(n)
-    found = calibration.identified if calibration else {}
-    gain = torque_gain(hand, found) if found else None
+    identified = calibration.identified if calibration else {}
+    gain = torque_gain(hand, identified) if identified else None
     model = HandModel.from_hand(
-        identified_hand(hand, found) if found else hand, gains, rate_hz, gain
+        identified_hand(hand, identified) if identified else hand, gains, rate_hz, gain
     )
     drives = make_drives(hand)
     sensors = make_sensors(hand)
     controller = Controller(model, drives, sensors, program, tare, zero, arm_at_once)
-    known = calibration.drive if calibration else {}
+    known_drive = calibration.drive if calibration else {}
     return replace(
-        controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ()
+        controller,
+        identities=tuple(known_drive.get(drive.name, "") for drive in drives)
+        if known_drive
+        else (),
     )
 
 

@@ -26,7 +26,7 @@ class ShutdownStep(NamedTuple):
 
 
 def shutdown_step(
-    controller: Controller, state: ControllerState, t_ns: int, received: Sequence[Frame]
+    controller: Controller, state: ControllerState, t_ns: int, received_frames: Sequence[Frame]
 ) -> ShutdownStep:
     """Process received frames, and command every drive to disable.
 
@@ -36,21 +36,21 @@ def shutdown_step(
         controller: controller whose drives are disabled.
         state: state of the last complete tick, or of the last shutdown step.
         t_ns: time of the step [ns].
-        received: frames received since the last step.
+        received_frames: frames received since the last step.
 
     Returns:
         The next state, the frames to send, and the motors that are not confirmed as disabled.
     """
-    after = state.copy()
-    after.set_run_integer(s.K, state.k + 1)
-    frames = [controller.sensors.sync(after.k)] if controller.derived.sends_sync else []
+    state_after = state.copy()
+    state_after.set_run_integer(s.K, state.k + 1)
+    frames = [controller.sensors.sync(state_after.k)] if controller.derived.sends_sync else []
     for n, drive in enumerate(controller.drives):
-        drive_state = after.drive(n)
-        for frame in received:
+        drive_state = state_after.drive(n)
+        for frame in received_frames:
             drive_state = drive.receive(drive_state, frame)
         # A frame may be lost. So the disable command is repeated until it is confirmed.
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
-        controller.store_drive_state(after, n, drive_state)
+        controller.store_drive_state(state_after, n, drive_state)
         frames += new_frames
     names = tuple(drive.name for drive in controller.drives)
-    return ShutdownStep(after, tuple(frames), motors_not_confirmed_off(after, names))
+    return ShutdownStep(state_after, tuple(frames), motors_not_confirmed_off(state_after, names))

@@ -60,11 +60,13 @@ IDENTITY_BYTES = 8
 
 def snapshot_bytes(state: ControllerState) -> bytes:
     """Return the snapshot of a controller's state as bytes."""
-    decisions = json.dumps(plain_form(state.decisions), separators=(",", ":"), default=_mark_bytes)
+    decisions = json.dumps(
+        plain_form(state.decisions), separators=(",", ":"), default=_type_mark_and_bytes
+    )
     return state.layout.identity + state.block.tobytes() + decisions.encode()
 
 
-def _mark_bytes(value: object) -> tuple[str, str]:
+def _type_mark_and_bytes(value: object) -> tuple[str, str]:
     """Return bytes as a hexadecimal text with a mark, because JSON has no type for bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()

@@ -43,7 +43,7 @@ Setpoints also keep this margin below the largest tension, because the tension m
 def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present motion reference of each digit, (3, n): position, rate and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
-    return tuple(rows[:, places] for places in model.digit_coordinates)
+    return tuple(rows[:, coordinate_slice] for coordinate_slice in model.digit_coordinates)
 
 
 def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
@@ -95,35 +95,35 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
             # If a digit has no reference, its motion starts at rest from the present angles.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
-    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
-    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
+    rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.coordinate_limits)
+    rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.coordinate_limits
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
-    state.set_run_number(s.STREAM_SEGMENT_START, 0.0)
-    state.set_run_number(s.STREAM_DURATION, 0.0)
+    state.set_run_real(s.STREAM_SEGMENT_START, 0.0)
+    state.set_run_real(s.STREAM_DURATION, 0.0)
 
 
 def close_stream(model: HandModel, state: ControllerState) -> None:
     """Close the open stream, if there is one. The digits of the stream come to rest."""
     if state.decisions.stream is None:
         return
-    state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
+    state.decide(stream=None, progress=bring_to_rest(model, state, streamed_digits_only=True))
     state.set_run_integer(s.STREAMING, 0)
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
 def bring_to_rest(
-    model: HandModel, state: ControllerState, only_streamed: bool = False
+    model: HandModel, state: ControllerState, streamed_digits_only: bool = False
 ) -> ProgramProgress:
     """Return the progress of the program with new goals, by which moving digits come to rest."""
-    reach = tuple(digit.reach for digit in model.digits)
+    reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
     return progress_with_stopped_digits(
         state.progress,
         present_references(model, state),
         setpoints,
         state.goal_time,
-        reach,
-        only_streamed,
+        reach_by_digit,
+        streamed_digits_only,
     )
 
 
@@ -150,22 +150,24 @@ def apply_target(
     ):
         return ()  # the target belongs to another client, or to a stream that has ended
     if target is None or not is_target_plausible(stream, target.values):
-        right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
+        expected = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
         return _count_target(
-            state, s.REFUSED_TARGET_COUNT, f"refused: a target that is no target, expected {right}"
+            state,
+            s.REFUSED_TARGET_COUNT,
+            f"refused: a target that is no target, expected {expected}",
         )
     sent_ns = min(target.sent_ns, t_ns)
-    running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
+    is_running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
     # If several targets arrive in one tick, the time of the tick may be assigned to each of them.
-    overtaken = target.number <= state.run_integer(
+    is_outdated = target.number <= state.run_integer(
         s.STREAM_SEQUENCE
     ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
-    if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
+    if (is_running and is_outdated) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.LATE_TARGET_COUNT, "ignored: a target that is repeated, overtaken or too old"
         )
-    begin = _begin_segment if stream.is_angle_stream else _begin_tension_ramp
-    clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
+    begin_stream = _begin_segment if stream.is_angle_stream else _begin_tension_ramp
+    is_clipped = begin_stream(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
     state.set_run_integer(s.STREAM_SEQUENCE, target.number)
     state.set_run_integer(s.STREAMING, s.RUNNING_STREAM)
@@ -177,7 +179,7 @@ def apply_target(
     )
     return (
         _count_target(state, s.CLIPPED_TARGET_COUNT, f"clipped: a target beyond {limit}")
-        if clipped
+        if is_clipped
         else ()
     )
 
@@ -197,22 +199,26 @@ def _begin_tension_ramp(
     Arguments: see ``_begin_segment``.
     """
     setpoint = state.tendon[s.SETPOINT]
-    aim = target_tensions(model, stream, target_values, setpoint, state.estimate.q)
-    inside = np.clip(aim, model.floor, model.ceiling)
-    reached = np.minimum(
-        inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
+    goal_tensions = target_tensions(model, stream, target_values, setpoint, state.estimate.q)
+    limited_tensions = np.clip(goal_tensions, model.floor, model.ceiling)
+    goal_tension = np.minimum(
+        limited_tensions, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
     )
-    reached = np.maximum(np.minimum(reached, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor)
+    goal_tension = np.maximum(
+        np.minimum(goal_tension, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor
+    )
     step = model.hand.stream.tension_rate_N_per_s * model.period
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
     for d in streamed_digits(model, stream):
         tendons = model.digit_tendons[d]
-        state.tendon[s.TENSION_TARGET, tendons] = reached[tendons]
+        state.tendon[s.TENSION_TARGET, tendons] = goal_tension[tendons]
         state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(
-            np.abs(reached - setpoint)[tendons] / ticks, step
+            np.abs(goal_tension - setpoint)[tendons] / ticks, step
         )
-    named = np.array([name in stream.names for name in model.hand.tendon_names])
-    return stream.space == "tension" and bool((np.abs(inside - aim) > CLIP_TOLERANCE)[named].any())
+    is_streamed = np.array([name in stream.names for name in model.hand.tendon_names])
+    return stream.space == "tension" and bool(
+        (np.abs(limited_tensions - goal_tensions) > CLIP_TOLERANCE)[is_streamed].any()
+    )
 
 
 def _begin_segment(
@@ -236,29 +242,33 @@ def _begin_segment(
         t_ns: time of the tick [ns].
     """
     rows = state.layout.table(state.block, "coordinate")
-    where = mapping_of_stream(model, stream.space, stream.names)
-    aim = np.where(where.is_streamed, where.matrix @ target_values, rows[s.STREAM_TARGET])
-    held = aim
-    if where.digits_not_fully_holdable:
-        held = np.clip(aim, *model.reach)
-        for d in where.digits_not_fully_holdable:
+    mapping = mapping_of_stream(model, stream.space, stream.names)
+    goal_coordinates = np.where(
+        mapping.is_streamed, mapping.matrix @ target_values, rows[s.STREAM_TARGET]
+    )
+    held_coordinates = goal_coordinates
+    if mapping.digits_not_fully_holdable:
+        held_coordinates = np.clip(goal_coordinates, *model.coordinate_limits)
+        for d in mapping.digits_not_fully_holdable:
             digit = model.digits[d]
-            places = model.digit_coordinates[d]
-            held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
+            coordinate_slice = model.digit_coordinates[d]
+            held_coordinates[coordinate_slice] = nearest_holdable_posture(
+                digit, held_coordinates[coordinate_slice], model.floor[digit.tendons]
+            )
     # The motion starts at the reference of the last tick. So the reference already moves in this
     # tick.
-    since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
-    duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
-    apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
-    steady = (
+    start_time = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
+    duration = max(sent_ns / 1e9 + stream.horizon - start_time, model.period)
+    target_interval = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+    is_steady = (
         state.run_integer(s.STREAMING) == s.RUNNING_STREAM
-        and apart <= MAX_TARGET_GAP_PERIODS * stream.period
+        and target_interval <= MAX_TARGET_GAP_PERIODS * stream.period
     )
     # The time between two targets that arrive together says nothing about the rate of the stream.
     # Therefore this time counts as at least half a period of the stream.
-    apart = max(apart, 0.5 * stream.period) if steady else math.inf
+    target_interval = max(target_interval, 0.5 * stream.period) if is_steady else math.inf
     return begin_segments(
-        state.block, state.layout.places, aim, held, since, duration, apart,
+        state.block, state.layout.places, goal_coordinates, held_coordinates, start_time, duration, target_interval,
         math.radians(model.hand.stream.speed_deg_s), int(stream.interpolation == "minimum_jerk"),
     )  # fmt: skip
 
@@ -278,11 +288,11 @@ def _count_target(
 def stream_status(state: ControllerState) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
-        return _NO_STREAM
-    running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
+        return _EMPTY_STREAM_STATUS
+    is_running = state.run_integer(s.STREAMING) == s.RUNNING_STREAM
     age_s = (
         (state.run_integer(s.T_NS) - state.run_integer(s.STREAM_SENT_NS)) / 1e9
-        if running
+        if is_running
         else math.nan
     )
     rows = (
@@ -297,4 +307,4 @@ def stream_status(state: ControllerState) -> StreamStatus:
     )
 
 
-_NO_STREAM = StreamStatus()
+_EMPTY_STREAM_STATUS = StreamStatus()

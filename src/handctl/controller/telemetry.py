@@ -28,12 +28,15 @@ class TelemetryGatherer:
         """
         # In this block, the value of each element is the index of the element. So the view of a
         # field contains the indices of the field's elements.
-        numbered = np.arange(layout.size, dtype=np.float64)
-        parts = [layout.view(numbered, STATE_FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
-        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        element_numbers = np.arange(layout.size, dtype=np.float64)
+        parts = [
+            layout.view(element_numbers, STATE_FIELD_OF.get(name, name))
+            for name in TELEMETRY_FIELDS
+        ]
+        end_offsets = np.cumsum([0, *map(len, parts)]).tolist()
         self._index = np.concatenate(parts).astype(np.intp)
         self._places = TelemetryPlaces(
-            zip(TELEMETRY_FIELDS, map(slice, ends[:-1], ends[1:]), strict=True)
+            zip(TELEMETRY_FIELDS, map(slice, end_offsets[:-1], end_offsets[1:]), strict=True)
         )
 
     def __call__(self, block: BlockArray) -> PackedTelemetry:

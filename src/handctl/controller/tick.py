@@ -26,7 +26,7 @@ import numpy as np
 from handctl.compiled import compile_kernels
 from handctl.controller import gain_change, hand_modes
 from handctl.controller.apply_requests import apply_requests
-from handctl.controller.client_lease import expire_lease
+from handctl.controller.client_lease import enforce_lease
 from handctl.controller.controller_state import (
     ControllerDecisions,
     ControllerState,
@@ -95,8 +95,8 @@ class DerivedConstants:
         constants: constants for the compiled code.
         constant_args: block and places of ``constants``, the arguments of compiled functions.
         wire: signal tables of the drives' cyclic frames.
-        gather: function that copies the telemetry from the state block.
-        owners: index of the drive to which an identifier belongs, by bus and identifier.
+        gather_telemetry: function that copies the telemetry from the state block.
+        drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
             the host sends SYNC after the command of a CiA 402 drive.
@@ -108,8 +108,8 @@ class DerivedConstants:
     constants: HandConstants
     constant_args: tuple[Vector, TablePlaces]
     wire: WireTables
-    gather: TelemetryGatherer
-    owners: dict[tuple[int, int], int]
+    gather_telemetry: TelemetryGatherer
+    drive_index_by_id: dict[tuple[int, int], int]
     amplifier_of: dict[tuple[int, int], int]
     sends_sync: bool
     sync_row: WordRows
@@ -136,16 +136,16 @@ class DerivedConstants:
             constants=constants,
             constant_args=(constants.block, constants.layout.places),
             wire=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
-            gather=TelemetryGatherer(layout),
-            owners={
+            gather_telemetry=TelemetryGatherer(layout),
+            drive_index_by_id={
                 (drive.bus, can_id): n
                 for n, drive in enumerate(drives)
                 for can_id in drive.node_ids
             },
             amplifier_of={
-                (one.bus, can_id): i
-                for i, one in enumerate(sensors.amplifiers)
-                for can_id in (*one.service_ids, *one.tpdo_ids)
+                (amplifier.bus, can_id): i
+                for i, amplifier in enumerate(sensors.amplifiers)
+                for can_id in (*amplifier.service_ids, *amplifier.tpdo_ids)
             },
             sends_sync=bool(sensors.ids),
             sync_row=frames_as_records([sensors.sync(0)]).rows[0],
@@ -170,9 +170,9 @@ class Controller:
             unknown.
         other_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
             it is None, the thresholds of the hand apply.
-        designs: cache of the controller designs for gains that are set during a run.
-        similar: constants of a controller that differs from this one only in its gains. If it is
-            None, all tables are computed. The tables of ``similar`` are used again, because gains
+        design_cache: cache of the controller designs for gains that are set during a run.
+        similar_constants: constants of a controller that differs from this one only in its gains. If it is
+            None, all tables are computed. The tables of ``similar_constants`` are used again, because gains
             change during a run.
         derived: constants that follow from the other attributes.
     """
@@ -186,28 +186,28 @@ class Controller:
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
     other_limits: SafetyLimits | None = None
-    designs: gain_change.DesignCache = field(
+    design_cache: gain_change.DesignCache = field(
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
-    similar: DerivedConstants | None = field(default=None, compare=False, repr=False)
+    similar_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
     derived: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the constants that follow from the other attributes."""
-        if self.similar is None:
+        if self.similar_constants is None:
             compile_kernels()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         constants = compiled_constants(
             self.model, self.drives, self.sensors, limits, self.tare, self.zero
         )
-        derived = (
-            self.similar.with_constants(limits, constants)
-            if self.similar
+        derived_constants = (
+            self.similar_constants.with_constants(limits, constants)
+            if self.similar_constants
             else DerivedConstants.from_configuration(
                 self.model, self.drives, self.sensors, limits, constants
             )
         )
-        object.__setattr__(self, "derived", derived)
+        object.__setattr__(self, "derived", derived_constants)
 
     def initial_state(self) -> ControllerState:
         """Return the state before the first tick. It follows from the configuration alone."""
@@ -215,10 +215,10 @@ class Controller:
         decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
             self.program.initial_progress(self.model),
-            amplifiers=tuple(one.initial_state() for one in self.sensors.amplifiers),
+            amplifiers=tuple(amplifier.initial_state() for amplifier in self.sensors.amplifiers),
         )
         state = ControllerState(self.derived.layout, self.derived.layout.initial.copy(), decisions)
-        state.armed = self.arm_at_once
+        state.arming_requested = self.arm_at_once
         state.view("turn_sigma")[...] = self.derived.constants.layout.view(
             self.derived.constants.block, "range_sigma"
         )
@@ -227,9 +227,9 @@ class Controller:
         self._write_progress(state, None)
         return state
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque of every motor."""
-        return tuple(frame for drive in self.drives for frame in drive.cut_frames())
+        return tuple(frame for drive in self.drives for frame in drive.torque_cut_frames())
 
     def tick(
         self, last_state: ControllerState, tick_input: TickIn
@@ -262,7 +262,7 @@ class Controller:
         controller = (
             self
             if gains is None or gains is self.model.gains
-            else self.designs.controller(self, gains)
+            else self.design_cache.controller(self, gains)
         )
         state = last_state.copy()
         signs = controller._process_frames(
@@ -272,25 +272,34 @@ class Controller:
 
     def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
         """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
-        before, state, entry = open_tick.before, open_tick.state, open_tick.entry
-        operator, request_events = NO_REQUESTS
+        state_before, state, entry = open_tick.state_before, open_tick.state, open_tick.entry
+        operator_requests, request_events = NO_REQUESTS
         if requests:
-            operator, request_events = apply_requests(self.model, self.program, state, requests)
+            operator_requests, request_events = apply_requests(
+                self.model, self.program, state, requests
+            )
         events = (
-            consistency_events(self.model, before, state) + request_events
+            consistency_events(self.model, state_before, state) + request_events
             if state.run_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
-            events += expire_lease(self.model, state)
+            events += enforce_lease(self.model, state)
         action, findings = self._judge_faults(state, entry, open_tick.signs)
         t = entry.t_ns / 1e9
         mode_events = hand_modes.next_mode(
-            self.model, self.drives, state, action, operator, open_tick.signs, t, self.identities
+            self.model,
+            self.drives,
+            state,
+            action,
+            operator_requests,
+            open_tick.signs,
+            t,
+            self.identities,
         )
         program_events = self._advance_program(state, action)
-        self._write_progress(state, before)
+        self._write_progress(state, state_before)
         open_tick.action = action
         open_tick.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
@@ -303,32 +312,35 @@ class Controller:
         state, entry = open_tick.state, open_tick.entry
         for target in targets:
             open_tick.events += apply_target(self.model, state, parse_target(target), entry.t_ns)
-        open_tick.unchanged = state.copy() if state.decisions.pending else None
-        self._compute_torques(state, open_tick.action, entry.k - open_tick.before.k)
-        open_tick.sent = self._encode_frames(state, entry.t_ns)
+        open_tick.state_before_law = state.copy() if state.decisions.pending else None
+        self._compute_torques(state, open_tick.action, entry.k - open_tick.state_before.k)
+        open_tick.sent_frames = self._encode_frames(state, entry.t_ns)
 
     def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
         state = open_tick.state
-        if open_tick.unchanged:
+        if open_tick.state_before_law:
             open_tick.events += self._design_pending_gains(
-                open_tick.unchanged, state, open_tick.action, open_tick.entry.k - open_tick.before.k
+                open_tick.state_before_law,
+                state,
+                open_tick.action,
+                open_tick.entry.k - open_tick.state_before.k,
             )
         tick_stages.store_commands(
             state.block, self.derived.layout.places, *self.derived.constant_args
         )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
-        out = TickOut(
-            open_tick.sent,
+        tick_output = TickOut(
+            open_tick.sent_frames,
             mode,
             phase,
             open_tick.action,
-            self.derived.gather(state.block),
+            self.derived.gather_telemetry(state.block),
             open_tick.events,
             state.digest(),
         )
-        return state, out
+        return state, tick_output
 
     # receive, estimate
 
@@ -345,17 +357,23 @@ class Controller:
         """
         block = state.block
         places = self.derived.layout.places
-        missed = tick_input.k - last_state.k - 1
+        missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
-            block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
+            block,
+            places,
+            tick_input.k,
+            tick_input.t_ns,
+            tick_input.late_ns,
+            missed_ticks,
+            len(frames),
         )
         signs = self._receive_frames(
             state, frames, self.sensors.earliest_answer_time_ns(last_state.run_integer(s.T_NS))
         )
         tick_stages.observe_tick(block, places, *self.derived.constant_args)
         tick_stages.correct_tension_estimate(block, places, *self.derived.constant_args)
-        if state.started:
-            predict_filter_states(self.model, self.derived.layout, block, missed)
+        if state.has_started:
+            predict_filter_states(self.model, self.derived.layout, block, missed_ticks)
         if tick_stages.conclude_estimate(block, places, *self.derived.constant_args):
             signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
@@ -363,14 +381,14 @@ class Controller:
         return signs
 
     def _receive_frames(
-        self, state: ControllerState, frames: Frames, fresh_ns: int
+        self, state: ControllerState, frames: Frames, min_receive_ns: int
     ) -> tuple[str, ...]:
         """Process the received frames of a tick.
 
         Args:
             state: state of the tick, modified in place.
             frames: received frames.
-            fresh_ns: earliest arrival of an answer to the latest SYNC [ns].
+            min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
 
         Return, without repetition, the identifiers of received frames that only this host may send.
         """
@@ -386,14 +404,14 @@ class Controller:
         while True:
             at = cyclic_frames.receive_frames(
                 state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
-                tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, fresh_ns,
+                tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, min_receive_ns,
             )  # fmt: skip
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
             # The kernel ``receive_frames`` has already counted error frames. So this frame is no
             # error frame.
             frame = frames[at]
-            owner = self.derived.owners.get((frame.bus, frame.can_id))
+            owner = self.derived.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
@@ -411,48 +429,56 @@ class Controller:
         """
         pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
         return tuple(
-            [group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups]
+            [
+                group
+                for amplifier, groups in pairs
+                if amplifier.phase != DrivePhase.READY
+                for group in groups
+            ]
         )
 
     def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
         i = self.derived.amplifier_of[frame.bus, frame.can_id]
-        before = state.decisions.amplifiers
-        after = self.sensors.amplifiers[i].receive(before[i], frame)
-        if after != before[i]:
-            state.decide(amplifiers=(*before[:i], after, *before[i + 1 :]))
+        amplifiers_before = state.decisions.amplifiers
+        state_after = self.sensors.amplifiers[i].receive(amplifiers_before[i], frame)
+        if state_after != amplifiers_before[i]:
+            state.decide(
+                amplifiers=(*amplifiers_before[:i], state_after, *amplifiers_before[i + 1 :])
+            )
 
     def _advance_amplifiers(
         self, state: ControllerState, target: DriveTarget, t_ns: int
     ) -> tuple[Frame, ...]:
         """Continue the set-up of the load-cell amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
-        out = list[Frame]()
-        for amplifier, before in zip(
+        sent_frames = list[Frame]()
+        for amplifier, amplifier_before in zip(
             self.sensors.amplifiers, state.decisions.amplifiers, strict=True
         ):
-            after, frames = amplifier.advance(before, t_ns, target)
-            states.append(after)
-            out += frames
+            amplifier_after, frames = amplifier.advance(amplifier_before, t_ns, target)
+            states.append(amplifier_after)
+            sent_frames += frames
         if tuple(states) != state.decisions.amplifiers:
             state.decide(amplifiers=tuple(states))
-        return tuple(out)
+        return tuple(sent_frames)
 
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
-        before = state.decisions.drives[n]
+        drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
             state.block, self.derived.layout.places, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state),
-            int(drive_state.misread_frame_count != before.misread_frame_count),
+            int(drive_state.misread_frame_count != drive_state_before.misread_frame_count),
         )  # fmt: skip
-        stripped = drive_state.with_values()  # the numbers of the drive are in the state block
-        if stripped != before:
+        # The numbers of the drive are in the state block.
+        state_without_values = drive_state.with_values()
+        if state_without_values != drive_state_before:
             drives = state.decisions.drives
-            state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
+            state.decide(drives=(*drives[:n], state_without_values, *drives[n + 1 :]))
 
     # judge, decide
 
@@ -464,16 +490,20 @@ class Controller:
         A program may send a request only to find out whether a value is in range. So a refused
         request is no fault. Only requests of wrong form show that a client is faulty.
         """
-        recent = state.decisions.refusals
-        if request_events or recent:
-            refused = [event.text for event in request_events if event.level == "warn"]
-            malformed = sum(not text.startswith(REFUSED_PREFIX) for text in refused)
+        recent_refusals = state.decisions.refusals
+        if request_events or recent_refusals:
+            refused_texts = [event.text for event in request_events if event.level == "warn"]
+            malformed_count = sum(not text.startswith(REFUSED_PREFIX) for text in refused_texts)
             k = state.k
             rate = 1.0 / self.model.period
-            recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
-            state.decide(refusals=recent)
-            state.set_run_integer(s.REFUSED_REQUESTS, len(recent))
-            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused))
+            recent_refusals = tuple(
+                refusal_tick
+                for refusal_tick in (*recent_refusals, *(k,) * malformed_count)
+                if k - refusal_tick < rate
+            )
+            state.decide(refusals=recent_refusals)
+            state.set_run_integer(s.REFUSED_REQUESTS, len(recent_refusals))
+            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused_texts))
 
     def _judge_faults(
         self,
@@ -485,14 +515,14 @@ class Controller:
         state.set_run_integer(
             s.CELLS_TARED, state.progress.phase != TARE_PHASE
         )  # before a load cell has been tared, it may read any value
-        demanded, found = tick_stages.find_faults(
+        demanded_action, raw_findings = tick_stages.find_faults(
             state.block,
             self.derived.layout.places,
             *self.derived.constant_args,
             self.derived.layout.initial,
         )
         new_findings = (
-            newly_active_faults(self.derived.limits, found, state.view("fault_ticks"))
+            newly_active_faults(self.derived.limits, raw_findings, state.view("fault_ticks"))
             if state.run_integer(s.NEW_FAULT_COUNT)
             else []
         )
@@ -504,13 +534,13 @@ class Controller:
             or decisions.latched
             or decisions.reported_faults
         ):
-            return _ACTION_BY_NUMBER[demanded], ()
+            return _ACTION_BY_NUMBER[demanded_action], ()
         reports = [(event.kind, event.where, float(event.number)) for event in tick_input.io_events]
         reports = filter_error_frames(
             reports, self._any_node_seen(state)
         ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
-            decisions.latched, decisions.reported_faults, new_findings, demanded, reports
+            decisions.latched, decisions.reported_faults, new_findings, demanded_action, reports
         )
         if (
             verdict.latched != decisions.latched
@@ -521,10 +551,10 @@ class Controller:
 
     def _any_node_seen(self, state: ControllerState) -> bool:
         """Return True if any node has ever answered, or if some motor may make torque."""
-        heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
+        is_node_seen = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
-        return heard or HandMode.ARMING <= state.mode <= RELAX
+        return is_node_seen or HandMode.ARMING <= state.mode <= RELAX
 
     def _advance_program(
         self, state: ControllerState, action: SafetyAction
@@ -547,15 +577,15 @@ class Controller:
     def _write_progress(self, state: ControllerState, last_state: ControllerState | None) -> None:
         """Write the goals that the program has changed into the state block."""
         progress = state.progress
-        old = last_state.progress if last_state else None
-        if progress is old:
+        old_progress = last_state.progress if last_state else None
+        if progress is old_progress:
             return
-        if old is None or progress.goals is not old.goals:
+        if old_progress is None or progress.goals is not old_progress.goals:
             write_goals(self.model, self.derived.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
         state.set_run_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
-        state.set_run_number(s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_real(s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0)
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -576,40 +606,46 @@ class Controller:
             write_tension_goals(
                 self.model, self.derived.layout, self.derived.constants, block, int(action)
             )
-        relaxing = mode == RELAX
-        rate, opened = (
-            (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
+        is_relaxing = mode == RELAX
+        rate, opening_rate = (
+            (present_relax_rate(state), is_open_loop(state)) if is_relaxing else (0.0, False)
         )
         tick_stages.compute_motor_torques(
-            block, places, *self.derived.constant_args, rate, int(opened), ticks
+            block, places, *self.derived.constant_args, rate, int(opening_rate), ticks
         )
 
     def _design_pending_gains(
-        self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
+        self,
+        state_before_law: ControllerState,
+        state: ControllerState,
+        action: SafetyAction,
+        ticks: int,
     ) -> tuple[TickEvent, ...]:
         """Design the next control loop for the requested gains.
 
         A complete design is used from the next tick on.
 
         Args:
-            unchanged: state before the motor torques were computed.
+            state_before_law: state before the motor torques were computed.
             state: state after the motor torques were computed.
             action: reaction that the safety monitor demands.
             ticks: number of control periods since the last tick.
         """
-        pending = state.decisions.pending
-        assert pending is not None
-        if (unfinished := self.designs.advance(self.model, pending)) is not None:
+        pending_gains = state.decisions.pending
+        assert pending_gains is not None
+        if (unfinished := self.design_cache.advance(self.model, pending_gains)) is not None:
             state.decide(pending=unfinished.pending)
             return unfinished.events
         if state.mode in (ACTIVE, RELAX):
-            other = self.designs.controller(self, pending.gains)
-            other._compute_torques(unchanged, action, ticks)
-            step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
+            other_controller = self.design_cache.controller(self, pending_gains.gains)
+            other_controller._compute_torques(state_before_law, action, ticks)
+            step = (
+                state.tendon[s.TORQUE] - state_before_law.tendon[s.TORQUE]
+            ) / self.model.space.spool
             state.tendon[s.TRIM_FORCE] += step
             state.set_run_integer(s.TRIM_ACTIVE, 1)
-        state.decide(gains=pending.gains, pending=None)
-        return gain_change.gain_change_events(self.model.gains, pending.gains)
+        state.decide(gains=pending_gains.gains, pending=None)
+        return gain_change.gain_change_events(self.model.gains, pending_gains.gains)
 
     # encode
 
@@ -618,30 +654,34 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
-        out = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
+        frame_rows = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors needs no SYNC frame. So row 0 is not sent.
         start = 0 if self.derived.sends_sync else 1
         if self.derived.sends_sync:
             counter = self.sensors.counter(state.k)
-            out[0] = self.derived.sync_row
-            out[0, PAYLOAD_WORD] = counter
+            frame_rows[0] = self.derived.sync_row
+            frame_rows[0, PAYLOAD_WORD] = counter
             state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
-            if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
+            if not amplifiers or all(
+                amplifier.phase == DrivePhase.READY for amplifier in amplifiers
+            ):
                 state.set_run_integer(s.SYNC_COUNT, state.run_integer(s.SYNC_COUNT) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
-        sent = self._write_commands(state, out, start, target, torque, t_ns)
+        sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
-            sent = join_frames([sent, frames_as_records(setup)])
+            sent_frames = join_frames([sent_frames, frames_as_records(setup)])
         return (
-            join_frames([frames_as_records(self.cut_frames()), Frames.from_rows(out[start:1])])
+            join_frames(
+                [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
+            )
             if mode == CUT
-            else sent
+            else sent_frames
         )
 
     def _write_commands(
@@ -667,39 +707,41 @@ class Controller:
         """
         tables = self.derived.wire
         parts = list[Frames]()
-        first = 0
+        first_row = 0
         pending_row = start
         count = 1
-        clearing = state.clearing and state.mode == HandMode.INVENTORY
+        is_clearing = state.clearing and state.mode == HandMode.INVENTORY
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
-                first, count = cyclic_frames.encode_commands(
+                first_row, count = cyclic_frames.encode_commands(
                     state.block, self.derived.layout.places, frame_words, tables.commands,
                     tables.command_signal_integers, tables.command_signal_reals, tables.templates, torque,
                     tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
-                    tables.recheck_ranges, tables.rechecks, first, count,
+                    tables.recheck_ranges, tables.rechecks, first_row, count,
                 )  # fmt: skip
-            if first >= n:
+            if first_row >= n:
                 break
-            drive_state = state.drive(first)
-            drive = self.drives[first]
-            if clearing and drive_state.phase == DrivePhase.FAULT:
+            drive_state = state.drive(first_row)
+            drive = self.drives[first_row]
+            if is_clearing and drive_state.phase == DrivePhase.FAULT:
                 drive_state, frames = drive.clear(drive_state)
             else:
-                drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
-                if tables.servos[first, 0] < tables.servos[first, 1]:
-                    send_torque_only(state, first)
-            self.store_drive_state(state, first, drive_state)
+                drive_state, frames = drive.advance(
+                    drive_state, t_ns, target, float(torque[first_row])
+                )
+                if tables.servos[first_row, 0] < tables.servos[first_row, 1]:
+                    send_torque_only(state, first_row)
+            self.store_drive_state(state, first_row, drive_state)
             if frames:
                 parts += [
                     Frames.from_rows(frame_words[pending_row:count]),
                     frames_as_records(frames),
                 ]
                 pending_row = count
-            first += 1
-        rest = Frames.from_rows(frame_words[pending_row:count])
-        return join_frames([*parts, rest]) if parts else rest
+            first_row += 1
+        remaining_frames = Frames.from_rows(frame_words[pending_row:count])
+        return join_frames([*parts, remaining_frames]) if parts else remaining_frames
 
 
 @dataclass(slots=True)
@@ -708,28 +750,28 @@ class TickInProgress:
 
     Attributes:
         controller: controller with the gains of the tick.
-        before: state after the previous tick.
+        state_before: state after the previous tick.
         state: state of the tick. Each step modifies this state.
         entry: inputs of the tick, without requests.
         signs: signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
-        sent: frames to send, which ``command`` has computed.
+        sent_frames: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        unchanged: state before the motor torques were computed. It is kept only while the design of
+        state_before_law: state before the motor torques were computed. It is kept only while the design of
             other gains is in progress.
     """
 
     controller: Controller
-    before: ControllerState
+    state_before: ControllerState
     state: ControllerState
     entry: TickIn
     signs: tuple[str, ...]
     targets: tuple[TickRequest, ...] = ()
-    sent: Frames = NO_FRAMES
+    sent_frames: Frames = NO_FRAMES
     action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
-    unchanged: ControllerState | None = None
+    state_before_law: ControllerState | None = None
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
         """Apply requests, judge faults, and choose the mode and the goals of the hand.
@@ -738,8 +780,10 @@ class TickInProgress:
             requests: requests of operators and programs, in the order of arrival. The targets among
                 them are applied in the next step.
         """
-        others, self.targets = requests_and_stream_targets(requests) if requests else ((), ())
-        self.controller._decide_goals(self, others)
+        other_requests, self.targets = (
+            requests_and_stream_targets(requests) if requests else ((), ())
+        )
+        self.controller._decide_goals(self, other_requests)
 
     def command(self, targets: tuple[TickRequest, ...]) -> Frames:
         """Apply the targets of streams, and return the frames to send.
@@ -751,7 +795,7 @@ class TickInProgress:
             ValueError: a command cannot be encoded. The command is not sent.
         """
         self.controller._command_drives(self, self.targets + targets)
-        return self.sent
+        return self.sent_frames
 
     def conclude(self) -> tuple[ControllerState, TickOut]:
         """Return the state after the tick, and the output of the tick."""

@@ -59,21 +59,21 @@ class BlockSchema:
         tables: names of the tables, in the order of the memory. A name is the name of an axis, or
             the names of several axes joined by ``*``. The name of an integer table ends with
             ``_int``.
-        optional: name of the only axis that may have the length 0. The value is empty if no axis
+        optional_table: name of the only axis that may have the length 0. The value is empty if no axis
             may have it. If this axis has the length 0, it has no effect on
             ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
-    def __init__(self, *tables: str, optional: str = "") -> None:
+    def __init__(self, *tables: str, optional_table: str = "") -> None:
         """Create a schema without fields.
 
         Args:
             tables: names of the tables in memory order.
-            optional: name of the axis that may have the length 0, see the attributes of the class.
+            optional_table: name of the axis that may have the length 0, see the attributes of the class.
         """
         self.tables = tables
-        self.optional = optional
+        self.optional_table = optional_table
         self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
@@ -136,32 +136,38 @@ class BlockLayout:
         """
         self.schema = schema
         self.axes = dict(axes)
-        left_out = ""
-        if schema.optional:
-            self.axes.setdefault(schema.optional, 0)
-            left_out = "" if self.axes[schema.optional] else schema.optional
-        widths = {table: self._table_width(table) for table in schema.tables}
-        ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
-        self.size = int(ends[-1])
-        named = repr((
-            {axis: length for axis, length in self.axes.items() if axis != left_out},
-            tuple(table for table in schema.tables if table != left_out),
-            [field[:4] for field in schema.fields if field.table != left_out],
+        omitted_table = ""
+        if schema.optional_table:
+            self.axes.setdefault(schema.optional_table, 0)
+            omitted_table = "" if self.axes[schema.optional_table] else schema.optional_table
+        table_widths = {table: self._table_width(table) for table in schema.tables}
+        end_offsets = np.cumsum(
+            [0, *(schema.rows(table) * table_widths[table] for table in schema.tables)]
+        )
+        self.size = int(end_offsets[-1])
+        layout_text = repr((
+            {axis: length for axis, length in self.axes.items() if axis != omitted_table},
+            tuple(table for table in schema.tables if table != omitted_table),
+            [field[:4] for field in schema.fields if field.table != omitted_table],
         ))  # fmt: skip
-        self.identity = hashlib.blake2b(named.encode(), digest_size=8).digest()
-        self.places: TablePlaces = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
-        spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        self.identity = hashlib.blake2b(layout_text.encode(), digest_size=8).digest()
+        self.places: TablePlaces = np.concatenate((list(self.axes.values()), end_offsets)).astype(
+            np.int64
+        )
+        table_spans = zip(
+            schema.tables, end_offsets[:-1].tolist(), end_offsets[1:].tolist(), strict=True
+        )
         self._tables = {
-            table: (first, end, widths[table], table.endswith(INTEGER_TABLE_SUFFIX))
-            for table, first, end in spans
+            table: (first_offset, end, table_widths[table], table.endswith(INTEGER_TABLE_SUFFIX))
+            for table, first_offset, end in table_spans
         }
         self._shapes = {
             table: (
                 (schema.rows(table), width),
-                np.dtype(np.int64 if whole else np.float64),
+                np.dtype(np.int64 if is_integer else np.float64),
                 8 * first,
             )
-            for table, (first, _, width, whole) in self._tables.items()
+            for table, (first, _, width, is_integer) in self._tables.items()
         }
         self._fields = {field.name: self._field_span(field) for field in schema.fields}
         self.initial: BlockArray = np.zeros(self.size)
@@ -176,14 +182,14 @@ class BlockLayout:
 
     def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
         """Return the place of a field in a block: first element, end, shape, and True for integers."""
-        start, _, width, whole = self._tables[field.table]
+        start, _, width, is_integer = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
-        first = start + field.first * width
+        first_offset = start + field.first * width
         return (
-            first,
-            first + field.rows * width,
+            first_offset,
+            first_offset + field.rows * width,
             shape if field.rows == 1 else (field.rows, *shape),
-            whole,
+            is_integer,
         )
 
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
@@ -191,9 +197,9 @@ class BlockLayout:
 
         The view has the shape (rows, ...). If the field has a single row, the shape is (...).
         """
-        first, end, shape, whole = self._fields[name]
-        part = block[first:end]
-        return (part.view(np.int64) if whole else part).reshape(shape)
+        first_offset, end, shape, is_integer = self._fields[name]
+        part = block[first_offset:end]
+        return (part.view(np.int64) if is_integer else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
         """Return the axis of the field with the given name.
@@ -223,18 +229,20 @@ class BlockLayout:
         If the blocks are equal, return None. Values are compared bit by bit. So a NaN equals a NaN.
         """
         # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
-        apart = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
-        if not len(apart):
+        differing_places = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
+        if not len(differing_places):
             return None
         for field in self.schema.fields:
-            first, end, _, whole = self._fields[field.name]
-            inside = apart[(apart >= first) & (apart < end)]
-            if len(inside):
-                kind = np.int64 if whole else np.float64
-                at = int(inside[0])
+            first_offset, end, _, is_integer = self._fields[field.name]
+            places_in_field = differing_places[
+                (differing_places >= first_offset) & (differing_places < end)
+            ]
+            if len(places_in_field):
+                kind = np.int64 if is_integer else np.float64
+                at = int(places_in_field[0])
                 return (
                     field.name,
-                    at - first,
+                    at - first_offset,
                     block.view(kind)[at].item(),
                     other_block.view(kind)[at].item(),
                 )

@@ -60,9 +60,9 @@ class Calibration(Document):
 
     @field_validator("made")
     @classmethod
-    def _check_date(cls, made_at: str) -> str:
-        datetime.datetime.fromisoformat(made_at)
-        return made_at
+    def _check_date(cls, creation_date: str) -> str:
+        datetime.datetime.fromisoformat(creation_date)
+        return creation_date
 
     def tare(self, hand: Hand) -> Vector:
         """Return the tares (N,) of all load cells [N]."""
@@ -73,7 +73,7 @@ class Calibration(Document):
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 
 
-def calibration_from(file_content: Mapping[str, Any], hand: Hand, source_name: str) -> Calibration:
+def parse_calibration(file_content: Mapping[str, Any], hand: Hand, source_name: str) -> Calibration:
     """Check the content of a calibration file for a hand, and return the calibration.
 
     Args:

@@ -52,7 +52,7 @@ CLOSING_SIGN = _real("side", "tendon", "",
 OPEN_EXCURSION = _real("open_excursion", "tendon", "m", "excursion at the lower joint limits")
 EXCURSION_LOW = _real("excursion_low", "tendon", "m", "smallest excursion within the joint limits")
 EXCURSION_HIGH = _real("excursion_high", "tendon", "m", "largest excursion within the joint limits")
-BLIND_MARGIN = _real("blind", "tendon", "N",
+MARGIN_WITHOUT_CELL = _real("blind", "tendon", "N",
     "margin of limits for a tension estimated without load cell; 0 with load cell")  # fmt: skip
 RELAXED_TENSION = _real("relaxed", "tendon", "N", "tension of a relaxed hand")
 BALANCE_TENSION = _real("balance", "tendon", "N",
@@ -63,8 +63,10 @@ IS_SPOOL_PAIR = _whole("pair", "tendon", "",
     "1 for two antagonistic tendons on one spool, whose net tension has both signs")  # fmt: skip
 HAS_RETURN_SPRINGS = _whole("sprung", "tendon", "",
     "1 if springs return the digit to its lower joint limits")  # fmt: skip
-HAS_SURPLUS = _whole("redundant", "tendon", "", "1 if the digit has more tendons than coordinates")
-KEEPS_LENGTH = _whole("absolute", "tendon", "",
+IS_REDUNDANT_DIGIT = _whole(
+    "redundant", "tendon", "", "1 if the digit has more tendons than coordinates"
+)
+HAS_CONSTANT_LENGTH = _whole("absolute", "tendon", "",
     "1 if the tendon keeps its length when it becomes taut, so that its excursion follows")  # fmt: skip
 
 # Control law.
@@ -128,20 +130,20 @@ JOINT_SCALE = _real("joint_scale", "joint", "rad/rad or m/rad",
     "motion that counts like 1 rad in thresholds: 1, less for a prismatic joint", initial=1.0)  # fmt: skip
 JOINT_MIN = _real("low", "joint", "rad", "smallest joint angle")
 JOINT_MAX = _real("high", "joint", "rad", "largest joint angle")
-RANGE_SIGMA = _real("range_sigma", "joint", "rad",
+ANGLE_RANGE_SIGMA = _real("range_sigma", "joint", "rad",
     "standard deviation of an angle of which only the range is known")  # fmt: skip
 ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2",
     "variance of a joint encoder's reading")  # fmt: skip
 IS_FUSED = _whole("loose", "joint", "",
     "1 if the joint has an encoder and its digit has a null space")  # fmt: skip
 GRAVITY = _real("gravity", "run", "m/s2", "gravity in the palm frame", rows=3)
-JOINTS_FIRST = _whole("joints_first", "digit", "", "index of the digit's first joint")
-JOINTS_END = _whole("joints_end", "digit", "", "index of the joint after the digit's last")
-TENDONS_FIRST = _whole("tendons_first", "digit", "", "index of the digit's first tendon")
-TENDONS_END = _whole("tendons_end", "digit", "", "index of the tendon after the digit's last")
-COORDINATES_FIRST = _whole("coordinates_first", "digit", "",
+FIRST_JOINT = _whole("joints_first", "digit", "", "index of the digit's first joint")
+END_JOINT = _whole("joints_end", "digit", "", "index of the joint after the digit's last")
+FIRST_TENDON = _whole("tendons_first", "digit", "", "index of the digit's first tendon")
+END_TENDON = _whole("tendons_end", "digit", "", "index of the tendon after the digit's last")
+FIRST_COORDINATE = _whole("coordinates_first", "digit", "",
     "index of the digit's first coordinate")  # fmt: skip
-COORDINATES_END = _whole("coordinates_end", "digit", "",
+END_COORDINATE = _whole("coordinates_end", "digit", "",
     "index of the coordinate after the digit's last")  # fmt: skip
 
 # Structure of the hand: relations between joints, tendons and coordinates of the digits.
@@ -167,15 +169,15 @@ REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms abou
 # is computed from R contains the values for the present joint angles.
 HAS_VARYING_ARM = _whole("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
-DIGIT_VARYING = _whole("digit_varying", "digit", "",
+DIGIT_HAS_VARYING_ARM = _whole("digit_varying", "digit", "",
     "1 if a moment arm of the digit depends on the joint angle")  # fmt: skip
-HAND_VARYING = _whole("hand_varying", "run", "",
+HAND_HAS_VARYING_ARM = _whole("hand_varying", "run", "",
     "1 if a moment arm of the hand depends on the joint angle")  # fmt: skip
 ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", rows=POLYNOMIAL_COEFFICIENTS,
     meaning="coefficients of the moment arm as a polynomial of the joint angle in rad")  # fmt: skip
 ANGLE_OFFSET = _real("angle_offset", "joint", "rad",
     "joint angle at zero excursion, by the linear relation at the present angles")  # fmt: skip
-EXPLAINED_OFFSET = _real("explained_offset", "tendon", "m",
+EXCURSION_MODEL_OFFSET = _real("explained_offset", "tendon", "m",
     "excursion less R R^+ s, by the linear relation at the present angles")  # fmt: skip
 MEAN_BALANCE = _real("mean_balance", "tendon", "N", "balance tension with the mean moment arms")
 
@@ -185,37 +187,37 @@ COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)",
     "joint angles per joint torque at constant excursion")  # fmt: skip
 COORDINATE_PROJECTION = _real("spread", "joint*joint", "",
     "projection of joint torques onto the coordinates, B B^T")  # fmt: skip
-SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 if two joints belong to one digit")
+IS_SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 if two joints belong to one digit")
 PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place of contact")
 EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2",
                            "variance of an excursion, without the part of the stretch")  # fmt: skip
-TURN_FRACTION = _real("turn_fraction", "run", "",
+TURN_SMOOTHING_FRACTION = _real("turn_fraction", "run", "",
     "fraction of the difference by which the smoothed turn approaches a new one")  # fmt: skip
 CONTACT_DECAY = _real("pressed_kept", "run", "",
     "fraction of the contact tension that remains after a tick")  # fmt: skip
 HAS_NULL_SPACE = _whole("null_space", "run", "", "1 if a digit of the hand has a null space")
 HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
     "1 if a joint of a digit with a null space has an encoder")  # fmt: skip
-POSTURE_TICKS = _whole("posture_ticks", "run", "",
+POSTURE_UPDATE_TICKS = _whole("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
 # Tension filter: the numbers of each filter design. There are six designs for each tendon. The
 # index of a design is the number of the tendon's regime. For a design with added process noise, it
 # is larger by 3.
 DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
-F_AT = 0
-B_AT = 49
-K_AT = 63
-Q_AT = 84
-R_AT = 133
-P_AT = 135
-H_AT = 184
-TENSION_ROW_AT = 205
-INFORMATION_AT = 212
-TENSION_VARIANCE_AT = 215
-CELL_SIGMA_AT = 216
-CELL_ERROR_VARIANCE_AT = 217
-CELL_ERROR_OBSERVABLE_AT = 218
+TRANSITION_MATRIX_OFFSET = 0
+INPUT_MATRIX_OFFSET = 49
+KALMAN_GAIN_OFFSET = 63
+PROCESS_NOISE_OFFSET = 84
+MEASUREMENT_NOISE_OFFSET = 133
+COVARIANCE_OFFSET = 135
+MEASUREMENT_MATRIX_OFFSET = 184
+TENSION_ROW_OFFSET = 205
+INFORMATION_OFFSET = 212
+TENSION_VARIANCE_OFFSET = 215
+CELL_SIGMA_OFFSET = 216
+CELL_ERROR_VARIANCE_OFFSET = 217
+CELL_ERROR_OBSERVABLE_OFFSET = 218
 DESIGN_ELEMENT_COUNT = 219
 """Number of elements of a filter design.
 
@@ -248,45 +250,47 @@ JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad",
     "largest step of a joint angle in a period")  # fmt: skip
 RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "",
     "update fraction of each low-passed residual", rows=9)  # fmt: skip
-ARMS_SUM = _real("arms_sum", "tendon", "m",
+MOMENT_ARM_SUM = _real("arms_sum", "tendon", "m",
     "sum of the absolute moment arms of a tendon, times the scale of each joint")  # fmt: skip
 MOTOR_PERIOD = _real("motor_period", "tendon", "s",
     "time between two reported positions of the motor")  # fmt: skip
 JOINT_PERIOD = _real("joint_period", "run", "s", "time between two readings of the joint encoders")
 TENSION_TRIP = _real("tension_trip", "tendon", "N",
     "tension of a single sample above which the hand relaxes")  # fmt: skip
-DRIVE_LIMIT = _real("drive_limit", "tendon", "N", "tension at the drive's own torque limit")
+DRIVE_TENSION_LIMIT = _real("drive_limit", "tendon", "N", "tension at the drive's own torque limit")
 TORQUE_STEP = _real("torque_step", "tendon", "N",
     "force of one count of the drive's torque; 0 for a floating-point torque")  # fmt: skip
 NOISE_LIMIT = _real("noise_limit", "run", "rad2",
     "mean squared jerk of a motor's position above which the position counts as noisy")  # fmt: skip
-TEMPERATURE_SOFT = _real("temperature_soft", "run", "degC",
+DERATING_START_TEMPERATURE = _real("temperature_soft", "run", "degC",
     "drive temperature from which the tension limit falls")  # fmt: skip
-TEMPERATURE_HARD = _real("temperature_hard", "run", "degC",
+TEMPERATURE_AT_FLOOR = _real("temperature_hard", "run", "degC",
     "drive temperature at which the tension limit has fallen to the floor")  # fmt: skip
-TENSION_RAIL = _real("tension_rail", "run", "N",
+CELL_SATURATION = _real("tension_rail", "run", "N",
     "tared reading from which a load cell counts as saturated")  # fmt: skip
 TENSION_LOW = _real("tension_low", "run", "N",
     "reading, after any tare, below which no tension can be")  # fmt: skip
-CELL_LOW = _real("cell_low", "run", "N",
+CELL_MIN = _real("cell_low", "run", "N",
     "reading before the tare at the lower end of a load cell's range")  # fmt: skip
-CELL_HIGH = _real("cell_high", "run", "N",
+CELL_MAX = _real("cell_high", "run", "N",
     "reading before the tare at the upper end of a load cell's range")  # fmt: skip
-CYCLIC_NS = _whole("cyclic_ns", "tendon", "ns",
+CYCLIC_FEEDBACK_PERIOD_NS = _whole("cyclic_ns", "tendon", "ns",
     "period of feedback that the drive sends by itself; 0 if every tick requests feedback")  # fmt: skip
-ANSWERS_ONCE = _whole("answers_once", "tendon", "", "1 if every command has exactly one answer")
+HAS_SINGLE_ANSWER = _whole(
+    "answers_once", "tendon", "", "1 if every command has exactly one answer"
+)
 CELL_GROUP = _whole("cell_group", "tendon", "", "frame group of the load cell; -1 without one")
 JOINT_GROUP = _whole("joint_group", "joint", "", "frame group of the joint encoder; -1 without one")
 PERIOD_NS = _whole("period_ns", "run", "ns", "control period")
-MUTE_NS = _whole("mute_ns", "run", "ns",
+JOINT_SILENCE_NS = _whole("mute_ns", "run", "ns",
     "time without a reading after which joint encoders count as silent")  # fmt: skip
 SILENT_TICKS = _whole("silent_ticks", "run", "",
     "missing replies in a row after which a node counts as silent")  # fmt: skip
-ONE_SILENT_TICKS = _whole("one_silent_ticks", "run", "",
+SILENT_TICKS_OF_SINGLE_MOTOR = _whole("one_silent_ticks", "run", "",
     "missing replies in a row after which a motor counts as silent while another answers")  # fmt: skip
 STALLED_TICKS = _whole("stalled_ticks", "run", "",
     "missed ticks in a row after which the host counts as stalled")  # fmt: skip
-FRAMES_LIMIT = _whole("frames_limit", "run", "",
+MAX_FRAMES_PER_TICK = _whole("frames_limit", "run", "",
     "number of frames in a tick above which the bus counts as flooded")  # fmt: skip
 TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry tensions")
 
@@ -329,7 +333,7 @@ def constant_tables(block: BlockArray, at: TablePlaces) -> ConstantTables:
     kinds = at[4]
     elements = at[5]
     places = at[6]
-    whole = block.view(np.int64)
+    integer_view = block.view(np.int64)
     return ConstantTables(
         borrowed_array(block, at[8], ((at[9] - at[8]) // n, n)),
         borrowed_array(block, at[9], ((at[10] - at[9]) // j, j)),
@@ -341,8 +345,8 @@ def constant_tables(block: BlockArray, at: TablePlaces) -> ConstantTables:
         borrowed_array(block, at[15], ((at[16] - at[15]) // (n * c), n, c)),
         borrowed_array(block, at[16], ((at[17] - at[16]) // (places * j), places, j)),
         borrowed_array(block, at[17], (n, kinds, elements)),
-        borrowed_array(whole, at[18], ((at[19] - at[18]) // n, n)),
-        borrowed_array(whole, at[19], ((at[20] - at[19]) // j, j)),
-        borrowed_array(whole, at[20], ((at[21] - at[20]) // d, d)),
-        borrowed_array(whole, at[21], (at[22] - at[21],)),
+        borrowed_array(integer_view, at[18], ((at[19] - at[18]) // n, n)),
+        borrowed_array(integer_view, at[19], ((at[20] - at[19]) // j, j)),
+        borrowed_array(integer_view, at[20], ((at[21] - at[20]) // d, d)),
+        borrowed_array(integer_view, at[21], (at[22] - at[21],)),
     )

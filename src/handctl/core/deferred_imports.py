@@ -34,9 +34,11 @@ class _DeferredAttribute:
             lambda real: getattr(real, method)(*given, **named)
         )
 
-    def __call__(self, *given: Any, **named: Any) -> Any:
+    def __call__(self, *positional_arguments: Any, **keyword_arguments: Any) -> Any:
         """Import the module, and call the real function."""
-        return self._apply_to_real_object(lambda real: real(*given, **named))
+        return self._apply_to_real_object(
+            lambda real: real(*positional_arguments, **keyword_arguments)
+        )
 
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
         """Apply ``operation`` to the real function or distribution, after the import of its module.
@@ -44,8 +46,10 @@ class _DeferredAttribute:
         During its import, filterpy makes one trial call, for which the method returns None.
         """
         module: Any = importlib.import_module(self._module)
-        real = getattr(module, self._name)
-        return None if isinstance(real, _DeferredAttribute) else operation(real)
+        imported_object = getattr(module, self._name)
+        return (
+            None if isinstance(imported_object, _DeferredAttribute) else operation(imported_object)
+        )
 
 
 class _DeferredModule(ModuleType):
@@ -64,9 +68,9 @@ def deferred_imports() -> Iterator[None]:
 
     Each stand-in also becomes an attribute of the package that contains its module.
     """
-    replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
-    places = [(importlib.import_module(package), part) for package, _, part in replaced]
-    for package, part in places:
+    module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
+    module_parts = [(importlib.import_module(package), part) for package, _, part in module_names]
+    for package, part in module_parts:
         sys.modules[f"{package.__name__}.{part}"] = deferred_module = _DeferredModule(
             f"{package.__name__}.{part}"
         )
@@ -74,7 +78,7 @@ def deferred_imports() -> Iterator[None]:
     try:
         yield
     finally:
-        for package, part in places:
+        for package, part in module_parts:
             del sys.modules[f"{package.__name__}.{part}"]
             delattr(package, part)
 
@@ -120,24 +124,28 @@ def import_without_package(name: str) -> ModuleType:
         ModuleNotFoundError: the package is not installed.
     """
     package = name.partition(".")[0]
-    loaded = sys.modules.get(package)
-    if hasattr(loaded, "__path__"):
+    loaded_module = sys.modules.get(package)
+    if hasattr(loaded_module, "__path__"):
         return importlib.import_module(name)
     specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
-    places = [
+    module_parts = [
         spec.submodule_search_locations
         for spec in specs
         if spec and spec.submodule_search_locations
     ]
-    if not places:
+    if not module_parts:
         raise ModuleNotFoundError(f"No module named {package!r}", name=package)
     package_stub = ModuleType(package)
-    package_stub.__path__ = list(places[0])
+    package_stub.__path__ = list(module_parts[0])
     sys.modules[package] = package_stub
     try:
         return importlib.import_module(name)
     finally:
-        for one in [one for one in sys.modules if one == package or one.startswith(f"{package}.")]:
-            del sys.modules[one]
-        if loaded is not None:
-            sys.modules[package] = loaded
+        for module_name in [
+            module_name
+            for module_name in sys.modules
+            if module_name == package or module_name.startswith(f"{package}.")
+        ]:
+            del sys.modules[module_name]
+        if loaded_module is not None:
+            sys.modules[package] = loaded_module

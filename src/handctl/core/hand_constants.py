@@ -102,14 +102,14 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "open_excursion": model.redundancy.excursion_at_lower_limits,
         "excursion_low": model.redundancy.excursion_range[0],
         "excursion_high": model.redundancy.excursion_range[1],
-        "relaxed": model.relaxed,
+        "relaxed": model.relaxed_tensions,
         "blind": model.blind_margin,
         "balance": model.redundancy.balance,
         "pair": model.is_pair,
         "pretension": model.hand.pretension,
-        "sprung": model.redundancy.sprung,
-        "redundant": model.redundancy.surplus,
-        "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
+        "sprung": model.redundancy.is_sprung,
+        "redundant": model.redundancy.has_surplus,
+        "absolute": ~model.redundancy.is_sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
         "touch_kept": math.exp(-model.period / blocked_digits.TOUCH_TIME_CONSTANT_S),
@@ -131,7 +131,7 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
     motion = model.gains.motion
     tension = model.gains.tension
     limit = model.torque_limit / space.spool
-    half = 0.5 * model.period / space.motor_mass
+    half_period_gain = 0.5 * model.period / space.motor_mass
     return {
         "limit": limit,
         "unwind": np.where(model.is_pair, -1.0, -MAX_UNWINDING_FORCE_FRACTION) * limit,
@@ -141,8 +141,8 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
         "speed_gain": model.motion.damping,
         "tension_gain": model.motion.tension,
         "tension_speed_gain": model.motion.tension_speed,
-        "half": half,
-        "stopping": MOTOR_FRICTION_SPEED_M_S + half * space.coulomb,
+        "half": half_period_gain,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * space.coulomb,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -193,8 +193,10 @@ def _has_exact_solution(digit: DigitModel) -> list[bool]:
 
 def _link_constants(model: HandModel) -> dict[str, object]:
     digits = model.digits
-    coordinates = np.array([0, *(places.stop for places in model.digit_coordinates)])
-    span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
+    coordinates = np.array(
+        [0, *(coordinate_slice.stop for coordinate_slice in model.digit_coordinates)]
+    )
+    angle_ranges = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
     return {
         "spring": np.concatenate([digit.spring_stiffness for digit in digits]),
         "preload": np.concatenate([digit.spring_preload for digit in digits]),
@@ -204,7 +206,7 @@ def _link_constants(model: HandModel) -> dict[str, object]:
         "parent": model.link_tree.parent,
         "low": np.concatenate([digit.joint_min for digit in digits]),
         "high": np.concatenate([digit.joint_max for digit in digits]),
-        "range_sigma": span / math.sqrt(12.0),
+        "range_sigma": angle_ranges / math.sqrt(12.0),
         "gravity": np.array(model.hand.mount.gravity_m_s2)[:, None],
         "joints_first": [digit.joints.start for digit in digits],
         "joints_end": [digit.joints.stop for digit in digits],
@@ -252,8 +254,8 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     update_ticks = (
         1 if are_encoders_fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
     )
-    count = np.where(hand.is_prismatic, JOINT_STEP_M, JOINT_STEP_RAD)
-    noise = hand.joint_noise**2 + count**2 / 12.0
+    step_size = np.where(hand.is_prismatic, JOINT_STEP_M, JOINT_STEP_RAD)
+    noise = hand.joint_noise**2 + step_size**2 / 12.0
     hinge_variance = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
@@ -295,7 +297,7 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     see ``posture``.
     """
     n = digit.joint_count
-    weight = np.zeros((max(one.joint_count for one in digits) + 2, n))
+    weight = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))
     weight[: n + 1] = weight[-1] = 1.0 / (n + 2)
     return weight
 
@@ -319,10 +321,10 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
     """Return the fraction (9, N) of the distance to its input by which each low-passed residual moves in an update."""
-    every = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
-    every[2] = motor_period  # row COMMAND_DIFFERENCE
-    every[5] = joint_period  # row SLIP
-    return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
+    sample_periods = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
+    sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE
+    sample_periods[5] = joint_period  # row SLIP
+    return np.asarray(1.0 - np.exp(-sample_periods / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.CELL_ERROR_OBSERVABLE_AT == DESIGN_ELEMENT_COUNT - 1
+assert h.CELL_ERROR_OBSERVABLE_OFFSET == DESIGN_ELEMENT_COUNT - 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
+from handctl.core.control_law.computed_torque import MIN_RELAXED_TENSION_N
 from handctl.core.control_law.tendon_redundancy import TendonRedundancy, redundancy_of_hand
 from handctl.core.deferred_imports import DeferredModule
 from handctl.core.estimation.filter_stack import FilterDesign
@@ -41,7 +41,7 @@ class HandModel:
         digit_tendons: for each digit, the slice of its tendons among all tendons of the hand.
         digit_coordinates: for each digit, the slice of its coordinates among all coordinates of the
             hand.
-        reach: (2, C) lowest and highest value of each coordinate [rad].
+        coordinate_limits: (2, C) lowest and highest value of each coordinate [rad].
         space: constants of the hand along the tendons.
         filter: constant Kalman filter of each tendon.
         motion: feedback gains of the motion loop and the tension loop of each tendon.
@@ -74,7 +74,7 @@ class HandModel:
     coupling: Vector
     digit_tendons: tuple[slice, ...]
     digit_coordinates: tuple[slice, ...]
-    reach: Vector
+    coordinate_limits: Vector
     digit_of_tendon: tuple[int, ...]
     space: TendonSpace
     filter: FilterDesign
@@ -138,11 +138,11 @@ class HandModel:
             coupling=linalg.block_diag(*(digit.coupling for digit in digits)),
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_coordinates=_coordinate_slices(digits),
-            reach=np.concatenate([digit.reach for digit in digits], axis=1),
+            coordinate_limits=np.concatenate([digit.coordinate_limits for digit in digits], axis=1),
             digit_of_tendon=tuple(
                 d
-                for d, one in enumerate(digits)
-                for _ in range(one.tendons.start, one.tendons.stop)
+                for d, digit in enumerate(digits)
+                for _ in range(digit.tendons.start, digit.tendons.stop)
             ),
             space=space,
             filter=filter_design,
@@ -168,14 +168,16 @@ class HandModel:
         return len(self.floor)
 
     @property
-    def relaxed(self) -> Vector:
+    def relaxed_tensions(self) -> Vector:
         """Return the tensions of all tendons of a relaxed hand (N,) [N].
 
         In a relaxed hand, surplus tendons keep their balance tensions. A spool pair has no net
         tension in a relaxed hand.
         """
-        single = np.where(self.redundancy.balance > 0.0, self.redundancy.balance, RELAX_FLOOR_N)
-        return np.where(self.is_pair, 0.0, single)
+        single_tensions = np.where(
+            self.redundancy.balance > 0.0, self.redundancy.balance, MIN_RELAXED_TENSION_N
+        )
+        return np.where(self.is_pair, 0.0, single_tensions)
 
     @property
     def is_pair(self) -> NDArray[np.bool_]:
@@ -191,8 +193,8 @@ class HandModel:
 def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
     """Return the slice of each digit's coordinates among all coordinates."""
     counts = [digit.coupling.shape[1] for digit in digits]
-    ends = np.cumsum(counts).tolist()
-    return tuple(slice(end - count, end) for end, count in zip(ends, counts, strict=True))
+    end_indices = np.cumsum(counts).tolist()
+    return tuple(slice(end - count, end) for end, count in zip(end_indices, counts, strict=True))
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:

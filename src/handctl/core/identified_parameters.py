@@ -82,10 +82,10 @@ class IdentifiedParameters(Document):
     @model_validator(mode="after")
     def _check_shapes(self) -> "IdentifiedParameters":
         n = len(self.names)
-        unknown = set(self.names) - PARAMETER_UNITS.keys()
-        if unknown:
+        unknown_names = set(self.names) - PARAMETER_UNITS.keys()
+        if unknown_names:
             raise ValueError(
-                f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown))}"
+                f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown_names))}"
             )
         if not n == len(self.values) == len(self.half_widths) == len(self.covariance):
             raise ValueError("one value, half width and row of the covariance for every name")
@@ -105,24 +105,26 @@ class IdentifiedParameters(Document):
         A run that identifies only a few parameters therefore does not remove the other parameters.
         Parameters from different runs are assumed to be uncorrelated.
         """
-        others = (
+        other_parameters = (
             [i for i, name in enumerate(older_parameters.names) if name not in self.names]
             if older_parameters
             else []
         )
-        if older_parameters is None or not others:
+        if older_parameters is None or not other_parameters:
             return self
         n = len(self.names)
-        m = len(others)
+        m = len(other_parameters)
         joined = np.zeros((n + m, n + m))
         joined[:n, :n] = self.covariance
-        joined[n:, n:] = np.array(older_parameters.covariance)[np.ix_(others, others)]
+        joined[n:, n:] = np.array(older_parameters.covariance)[
+            np.ix_(other_parameters, other_parameters)
+        ]
         return self.model_copy(
             update={
-                "names": self.names + tuple(older_parameters.names[i] for i in others),
-                "values": self.values + tuple(older_parameters.values[i] for i in others),
+                "names": self.names + tuple(older_parameters.names[i] for i in other_parameters),
+                "values": self.values + tuple(older_parameters.values[i] for i in other_parameters),
                 "half_widths": self.half_widths
-                + tuple(older_parameters.half_widths[i] for i in others),
+                + tuple(older_parameters.half_widths[i] for i in other_parameters),
                 "covariance": tuple(map(tuple, joined.tolist())),
                 "log": tuple(dict.fromkeys((*self.log, *older_parameters.log))),
             }
@@ -143,16 +145,16 @@ def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParame
     for i, tendon in enumerate(hand.tendon):
         if tendon.name not in parameters_by_tendon:
             continue
-        known = parameters_by_tendon[tendon.name]
+        parameters = parameters_by_tendon[tendon.name]
         digit = next(
             d
             for d, name in enumerate(hand.digit_names)
             if _is_in_slice(hand.digit_tendons[name], i)
         )
-        _replace_tendon_values(content["tendon"][i], TENDON_KEYS, known)
-        _scale_moment_arms(content["tendon"][i], known.get("moment_arm", 1.0))
-        _replace_tendon_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
-        _scale_digit_values(content["digit"][digit], known)
+        _replace_tendon_values(content["tendon"][i], TENDON_KEYS, parameters)
+        _scale_moment_arms(content["tendon"][i], parameters.get("moment_arm", 1.0))
+        _replace_tendon_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, parameters)
+        _scale_digit_values(content["digit"][digit], parameters)
     return hand_from_content(content, f"{hand.name} as identified")
 
 
@@ -179,17 +181,17 @@ def check_identified(
     Raises:
         ConfigError: a tendon is unknown, or a torque gain is out of bounds.
     """
-    for name, known in parameters_by_tendon.items():
+    for name, parameters in parameters_by_tendon.items():
         if name not in hand.tendon_names:
             raise ConfigError(
                 "no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names)
             )
-        if not 0.2 <= known.get("torque_gain", 1.0) <= 5.0:
-            right = "from 0.2 to 5"
+        if not 0.2 <= parameters.get("torque_gain", 1.0) <= 5.0:
+            expected = "from 0.2 to 5"
             raise ConfigError(
-                f"{known.get('torque_gain', 1.0):g}",
+                f"{parameters.get('torque_gain', 1.0):g}",
                 f"{source}: identified.{name}.torque_gain",
-                right,
+                expected,
             )
 
 

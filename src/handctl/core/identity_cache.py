@@ -32,9 +32,10 @@ class SequenceCache(Generic[T]):
         """Return the results of the function for all items of a sequence."""
         function = self._function
         if len(items) == len(self._items):
-            known = zip(items, self._items, self._values, strict=True)
+            cached_items = zip(items, self._items, self._values, strict=True)
             self._values = [
-                value if item is before else function(item) for item, before, value in known
+                value if item is cached_item else function(item)
+                for item, cached_item, value in cached_items
             ]
         else:
             self._values = [function(item) for item in items]

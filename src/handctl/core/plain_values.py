@@ -95,10 +95,10 @@ def plain_form(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return (MODEL_MARK, plain_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
-        own = tuple(
+        own_values = tuple(
             [plain_form(getattr(value, field.name)) for field in fields(value) if field.init]
         )
-        return (plain_name(type(value)), *own)
+        return (plain_name(type(value)), *own_values)
     raise TypeError(f"{type(value).__name__} is no plain value")
 
 
@@ -142,18 +142,18 @@ def object_from_plain_form(value: Any) -> Any:
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
         return tuple([object_from_plain_form(item) for item in value])
-    mark, *rest = value
+    mark, *arguments = value
     if mark == ARRAY_MARK:
-        kind, shape, data = rest
+        kind, shape, data = arguments
         return np.frombuffer(object_from_plain_form(data), np.dtype(kind)).reshape(shape).copy()
     if mark == BYTES_MARK:
-        return bytes.fromhex(rest[0])
+        return bytes.fromhex(arguments[0])
     if mark == MODEL_MARK:
-        model: Any = _registered_type(rest[0])
-        return model.model_validate_json(rest[1])
-    made: Any = _registered_type(mark)
+        model: Any = _registered_type(arguments[0])
+        return model.model_validate_json(arguments[1])
+    registered_type: Any = _registered_type(mark)
     try:
-        return made(*[object_from_plain_form(item) for item in rest])
+        return registered_type(*[object_from_plain_form(item) for item in arguments])
     except TypeError as error:
         raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
 

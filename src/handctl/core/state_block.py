@@ -43,7 +43,7 @@ STATE_TABLES = (
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
 )  # fmt: skip
 
-STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional="servo")
+STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional_table="servo")
 _real = STATE_SCHEMA.real_field
 _whole = STATE_SCHEMA.integer_field
 
@@ -501,7 +501,7 @@ def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
         block: state block.
         at: ``BlockLayout.places`` of the layout of the block.
     """
-    whole = block.view(np.int64)
+    integer_view = block.view(np.int64)
     return StateTables(
         borrowed_array(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
         borrowed_array(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
@@ -509,13 +509,13 @@ def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
         borrowed_array(block, at[12], ((at[13] - at[12]) // at[3], at[3])),
         borrowed_array(block, at[13], (at[14] - at[13],)),
         borrowed_array(block, at[14], ((at[15] - at[14]) // max(at[8], 1), at[8])),
-        borrowed_array(whole, at[15], ((at[16] - at[15]) // at[0], at[0])),
-        borrowed_array(whole, at[16], ((at[17] - at[16]) // at[1], at[1])),
-        borrowed_array(whole, at[17], ((at[18] - at[17]) // at[2], at[2])),
-        borrowed_array(whole, at[18], ((at[19] - at[18]) // at[4], at[4])),
-        borrowed_array(whole, at[19], ((at[20] - at[19]) // at[5], at[5])),
-        borrowed_array(whole, at[20], ((at[21] - at[20]) // at[6], at[6])),
-        borrowed_array(whole, at[21], (at[22] - at[21],)),
+        borrowed_array(integer_view, at[15], ((at[16] - at[15]) // at[0], at[0])),
+        borrowed_array(integer_view, at[16], ((at[17] - at[16]) // at[1], at[1])),
+        borrowed_array(integer_view, at[17], ((at[18] - at[17]) // at[2], at[2])),
+        borrowed_array(integer_view, at[18], ((at[19] - at[18]) // at[4], at[4])),
+        borrowed_array(integer_view, at[19], ((at[20] - at[19]) // at[5], at[5])),
+        borrowed_array(integer_view, at[20], ((at[21] - at[20]) // at[6], at[6])),
+        borrowed_array(integer_view, at[21], (at[22] - at[21],)),
     )
 
 

@@ -49,7 +49,13 @@ HOLD_ACTION = int(SafetyAction.HOLD)
 
 @kernel("block", "layout", "count", "count", "count", "count", "count")
 def begin_tick(
-    block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int
+    block: BlockArray,
+    at: TablePlaces,
+    k: int,
+    t_ns: int,
+    lateness_ns: int,
+    missed_ticks: int,
+    frames: int,
 ) -> None:
     """Reset the flags of received data, and store the number and the time of the tick.
 
@@ -58,15 +64,15 @@ def begin_tick(
         at: ``BlockLayout.places`` of the state block.
         k: number of the tick.
         t_ns: time of the tick [ns].
-        late_ns: delay of the start of the tick [ns].
-        missed: ticks missed before the present tick.
+        lateness_ns: delay of the start of the tick [ns].
+        missed_ticks: ticks missed before the present tick.
         frames: number of received frames.
     """
     x = state_tables(block, at)
     x.run_int[s.K] = k
     x.run_int[s.T_NS] = t_ns
-    x.run_int[s.TICK_DELAY_NS] = late_ns
-    x.run_int[s.MISSED_TICKS] = missed
+    x.run_int[s.TICK_DELAY_NS] = lateness_ns
+    x.run_int[s.MISSED_TICKS] = missed_ticks
     x.run_int[s.RECEIVED_FRAMES] = frames
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FEEDBACK_COUNT_NOW, n] = x.tendon_int[s.CELL_READ_NOW, n] = 0
@@ -168,7 +174,7 @@ def correct_tension_estimate(
     """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_places)
-    if c.run_int[h.HAND_VARYING]:
+    if c.run_int[h.HAND_HAS_VARYING_ARM]:
         varying_moment_arms.update_structure(x, c)
     if x.run_int[s.FILTER_STARTED]:
         kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
@@ -186,7 +192,7 @@ def conclude_estimate(
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_places)
-    if c.run_int[h.HAND_VARYING]:
+    if c.run_int[h.HAND_HAS_VARYING_ARM]:
         varying_moment_arms.update_structure(x, c)
     kalman.derive_estimate(x, c)
     if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
@@ -310,9 +316,11 @@ def store_commands(
         x.digit[s.CONTACT, d] = 1.0 if has_contact else 0.0
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
-        heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
-        x.tendon[s.MOTOR_AGE, n] = (now_ns - heard_ns) / 1e9 if heard_ns >= 0 else math.nan
+        last_heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        x.tendon[s.MOTOR_AGE, n] = (
+            (now_ns - last_heard_ns) / 1e9 if last_heard_ns >= 0 else math.nan
+        )
         x.tendon[s.DRIVE_PHASE, n] = x.tendon_int[s.PHASE, n]
-        fresh = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
-        x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if fresh else math.nan
-        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if fresh else math.nan
+        has_reading = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if has_reading else math.nan
+        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if has_reading else math.nan

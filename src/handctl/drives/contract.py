@@ -327,7 +327,7 @@ class Drive(Protocol):
         """
         ...
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque at once, in any state of the drive.
 
         The frames do not depend on the state, and can therefore be built before a run.

@@ -46,10 +46,10 @@ def dbc_of_bus(
         tendons: names of all tendons of the hand, in order.
         joints: names of all joints of the hand, in order.
     """
-    sent = list[SentMessage]()
+    sent_messages = list[SentMessage]()
     if sensors.bus == bus and sensors.ids:
-        sent.append(SentMessage(sensors.sync_message, HOST_NODE_NAME, SENSOR_NODE_NAME))
-        sent += [
+        sent_messages.append(SentMessage(sensors.sync_message, HOST_NODE_NAME, SENSOR_NODE_NAME))
+        sent_messages += [
             SentMessage(
                 _with_channel_names(message, tendons, joints), SENSOR_NODE_NAME, HOST_NODE_NAME
             )
@@ -58,15 +58,15 @@ def dbc_of_bus(
     for drive in drives:
         if drive.bus == bus:
             name = drive.name
-            sent += [
+            sent_messages += [
                 SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME)
                 for message in drive.cyclic_messages.feedback
             ]
-            sent += [
+            sent_messages += [
                 SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name)
                 for message in drive.cyclic_messages.commands
             ]
-    return dbc_text(sent)
+    return dbc_text(sent_messages)
 
 
 def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
@@ -95,9 +95,11 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
         )
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
-        real = [signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT]
+        float_signals = [
+            signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT
+        ]
         # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
-        float_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
+        float_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in float_signals]
         if message.flags:
             frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
             format_lines.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')

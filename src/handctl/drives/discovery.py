@@ -59,20 +59,24 @@ TWO_DRIVES_WARNING = (
 """Warning for a node whose ``twins`` is True."""
 
 
-def is_number_used_by_two_drives(answers: Mapping[int, Sequence[bytes]], serial: int) -> bool:
+def is_number_used_by_two_drives(
+    payloads_by_command: Mapping[int, Sequence[bytes]], serial: int
+) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
     A bus may deliver one frame twice by mistake. No bus delivers the answers to two different
     requests twice by mistake.
 
     Args:
-        answers: received answers to each request of the scan, by request, for example by register
+        payloads_by_command: received answers to each request of the scan, by request, for example by register
             number. The scan sends each of these requests once.
-        serial: key in ``answers`` of the request for the serial number. Two drives never answer the
+        serial: key in ``payloads_by_command`` of the request for the serial number. Two drives never answer the
             request for the serial number equally.
     """
-    serials = set(answers.get(serial, ()))
-    return len(serials) > 1 or sum(len(payloads) > 1 for payloads in answers.values()) > 1
+    serials = set(payloads_by_command.get(serial, ()))
+    return (
+        len(serials) > 1 or sum(len(payloads) > 1 for payloads in payloads_by_command.values()) > 1
+    )
 
 
 def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:

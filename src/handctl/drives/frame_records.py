@@ -129,12 +129,12 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
     """
     if isinstance(frames, Frames):
         return frames
-    listed = list(frames)
-    if not listed:
+    frame_list = list(frames)
+    if not frame_list:
         return NO_FRAMES
-    records = np.zeros(len(listed), FRAME_RECORD_DTYPE)
+    records = np.zeros(len(frame_list), FRAME_RECORD_DTYPE)
     data = records["data"]
-    for i, (can_id, payload, flags, bus, t_ns) in enumerate(listed):
+    for i, (can_id, payload, flags, bus, t_ns) in enumerate(frame_list):
         if len(payload) > 64:
             raise ValueError(
                 f"payload of {len(payload)} bytes in frame {can_id:#x}, expected at most 64"
@@ -146,8 +146,8 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
 
 def join_frames(frame_batches: Sequence[Frames]) -> Frames:
     """Return one sequence with the frames of several sequences."""
-    some = [part for part in frame_batches if len(part)]
-    if len(some) < 2:
-        return some[0] if some else NO_FRAMES
+    nonempty_batches = [part for part in frame_batches if len(part)]
+    if len(nonempty_batches) < 2:
+        return nonempty_batches[0] if nonempty_batches else NO_FRAMES
     # The rows are joined as words, because numpy takes six times as long to join records.
-    return Frames.from_rows(np.concatenate([part.rows for part in some]))
+    return Frames.from_rows(np.concatenate([part.rows for part in nonempty_batches]))

@@ -41,11 +41,11 @@ def frame_time_s(
         data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
         extended: True for a 29-bit identifier.
     """
-    more = EXTENDED_BITS if extended else 0
+    extra_bits = EXTENDED_BITS if extended else 0
     if not fd:
-        exposed = 34 + more + 8 * payload_size
-        return (exposed + 13 + (exposed - 1) // 4) / bitrate
-    return _fd_frame_time_s(payload_size, bitrate, data_bitrate or bitrate, more)
+        stuffable_bits = 34 + extra_bits + 8 * payload_size
+        return (stuffable_bits + 13 + (stuffable_bits - 1) // 4) / bitrate
+    return _fd_frame_time_s(payload_size, bitrate, data_bitrate or bitrate, extra_bits)
 
 
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
@@ -114,9 +114,11 @@ def highest_rate(
     pairs = tuple(
         zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True)
     )
-    fits = (
+    is_within_load = (
         rate
         for rate in COMMON_CONTROL_RATES_HZ
-        if all(rate * busy + periodic_load <= MAX_BUS_LOAD for busy, periodic_load in pairs)
+        if all(
+            rate * busy_time + periodic_load <= MAX_BUS_LOAD for busy_time, periodic_load in pairs
+        )
     )
-    return next(fits, COMMON_CONTROL_RATES_HZ[-1])
+    return next(is_within_load, COMMON_CONTROL_RATES_HZ[-1])

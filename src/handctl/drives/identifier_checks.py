@@ -29,28 +29,28 @@ class IdentifierOwner(Protocol):
         ...
 
 
-def check_identifiers(owners: Iterable[tuple[str, IdentifierOwner]]) -> None:
+def check_identifiers(identifier_owners: Iterable[tuple[str, IdentifierOwner]]) -> None:
     """Check that no two nodes on a bus use the same identifier for different frames.
 
     Args:
-        owners: each node, after the key path of its section in the hand file.
+        identifier_owners: each node, after the key path of its section in the hand file.
 
     Raises:
         ConfigError: two nodes use the same identifier.
     """
-    checked: list[tuple[str, IdentifierOwner]] = []
-    for where, owner in owners:
-        for other_where, other in checked:
-            if owner.bus == other.bus:
+    checked_owners: list[tuple[str, IdentifierOwner]] = []
+    for location, owner in identifier_owners:
+        for other_where, other_owner in checked_owners:
+            if owner.bus == other_owner.bus:
                 # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
                 # node's own frame must be unique.
                 shared_identifiers = (
-                    owner.node_ids & (other.node_ids | other.host_ids)
-                    | owner.host_ids & other.node_ids
+                    owner.node_ids & (other_owner.node_ids | other_owner.host_ids)
+                    | owner.host_ids & other_owner.node_ids
                 )
                 if shared_identifiers:
                     hint = f"another number; {other_where} uses it"
                     raise ConfigError(
-                        f"identifier {min(shared_identifiers):#x} has two meanings", where, hint
+                        f"identifier {min(shared_identifiers):#x} has two meanings", location, hint
                     )
-        checked.append((where, owner))
+        checked_owners.append((location, owner))

@@ -75,9 +75,9 @@ VERIFIABLE_PROTOCOLS = tuple(
 def motor_types_text() -> str:
     """List the motor types of each protocol whose drives need the option ``motor_type``."""
     return "; ".join(
-        f"{name}: {', '.join(traits.motor_types)}"
-        for name, traits in PROTOCOL_TRAITS.items()
-        if traits.motor_types
+        f"{name}: {', '.join(protocol_traits.motor_types)}"
+        for name, protocol_traits in PROTOCOL_TRAITS.items()
+        if protocol_traits.motor_types
     )
 
 
@@ -101,21 +101,27 @@ def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, 
     Raises:
         ConfigError: the protocol has no such motor type.
     """
-    traits = PROTOCOL_TRAITS[protocol]
+    protocol_traits = PROTOCOL_TRAITS[protocol]
     if motor_type is None:
-        return dict(traits.options)
-    if motor_type not in traits.motor_types:
-        right = f"one of {', '.join(traits.motor_types)}" if traits.motor_types else "no motor type"
-        raise ConfigError(f"{motor_type!r} with {protocol}", "--motor-type", right)
-    return {**traits.options, "motor_type": motor_type}
+        return dict(protocol_traits.options)
+    if motor_type not in protocol_traits.motor_types:
+        expected = (
+            f"one of {', '.join(protocol_traits.motor_types)}"
+            if protocol_traits.motor_types
+            else "no motor type"
+        )
+        raise ConfigError(f"{motor_type!r} with {protocol}", "--motor-type", expected)
+    return {**protocol_traits.options, "motor_type": motor_type}
 
 
 def position_loop_protocols_text() -> str:
     """List the protocols whose drives close a position loop, each with the option that it needs."""
     names = [
-        f"{name} with {traits.position_option}" if traits.position_option else name
-        for name, traits in PROTOCOL_TRAITS.items()
-        if not traits.no_position_loop_reason
+        f"{name} with {protocol_traits.position_option}"
+        if protocol_traits.position_option
+        else name
+        for name, protocol_traits in PROTOCOL_TRAITS.items()
+        if not protocol_traits.no_position_loop_reason
     ]
     return f"{', '.join(names[:-1])} or {names[-1]}"
 

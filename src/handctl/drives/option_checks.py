@@ -135,9 +135,9 @@ def refuse_unknown_options(
         ConfigError: the options contain a key that the protocol does not declare.
     """
     if options:
-        *names, last = declared_options or ("no such key: this protocol has no options",)
-        right = f"{', '.join(names)} or {last}" if names else last
-        raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", right)
+        *names, last_name = declared_options or ("no such key: this protocol has no options",)
+        expected = f"{', '.join(names)} or {last_name}" if names else last_name
+        raise ConfigError("unknown key", f"{key_path}.{next(iter(options))}", expected)
 
 
 def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:

@@ -35,7 +35,7 @@ class ProtocolEntry(NamedTuple):
     """Constructor and discovery functions of one protocol.
 
     Attributes:
-        make: function constructing a drive from a motor description and a bus index.
+        make_drive: function constructing a drive from a motor description and a bus index.
         discovery: discovery functions of the protocol. None if drives of the protocol answer only
             commands.
         options: options of the protocol in the hand file, by key.
@@ -43,7 +43,7 @@ class ProtocolEntry(NamedTuple):
             protocol only supports torque.
     """
 
-    make: Callable[[MotorDescription, int], Drive]
+    make_drive: Callable[[MotorDescription, int], Drive]
     discovery: ProtocolDiscovery | None
     options: Mapping[str, MotorOption]
     make_mode: Callable[[MotorDescription, int, DriveMode, MotionLimits], Drive] | None = None
@@ -100,11 +100,11 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
         ConfigError: the protocol or an option of the motor is unknown.
     """
     if motor.protocol not in PROTOCOL_ENTRIES:
-        where = f"motor[{motor.name}].protocol"
+        location = f"motor[{motor.name}].protocol"
         raise ConfigError(
-            repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES))
+            repr(motor.protocol), location, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES))
         )
-    return PROTOCOL_ENTRIES[motor.protocol].make(motor, bus)
+    return PROTOCOL_ENTRIES[motor.protocol].make_drive(motor, bus)
 
 
 def make_mode_drive(
@@ -125,10 +125,10 @@ def make_mode_drive(
     if mode == DriveMode.TORQUE:
         return make_drive(motor, bus)
     check_limits(limits)
-    make = (
+    make_drive_of_mode = (
         PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
     )
-    if make is None:
+    if make_drive_of_mode is None:
         protocols_with_modes = ", ".join(
             sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode)
         )
@@ -137,4 +137,4 @@ def make_mode_drive(
             "mode",
             f"torque, or one of {protocols_with_modes}",
         )
-    return make(motor, bus, mode, limits)
+    return make_drive_of_mode(motor, bus, mode, limits)

@@ -127,8 +127,8 @@ def on_wrong_value(
     """
     if cursor.written < write_count:
         return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
-    after = " after writing" if cursor.written else ""
-    return cursor, f"{name} reads {value_text}{after}, expected {expected_text}"
+    after_text = " after writing" if cursor.written else ""
+    return cursor, f"{name} reads {value_text}{after_text}, expected {expected_text}"
 
 
 class RecheckCursor(NamedTuple):

@@ -103,7 +103,7 @@ class Signal(NamedTuple):
     largest: float = math.inf
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def value_limits(self) -> tuple[float, float]:
         """Return smallest and largest value of an unsigned integer or of a float [unit].
 
         The smallest value of a stiffness, a damping or a limit is 0.
@@ -220,11 +220,11 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
         return start, signal.length, order, coding, quantity, signal.channel, IDENTIFIER_WINDOW
-    first = signal.start // 8
+    first_byte = signal.start // 8
     # Number of bits of the first byte that come before the signal, in the order of its bits.
-    before = 7 - signal.start % 8 if signal.is_big_endian else signal.start % 8
-    window = first if 8 * first + before + signal.length > 64 else 0
-    start = 8 * (first - window) + before
+    bits_before = 7 - signal.start % 8 if signal.is_big_endian else signal.start % 8
+    window = first_byte if 8 * first_byte + bits_before + signal.length > 64 else 0
+    start = 8 * (first_byte - window) + bits_before
     if signal.is_big_endian:
         # Number of the lowest bit of the signal, in a word whose first byte has the highest bits.
         start = 64 - start - signal.length
@@ -232,16 +232,16 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
 
 
 @kernel_helper
-def read_window(words: Any, first_word: int, first_byte: int) -> Any:
-    """Return eight bytes of a payload as uint64, from ``first_byte`` on. Bytes after the last word are 0.
+def read_window(words: Any, first_word: int, byte_offset: int) -> Any:
+    """Return eight bytes of a payload as uint64, from ``byte_offset`` on. Bytes after the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
         first_word: index of the first word of the payload.
-        first_byte: first byte of the window.
+        byte_offset: first byte of the window.
     """
-    at = first_word + first_byte // 8
-    shift = np.uint64(8 * (first_byte % 8))
+    at = first_word + byte_offset // 8
+    shift = np.uint64(8 * (byte_offset % 8))
     value = words[at] >> shift
     # The second word is read only if the window is in two words. Otherwise the shift would be 64
     # bits, which is undefined.
@@ -251,7 +251,7 @@ def read_window(words: Any, first_word: int, first_byte: int) -> Any:
 
 
 @kernel_helper
-def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any) -> None:
+def write_window(words: Any, first_word: int, byte_offset: int, signal_bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload.
 
     The payload must have zeros at the positions of these bits.
@@ -259,11 +259,11 @@ def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any)
     Args:
         words: (n,) uint64 words of a row.
         first_word: index of the first word of the payload.
-        first_byte: first byte of the window.
+        byte_offset: first byte of the window.
         signal_bits: bits of the signal at their positions in the window.
     """
-    at = first_word + first_byte // 8
-    shift = np.uint64(8 * (first_byte % 8))
+    at = first_word + byte_offset // 8
+    shift = np.uint64(8 * (byte_offset % 8))
     words[at] |= signal_bits << shift
     if shift > np.uint64(0) and at + 1 < len(words):
         words[at + 1] |= signal_bits >> (np.uint64(64) - shift)
@@ -295,11 +295,11 @@ def decode_signal(
             if math.isfinite(number)
             else math.nan
         )
-    count = np.int64(bits)
+    integer_value = np.int64(bits)
     # The top bit is the sign, and is extended to all higher bits.
-    if coding == SIGNED and count >> (length - 1):
-        count -= np.int64(1) << length
-    result: float = count * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
+    if coding == SIGNED and integer_value >> (length - 1):
+        integer_value -= np.int64(1) << length
+    result: float = integer_value * signal_reals[i, SCALE_COLUMN] + signal_reals[i, OFFSET_COLUMN]
     return result
 
 
@@ -371,9 +371,9 @@ class SignalTable:
         self.signal_integers: IntegerArray = np.array(
             [integer_columns(signal) for signal in signals], dtype=np.int64
         ).reshape(-1, INTEGER_COLUMN_COUNT)
-        self._names = [(one.name, one.unit) for one in signals]
+        self._names = [(signal.name, signal.unit) for signal in signals]
         self.signal_reals: RealArray = np.array(
-            [(one.scale, one.offset) for one in signals], dtype=np.float64
+            [(signal.scale, signal.offset) for signal in signals], dtype=np.float64
         ).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
@@ -411,5 +411,9 @@ class SignalTable:
         A short payload is filled up with zeros.
         """
         size = 8 * max(1, -(-self.message.length // 8))
-        head = self.message.can_id.to_bytes(8, "little")
-        return np.frombuffer(head + data.ljust(size, b"\0")[:size], np.uint64).reshape(1, -1).copy()
+        id_bytes = self.message.can_id.to_bytes(8, "little")
+        return (
+            np.frombuffer(id_bytes + data.ljust(size, b"\0")[:size], np.uint64)
+            .reshape(1, -1)
+            .copy()
+        )

@@ -83,10 +83,10 @@ def request_recheck(
     # Most calls end here. The frames of the exchanges are built only for a request that is due.
     if t_ns < state.recheck.due_ns or not (rechecks := drive.rechecks):
         return state, ()
-    one = rechecks[state.recheck.step]
-    check, problem = readback.next_recheck(state.recheck, one.name, drive.node_id, t_ns)
+    recheck = rechecks[state.recheck.step]
+    check, problem = readback.next_recheck(state.recheck, recheck.name, drive.node_id, t_ns)
     state = state._replace(recheck=check)
-    return enter_fault(state, error_code, problem) if problem else state, (one.request,)
+    return enter_fault(state, error_code, problem) if problem else state, (recheck.request,)
 
 
 def state_after_recheck_reply(
@@ -144,10 +144,10 @@ def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> Driv
     A serial number of 0 means that the serial number is unknown.
     """
     progress: EnablingProgress = state.private
-    ready = progress._replace(
+    ready_progress = progress._replace(
         cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
     )
-    return state._replace(phase=READY, private=ready)
+    return state._replace(phase=READY, private=ready_progress)
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
@@ -170,9 +170,10 @@ def start_disabling(state: DriveState, t_ns: int) -> DriveState:
     """
     progress: EnablingProgress = state.private
     phase = ENABLED if progress.may_be_enabled else state.phase
-    since = progress.disable_command_ns if progress.disabling else t_ns
+    disabling_start_ns = progress.disable_command_ns if progress.disabling else t_ns
     return state._replace(
-        phase=phase, private=progress._replace(disabling=True, disable_command_ns=since)
+        phase=phase,
+        private=progress._replace(disabling=True, disable_command_ns=disabling_start_ns),
     )
 
 
@@ -192,16 +193,20 @@ def state_when_off(
         error_text: text of this error.
     """
     progress: EnablingProgress = state.private
-    off = progress._replace(enable_sent=False, enabled_by_other_host=False, clearing=0)
+    progress_when_off = progress._replace(
+        enable_sent=False, enabled_by_other_host=False, clearing=0
+    )
     if progress.disabling:
         # Feedback from before the disable command does not show the effect of this command.
         if state.feedback_t_ns < progress.disable_command_ns:
             return state
-        return state._replace(phase=FAULT if state.error else READY, private=off)
+        return state._replace(phase=FAULT if state.error else READY, private=progress_when_off)
     if has_dropped_out:
-        return enter_fault(state._replace(private=off), error_code, error_text)
-    off = off._replace(enable_sent=progress.enable_sent)
-    return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
+        return enter_fault(state._replace(private=progress_when_off), error_code, error_text)
+    progress_when_off = progress_when_off._replace(enable_sent=progress.enable_sent)
+    return state._replace(
+        phase=CONFIGURING if state.phase == SILENT else state.phase, private=progress_when_off
+    )
 
 
 def state_when_on(state: DriveState, error_code: int, error_text: str) -> DriveState:

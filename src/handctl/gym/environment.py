@@ -214,9 +214,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     @property
     def last_output(self) -> TickOut:
         """Return the output of the latest tick."""
-        out = self.simulated_run.last_output
-        assert out is not None
-        return out
+        tick_output = self.simulated_run.last_output
+        assert tick_output is not None
+        return tick_output
 
     @property
     def t_s(self) -> float:
@@ -264,7 +264,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self._target_number = 0
         self._last_streamed_names = ()
         self._target_deg = np.clip(
-            self.units.displayed(self.coordinates_of_joints(self.last_output.telemetry.q)),
+            self.units.to_displayed(self.coordinates_of_joints(self.last_output.telemetry.q)),
             self.low_deg,
             self.high_deg,
         )
@@ -277,29 +277,31 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         ``gymnasium.Env`` defines the results.
         """
         run = self.simulated_run
-        clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
+        clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        if clipped_action.shape != self.action_space.shape or not np.isfinite(clipped_action).all():
             raise ConfigError(
                 f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values"
             )
-        out = run.run_tick(requests=tuple(self._step_requests(clipped)))
-        refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
-        if refused and out.mode == HandMode.ACTIVE:
+        tick_output = run.run_tick(requests=tuple(self._step_requests(clipped_action)))
+        refused_texts = [
+            event.text for event in tick_output.events if event.text.startswith(REFUSED_PREFIX)
+        ]
+        if refused_texts and tick_output.mode == HandMode.ACTIVE:
             raise ConfigError(
-                refused[0], f"the controller of {self.hand.name}", "targets within the limits"
+                refused_texts[0], f"the controller of {self.hand.name}", "targets within the limits"
             )
         for _ in range(self.ticks - 1):
-            if out.mode == HandMode.DONE:
+            if tick_output.mode == HandMode.DONE:
                 break
-            out = run.run_tick()
+            tick_output = run.run_tick()
         self.steps += 1
-        reward, ended, information = self.judge_step()
-        has_failed = out.mode != HandMode.ACTIVE
-        is_truncated = self.steps >= self.max_steps and not (ended or has_failed)
+        reward, is_terminated, information = self.judge_step()
+        has_failed = tick_output.mode != HandMode.ACTIVE
+        is_truncated = self.steps >= self.max_steps and not (is_terminated or has_failed)
         return (
             self._observation(),
             float(reward),
-            ended or has_failed,
+            is_terminated or has_failed,
             is_truncated,
             self._extra_information() | information,
         )
@@ -367,11 +369,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         requests: list[TickRequest] = list(self.action_requests(action_vector))
         names = self.names_of_targets(action_vector)
         if names and names != self._last_streamed_names:
-            opening = {
+            opening_request = {
                 "do": "stream", "stream": STREAM_NAME, "space": self._space, "names": list(names),
                 "rate_Hz": 1.0 / self.step_s, "interpolation": "minimum_jerk",
             }  # fmt: skip
-            requests.append(json.dumps(opening))
+            requests.append(json.dumps(opening_request))
         self._last_streamed_names = names
         return [*requests, self._next_target(action_vector)] if names else requests
 
@@ -437,5 +439,9 @@ def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vec
     if space == "joint":
         low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)
         return np.concatenate(low), np.concatenate(high)
-    reach = [digit.coordinate_units.displayed(digit.reach) for digit in model.digits]
-    return np.array([one[0].max() for one in reach]), np.array([one[1].min() for one in reach])
+    displayed_reach = [
+        digit.coordinate_units.to_displayed(digit.coordinate_limits) for digit in model.digits
+    ]
+    return np.array([bound_m[0].max() for bound_m in displayed_reach]), np.array(
+        [bound_m[1].min() for bound_m in displayed_reach]
+    )

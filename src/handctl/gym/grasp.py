@@ -127,16 +127,22 @@ class GraspEnv(HandEnv):
         If an action changes no tension, return no request.
         """
         tension = self._demanded_tensions(action_vector).tolist()
-        held = {
+        held_tensions = {
             name: value
             for name, value in zip(self.hand.digit_names, tension, strict=True)
             if value > 0.0
         }
-        new = {name: value for name, value in held.items() if value != self._held.get(name)}
-        self._held = held
+        new_tensions = {
+            name: value for name, value in held_tensions.items() if value != self._held.get(name)
+        }
+        self._held = held_tensions
         return (
-            [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": TENSION_RATE_N_PER_S})]
-            if new
+            [
+                json.dumps(
+                    {"do": "hold", "tension_N": new_tensions, "rate_N_per_s": TENSION_RATE_N_PER_S}
+                )
+            ]
+            if new_tensions
             else []
         )
 
@@ -163,26 +169,26 @@ class GraspEnv(HandEnv):
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward of a step, True if the object has been held long enough or dropped, and information."""
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
-        pressing = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
-        reward = pressing - self._pressing
-        self._pressing = pressing
+        mean_force_reward = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
+        reward = mean_force_reward - self._pressing
+        self._pressing = mean_force_reward
         plant = self.simulated_world.plant
         fall_distance_m = self._height_m - plant.engine.object_pose()[2]
         sink_start_s = plant.table.dropped_at
-        dropped = fall_distance_m > DROP_DISTANCE_M
-        held = (
+        is_dropped = fall_distance_m > DROP_DISTANCE_M
+        is_held = (
             sink_start_s is not None
             and plant.t_ns / 1e9 - sink_start_s >= SUCCESS_HOLD_S
-            and not dropped
+            and not is_dropped
         )
-        if held:
+        if is_held:
             reward += SUCCESS_REWARD
-        elif dropped or self.last_output.mode != HandMode.ACTIVE:
+        elif is_dropped or self.last_output.mode != HandMode.ACTIVE:
             reward += FAILURE_REWARD
         information = {
-            "is_success": held,
+            "is_success": is_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
             "table_sinks": sink_start_s is not None,
         }
-        return reward, held or dropped, information
+        return reward, is_held or is_dropped, information

@@ -64,10 +64,10 @@ class ObservationLayout:
         row = np.concatenate(
             [np.asarray(value_of_field(part.name), np.float64) for part in self.parts]
         )
-        inside = np.clip(
+        clipped_values = np.clip(
             np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high
         )
-        return np.asarray(inside, np.float32)
+        return np.asarray(clipped_values, np.float32)
 
 
 def telemetry_part(hand: Hand, name: str, low: float, high: float) -> ObservationPart:

@@ -97,7 +97,7 @@ class TrackEnv(HandEnv):
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = (
-            self._reference_units.displayed(self._start) * (1.0 - blend) + sine_reference * blend
+            self._reference_units.to_displayed(self._start) * (1.0 - blend) + sine_reference * blend
         )
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
@@ -108,9 +108,9 @@ class TrackEnv(HandEnv):
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
         """Return the reward for the true tracking error of a step, False (no step ends an episode), and the error."""
-        error = self.units.displayed(self.coordinates_of_joints(self.true_q)) - self.reference_deg(
-            self.t_s
-        )
+        error = self.units.to_displayed(
+            self.coordinates_of_joints(self.true_q)
+        ) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
@@ -121,7 +121,7 @@ class TrackEnv(HandEnv):
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
-        low, high = self._reference_units.displayed(self.model.reach)
+        low, high = self._reference_units.to_displayed(self.model.coordinate_limits)
         return low, high
 
     @property
@@ -150,4 +150,6 @@ class TrackEnv(HandEnv):
         The unit of the angles does not change. Joints that share a coordinate have the same angle.
         """
         rows = zip(self.model.digits, self.model.digit_coordinates, strict=True)
-        return np.concatenate([digit.coupling @ coordinates[places] for digit, places in rows])
+        return np.concatenate(
+            [digit.coupling @ coordinates[coordinate_slice] for digit, coordinate_slice in rows]
+        )

@@ -172,13 +172,19 @@ class Hand(Section):
     @cached_property
     def prismatic_joints(self) -> frozenset[str]:
         """Return the names of the prismatic joints."""
-        slides = zip(self.joints, self.is_prismatic.tolist(), strict=True)
-        return frozenset(joint for joint, is_prismatic in slides if is_prismatic)
+        joint_types = zip(self.joints, self.is_prismatic.tolist(), strict=True)
+        return frozenset(joint for joint, is_prismatic in joint_types if is_prismatic)
 
     @cached_property
     def is_prismatic(self) -> NDArray[np.bool_]:
         """Return True for each prismatic joint, (J,)."""
-        return np.array([slides for digit in self.digit for slides in digit.is_prismatic])
+        return np.array(
+            [
+                joint_is_prismatic
+                for digit in self.digit
+                for joint_is_prismatic in digit.is_prismatic
+            ]
+        )
 
     @cached_property
     def display_units(self) -> DisplayUnits:
@@ -195,10 +201,10 @@ class Hand(Section):
     @cached_property
     def joint_noise(self) -> NDArray[np.float64]:
         """Return the standard deviation of a sample of each joint's encoder, (J,) [rad or m]."""
-        sliding = self.sensor_node.joint_noise_m
+        prismatic_noise = self.sensor_node.joint_noise_m
         return np.where(
             self.is_prismatic,
-            DEFAULT_JOINT_NOISE_M if sliding is None else sliding,
+            DEFAULT_JOINT_NOISE_M if prismatic_noise is None else prismatic_noise,
             self.sensor_node.joint_noise_rad,
         )
 
@@ -222,12 +228,12 @@ class Hand(Section):
     @cached_property
     def moment_arms_of_own_digit(self) -> NDArray[np.float64]:
         """Return the moment arms of each tendon about the joints of its own digit, (N, J) [m], read-only."""
-        own = np.zeros_like(self.moment_arms)
+        own_moment_arms = np.zeros_like(self.moment_arms)
         for name, tendons in self.digit_tendons.items():
             joints = self.digit_joints[name]
-            own[tendons, joints] = self.moment_arms[tendons, joints]
-        own.setflags(write=False)
-        return own
+            own_moment_arms[tendons, joints] = self.moment_arms[tendons, joints]
+        own_moment_arms.setflags(write=False)
+        return own_moment_arms
 
     @cached_property
     def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
@@ -271,8 +277,10 @@ class Hand(Section):
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
         """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
-        measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
-        return np.asarray(~((self.moment_arms_of_own_digit != 0.0) & ~measured).any(axis=1))
+        has_joint_encoder = np.array([joint in self.sensor_node.joints for joint in self.joints])
+        return np.asarray(
+            ~((self.moment_arms_of_own_digit != 0.0) & ~has_joint_encoder).any(axis=1)
+        )
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
@@ -306,11 +314,11 @@ class Hand(Section):
         carrier = self.digit_named(digit).mount_on
         # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
         # a file.
-        found: list[str] = []
-        while carrier in self.digit_names and carrier not in found:
-            found.append(carrier)
+        carriers: list[str] = []
+        while carrier in self.digit_names and carrier not in carriers:
+            carriers.append(carrier)
             carrier = self.digit_named(carrier).mount_on
-        return tuple(found)
+        return tuple(carriers)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
         """Return the name of the digit that a tendon moves.
@@ -338,8 +346,8 @@ class Hand(Section):
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
         """Return the slice of ``tendon`` that contains the tendons of each digit."""
-        moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
-        counts = [moved.count(digit.name) for digit in self.digit]
+        moved_digits = [self.digit_of_tendon(tendon) for tendon in self.tendon]
+        counts = [moved_digits.count(digit.name) for digit in self.digit]
         return dict(zip(self.digit_names, _consecutive_slices(counts), strict=True))
 
     @cached_property

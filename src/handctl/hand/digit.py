@@ -134,7 +134,7 @@ class DigitModel:
     coordinate_units: DisplayUnits
 
     @property
-    def reach(self) -> tuple[Array, Array]:
+    def coordinate_limits(self) -> tuple[Array, Array]:
         """Return the smallest and the largest reduced coordinates (n_c,) within the joint limits [rad]."""
         # If an entry of B^+ is negative, the lower and the upper limit change places. Therefore
         # both products with this entry are compared.
@@ -150,7 +150,7 @@ class DigitModel:
         In a digit with parallel axes, a coordinate moves sideways if its range of opening is more
         than half of its range of closing.
         """
-        turned = np.eye(3)
+        turned_axes = np.eye(3)
         axes = []
         for i in range(self.joint_count):
             # At joint angle zero, the rotation of a link is the sum of only two of the three
@@ -159,21 +159,21 @@ class DigitModel:
                 self.table[body.FIXED_ROTATION_ROW : body.FIXED_ROTATION_ROW + 9, i]
                 + self.table[body.COSINE_ROTATION_ROW : body.COSINE_ROTATION_ROW + 9, i]
             )
-            turned = turned @ step.reshape(3, 3)
+            turned_axes = turned_axes @ step.reshape(3, 3)
             axis = self.axes[i]
             if self.is_prismatic[i]:
                 # A prismatic joint moves a link like a hinge with this axis that is far away from
                 # the link.
                 axis = np.cross((1.0, 0.0, 0.0), axis)
-            axes.append(turned @ axis)
+            axes.append(turned_axes @ axis)
         if np.linalg.norm(axes[-1]) < 0.5:
-            axes[-1] = turned[:, 2]  # the last link slides along its own axis
-        away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
-        if away.any():
+            axes[-1] = turned_axes[:, 2]  # the last link slides along its own axis
+        is_sideways = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
+        if is_sideways.any():
             # A coordinate flexes the digit if it moves at least one joint that does not move links
             # sideways.
-            return np.asarray(~(self.coupling[~away] != 0.0).any(axis=0))
-        low, high = self.reach
+            return np.asarray(~(self.coupling[~is_sideways] != 0.0).any(axis=0))
+        low, high = self.coordinate_limits
         return np.asarray(-low > SIDEWAYS_RANGE_RATIO * high)
 
     @staticmethod
@@ -336,8 +336,8 @@ def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
     """
     ranges = []
     for column in coupling.T:
-        moved = column != 0.0
-        coordinate_limits = joint_limits[:, moved] / column[moved]
+        moves_joint = column != 0.0
+        coordinate_limits = joint_limits[:, moves_joint] / column[moves_joint]
         # If an entry of B is negative, the lower and the upper limit of its joint change places.
         ranges.append(
             (
@@ -355,12 +355,12 @@ def link_table(digit: Digit) -> Array:
     armature = digit.joint_values("joint_armature_kg_m2")
     for i, axis in enumerate(joint_axes(digit)):
         position, rotation = link_placement(digit, i)
-        along = np.outer(axis, axis)
+        axis_projection = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross_matrix = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         # Rodrigues' formula gives the rotation by an angle q about an axis a: a a^T + cos q (1 - a
         # a^T) + sin q [a]x. A prismatic joint does not rotate the link that it moves.
-        parts = (along, np.eye(3) - along, cross_matrix)
+        parts = (axis_projection, np.eye(3) - axis_projection, cross_matrix)
         if digit.is_prismatic[i]:
             parts = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
         rows = (body.FIXED_ROTATION_ROW, body.COSINE_ROTATION_ROW, body.SINE_ROTATION_ROW)

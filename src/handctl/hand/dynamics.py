@@ -60,12 +60,18 @@ def required_torque(
     The torque is the sum of inverse dynamics, spring torque and damping torque.
     """
     rigid_body_torque = _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
-    passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
+    passive_parameters = zip(
+        digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True
+    )
     return tuple(
         [
             tau + stiffness * (angle + preload) + damping * rate
             for tau, angle, rate, (stiffness, preload, damping) in zip(
-                rigid_body_torque, _as_plain_floats(q), _as_plain_floats(dq), passive, strict=True
+                rigid_body_torque,
+                _as_plain_floats(q),
+                _as_plain_floats(dq),
+                passive_parameters,
+                strict=True,
             )
         ]
     )
@@ -169,10 +175,13 @@ def potential_energy(digit: DigitModel, q: JointValues) -> float:
 
     The energy would be zero if all mass were at the mount of the digit.
     """
-    first = rigid_body.link_poses(digit.table, digit.parent, _as_float_array(q))[0]
-    moment = first[rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3]
+    first_link_pose = rigid_body.link_poses(digit.table, digit.parent, _as_float_array(q))[0]
+    moment = first_link_pose[
+        rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3
+    ]
     return -float(
-        digit.gravity @ (moment - first[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position)
+        digit.gravity
+        @ (moment - first_link_pose[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position)
     )
 
 

@@ -68,11 +68,11 @@ def hand_path(name_or_path: str | Path) -> Path:
         return PACKAGED_HANDS_FOLDER / f"{name_or_path}.toml"
     path = Path(name_or_path)
     if not path.is_file():
-        near = similar_name(str(name_or_path), names)
+        similar_word = similar_name(str(name_or_path), names)
         raise ConfigError(
             "no such hand or file",
             str(path),
-            (f"{near}? or " if near else "") + _valid_names_text(names),
+            (f"{similar_word}? or " if similar_word else "") + _valid_names_text(names),
         )
     return path
 
@@ -129,10 +129,12 @@ def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
         if isinstance(node, dict):
             nodes += node.items()
         elif isinstance(node, list):
-            nodes += [(key, one) for one in node]
+            nodes += [(key, subnode) for subnode in node]
         elif isinstance(node, int) and node.bit_length() > 63:
-            what = f"a whole number of {node.bit_length()} bits"
-            raise ConfigError(what, f"{source_name}: {key}", f"at most {2**63 - 1} in magnitude")
+            problem_text = f"a whole number of {node.bit_length()} bits"
+            raise ConfigError(
+                problem_text, f"{source_name}: {key}", f"at most {2**63 - 1} in magnitude"
+            )
 
 
 def hand_from_content(content: Mapping[str, Any], source_name: str) -> Hand:
@@ -169,11 +171,11 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
         The hand and no mistakes, or None and at least one mistake.
     """
     if not content:
-        right = (
+        expected = (
             f"schema = {WRITTEN_SCHEMA} and the sections of a hand; "
             "handctl config init writes them from a few answers"
         )
-        return None, [FileMistake("the file is empty", "schema", right)]
+        return None, [FileMistake("the file is empty", "schema", expected)]
     version = content.get("schema", RESOLVED_SCHEMA)
     if isinstance(version, bool) or version not in READABLE_SCHEMAS:
         return None, [
@@ -189,16 +191,18 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
     try:
         hand = Hand.model_validate(resolved_content.content)
     except ValidationError as error:
-        found = validation_mistakes(error, Hand, resolved_content.content)
+        hand_mistakes = validation_mistakes(error, Hand, resolved_content.content)
         if content.get("schema") == WRITTEN_SCHEMA:
-            found = join_mistakes_of_default(found, resolved_content.content)
+            hand_mistakes = join_mistakes_of_default(hand_mistakes, resolved_content.content)
         digits = _valid_sections(resolved_content.content, "digit", Digit)
-        found += check_sections(digits, _valid_sections(resolved_content.content, "tendon", Tendon))
+        hand_mistakes += check_sections(
+            digits, _valid_sections(resolved_content.content, "tendon", Tendon)
+        )
     else:
         # A mistake in a template would cause further mistakes wherever the template is used.
         # Therefore the whole hand is checked only if the templates have no mistakes.
-        found = [] if mistakes else list(check_hand(hand))
-    mistakes += with_paths_in_hand_file(found, resolved_content.origins)
+        hand_mistakes = [] if mistakes else list(check_hand(hand))
+    mistakes += with_paths_in_hand_file(hand_mistakes, resolved_content.origins)
     return (None, mistakes) if mistakes else (hand, [])
 
 

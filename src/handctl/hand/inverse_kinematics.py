@@ -112,11 +112,13 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
         return float(gap @ tip_jacobian(digit, ratio * coordinate) @ ratio)
 
     grid = np.linspace(*coordinate_limits(digit), SCAN_INTERVAL_COUNT + 1).tolist()
-    slopes = [slope(theta) for theta in grid]
+    slope_values = [slope(theta) for theta in grid]
     candidates = [grid[0], grid[-1]]
-    for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
+    for low, high, low_slope, high_slope in zip(
+        grid, grid[1:], slope_values, slope_values[1:], strict=False
+    ):
         # The distance has a minimum where its slope changes from negative to positive.
-        if before <= 0.0 <= after:
+        if low_slope <= 0.0 <= high_slope:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
     best = min(candidates, key=distance)
     return best, distance(best)
@@ -164,9 +166,15 @@ def _two_link_solutions(
     slack = REACH_TOLERANCE * (l1 + l2) ** 2
     if fold_margin < -slack or stretch_margin < -slack or r == 0.0:
         return ()
-    bend = 2.0 * math.atan2(math.sqrt(max(stretch_margin, 0.0)), math.sqrt(max(fold_margin, 0.0)))
+    elbow_angle = 2.0 * math.atan2(
+        math.sqrt(max(stretch_margin, 0.0)), math.sqrt(max(fold_margin, 0.0))
+    )
     solutions = []
-    for q2 in (bend, -bend) if stretch_margin > 0.0 and fold_margin > 0.0 else (bend,):
+    for q2 in (
+        (elbow_angle, -elbow_angle)
+        if stretch_margin > 0.0 and fold_margin > 0.0
+        else (elbow_angle,)
+    ):
         q1 = math.atan2(y, x) - math.atan2(l2 * math.sin(q2), l1 + l2 * math.cos(q2))
         solutions.append((_wrapped_angle(q1), q2))
     return tuple(solutions)
@@ -196,13 +204,13 @@ def closest_tip(
     Source: Nocedal & Wright (2006), Numerical Optimization, 10.3 and 16.7.
     """
     target = np.asarray(position, dtype=np.float64)
-    low, high = digit.reach
+    low, high = digit.coordinate_limits
     if start_angles is None:
-        found = [
+        locally_closest_tips = [
             _locally_closest_tip(digit, target, low + part * (high - low))
             for part in START_RANGE_FRACTIONS
         ]
-        return min(found, key=lambda one: one.distance)
+        return min(locally_closest_tips, key=lambda one: one.distance)
     return _locally_closest_tip(
         digit, target, np.clip(np.asarray(start_angles, dtype=np.float64), low, high)
     )
@@ -212,7 +220,7 @@ def _locally_closest_tip(
     digit: DigitModel, target_point: Array, start_coordinates: Array
 ) -> ClosestTip:
     """Return the local minimum of the distance that a search from the start coordinates finds."""
-    low, high = digit.reach
+    low, high = digit.coordinate_limits
     theta = start_coordinates.copy()
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point
     cost = float(gap @ gap)
@@ -220,33 +228,33 @@ def _locally_closest_tip(
     for _ in range(MAX_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
         slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
-        free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
-        if not free.any():
+        is_free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
+        if not is_free.any():
             break
-        curvature = jacobian[:, free].T @ jacobian[:, free] + START_WEIGHT_M_PER_RAD**2 * np.eye(
-            int(free.sum())
-        )
+        curvature = jacobian[:, is_free].T @ jacobian[
+            :, is_free
+        ] + START_WEIGHT_M_PER_RAD**2 * np.eye(int(is_free.sum()))
         scale = float(curvature.diagonal().max())
-        moved = theta
+        next_coordinates = theta
         while damping < DAMPING_RANGE[1]:
             trial = theta.copy()
-            trial[free] -= np.linalg.solve(
-                curvature + damping * scale * np.eye(len(curvature)), slope[free]
+            trial[is_free] -= np.linalg.solve(
+                curvature + damping * scale * np.eye(len(curvature)), slope[is_free]
             )
             trial = np.clip(trial, low, high)
             distance_vector = joint_points(digit, digit.coupling @ trial)[-1] - target_point
-            steady = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
+            start_cost = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
                 START_WEIGHT_M_PER_RAD * (trial - start_coordinates)
             )
-            if (now := float(distance_vector @ distance_vector + steady)) < cost:
-                moved = trial
+            if (present_cost := float(distance_vector @ distance_vector + start_cost)) < cost:
+                next_coordinates = trial
                 gap = distance_vector
-                cost = now
+                cost = present_cost
                 damping = max(0.1 * damping, DAMPING_RANGE[0])
                 break
             damping *= 10.0
-        step = float(np.abs(moved - theta).max())
-        theta = moved
+        step = float(np.abs(next_coordinates - theta).max())
+        theta = next_coordinates
         if step < MIN_STEP_RAD:
             break
     return ClosestTip(theta, float(np.linalg.norm(gap)))

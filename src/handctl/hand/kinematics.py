@@ -64,8 +64,8 @@ def point_jacobian(
         joint_positions(poses)[link] + distance_from_joint * link_rotations(poses)[link, :, 0]
     )
     axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
-    turning = np.cross(axes, point_on_link - joint_positions(poses))
-    jacobian = np.where(digit.is_prismatic[:, None], axes, turning).T
+    revolute_columns = np.cross(axes, point_on_link - joint_positions(poses))
+    jacobian = np.where(digit.is_prismatic[:, None], axes, revolute_columns).T
     # Joints beyond this link do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)

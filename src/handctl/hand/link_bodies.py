@@ -40,8 +40,8 @@ def link_inertia(digit: Digit, i: int) -> Array:
     if isinstance(values, float):
         # The inertia about the long axis of the link is that of a round bar. The triangle
         # inequality limits it to twice the inertia about an axis across the link.
-        along = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
-        return np.diag([along, values, values])
+        axial_inertia = min(digit.link_mass_kg[i] * digit.link_radius_m**2 / 2, 2 * values)
+        return np.diag([axial_inertia, values, values])
     xx, yy, zz, xy, xz, yz = values if len(values) == 6 else (*values, 0.0, 0.0, 0.0)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 

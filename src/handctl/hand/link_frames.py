@@ -26,11 +26,14 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, 
     poses = link_poses(digit, q)
     # The frame of the tip has the same rotation as the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
-    turned = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
+    turned_quaternions = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
     return tuple(
         FrameTransform(name, (position[0], position[1], position[2]), turn)
         for name, position, turn in zip(
-            names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True
+            names,
+            joint_points(digit, q).tolist(),
+            [*turned_quaternions, turned_quaternions[-1]],
+            strict=True,
         )
     )
 
@@ -43,14 +46,14 @@ def quaternion_of_rotation(rotation: Array) -> tuple[float, float, float, float]
     """
     trace = float(np.trace(rotation))
     # The entries of this list are four times the squares of x, y, z and w.
-    squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
-    largest = max(range(4), key=squares.__getitem__)
+    squared_components = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
+    largest = max(range(4), key=squared_components.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()
     rows = (
-        (squares[0], xy + yx, xz + zx, zy - yz),
-        (xy + yx, squares[1], yz + zy, xz - zx),
-        (xz + zx, yz + zy, squares[2], yx - xy),
-        (zy - yz, xz - zx, yx - xy, squares[3]),
+        (squared_components[0], xy + yx, xz + zx, zy - yz),
+        (xy + yx, squared_components[1], yz + zy, xz - zx),
+        (xz + zx, yz + zy, squared_components[2], yx - xy),
+        (zy - yz, xz - zx, yx - xy, squared_components[3]),
     )
-    x, y, z, w = (entry / (2.0 * math.sqrt(squares[largest])) for entry in rows[largest])
+    x, y, z, w = (entry / (2.0 * math.sqrt(squared_components[largest])) for entry in rows[largest])
     return x, y, z, w

@@ -72,9 +72,12 @@ class HandLinkTree:
         poses = self.poses(q)
         result = []
         for digit in self.digits:
-            own = poses[digit.joints]
-            tip = joint_positions(own)[-1] + digit.lengths[-1] * link_rotations(own)[-1, :, 0]
-            result.append(np.vstack((joint_positions(own), tip)))
+            own_poses = poses[digit.joints]
+            tip = (
+                joint_positions(own_poses)[-1]
+                + digit.lengths[-1] * link_rotations(own_poses)[-1, :, 0]
+            )
+            result.append(np.vstack((joint_positions(own_poses), tip)))
         return tuple(result)
 
     def mass_matrix(self, q: JointValues) -> Array:

@@ -61,8 +61,8 @@ def arm_table_residual(arm: MomentArm) -> float:
     For a moment arm without a table, the difference is 0.
     """
     angle, values = table_of_arm(arm)
-    fitted = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
-    return float(np.abs(fitted - values).max(initial=0.0))
+    fitted_arms = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
+    return float(np.abs(fitted_arms - values).max(initial=0.0))
 
 
 def is_arm_varying(arm: MomentArm) -> bool:
@@ -78,8 +78,10 @@ def moment_arms_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) ->
         joint_limits: (2, n) smallest and largest joint angles [rad].
         q: (..., n) joint angles [rad].
     """
-    held = np.clip(np.asarray(q, dtype=np.float64), joint_limits[0], joint_limits[1])[..., None, :]
-    return _evaluate_polynomials(arm_polynomials, held)
+    clipped_angles = np.clip(np.asarray(q, dtype=np.float64), joint_limits[0], joint_limits[1])[
+        ..., None, :
+    ]
+    return _evaluate_polynomials(arm_polynomials, clipped_angles)
 
 
 def excursions_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> Array:
@@ -93,11 +95,13 @@ def excursions_at(arm_polynomials: Array, joint_limits: Array, q: ArrayLike) -> 
         q: (..., n) joint angles [rad].
     """
     angles = np.asarray(q, dtype=np.float64)[..., None, :]
-    held = np.clip(angles, joint_limits[0], joint_limits[1])
-    integral = held * _evaluate_polynomials(
-        arm_polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held
+    clipped_angles = np.clip(angles, joint_limits[0], joint_limits[1])
+    integral = clipped_angles * _evaluate_polynomials(
+        arm_polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), clipped_angles
     )
-    return integral + (angles - held) * _evaluate_polynomials(arm_polynomials, held)
+    return integral + (angles - clipped_angles) * _evaluate_polynomials(
+        arm_polynomials, clipped_angles
+    )
 
 
 def mean_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
@@ -112,12 +116,12 @@ def mean_arm(arm: MomentArm, min_angle: float, max_angle: float) -> float:
     """
     if not isinstance(arm, Mapping):
         return arm
-    ends = excursions_at(
+    end_excursions = excursions_at(
         polynomial_of_arm(arm)[None, None],
         np.array([[min_angle], [max_angle]]),
         [[min_angle], [max_angle]],
     )
-    return float(ends[1, 0, 0] - ends[0, 0, 0]) / (max_angle - min_angle)
+    return float(end_excursions[1, 0, 0] - end_excursions[0, 0, 0]) / (max_angle - min_angle)
 
 
 def _evaluate_polynomials(arm_polynomials: Array, q: Array) -> Array:

@@ -43,15 +43,15 @@ def reasons_not_ready(hand: Hand) -> Iterator[FileMistake]:
 
 def _check_rates(bus: Bus) -> Iterator[FileMistake]:
     """Check that the bit rates of a bus are possible for CAN controllers."""
-    where = f"bus[{bus.name}]"
+    location = f"bus[{bus.name}]"
     if bus.bitrate > MAX_ARBITRATION_BITRATE:
-        right = (
+        expected = (
             f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
         )
-        yield FileMistake(f"{bus.bitrate}", f"{where}.bitrate", right)
+        yield FileMistake(f"{bus.bitrate}", f"{location}.bitrate", expected)
     elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
         yield FileMistake(
-            f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}"
+            f"{bus.data_bitrate}", f"{location}.data_bitrate", f"at least bitrate = {bus.bitrate}"
         )
 
 
@@ -59,16 +59,16 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
     """Check that coupled joints can move within their limits, and that positive values flex the digit."""
     if digit.coupling is None:
         return
-    where = f"digit[{digit.name}].coupling"
+    location = f"digit[{digit.name}].coupling"
     for i, (low, high) in enumerate(zip(*displayed_range(digit), strict=True)):
         # If a prismatic joint can move by less than 1 mm, this does not count as a motion either.
         if high - low < SMALLEST_RANGE_DEG:
-            right = "signs and sizes that leave the joints a common range within their limits"
-            yield FileMistake(f"column {i} moves no joint within its limits", where, right)
+            expected = "signs and sizes that leave the joints a common range within their limits"
+            yield FileMistake(f"column {i} moves no joint within its limits", location, expected)
         elif low + high < 0.0:
             yield FileMistake(
                 f"column {i} opens the digit",
-                where,
+                location,
                 "the opposite sign: a positive coordinate flexes",
             )
 
@@ -103,31 +103,33 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     arms = postures[0]  # moment arms of the digit when it is open
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.joint_values("spring_stiffness_N_m_per_rad"))
-    opened = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
-    springs = coupling.T @ (stiffness * opened)
-    closing = arms.T @ floor
+    opened_angles = np.add(digit.joint_limits[0], digit.joint_values("spring_preload_rad"))
+    springs = coupling.T @ (stiffness * opened_angles)
+    closing_torque = arms.T @ floor
     if all(map(can_tensions_balance, postures)):
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
-        right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
+        expected = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
         yield FileMistake(
-            "its tendons cannot hold each other", f"digit[{digit.name}].tendon", right
+            "its tendons cannot hold each other", f"digit[{digit.name}].tendon", expected
         )
         return
-    weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
-    if not weak.any():
+    is_too_weak = (springs <= closing_torque) & (arms.min(axis=0) >= 0.0)
+    if not is_too_weak.any():
         return
     # Each digit causes at most one mistake, about the joint whose closing torque exceeds the spring
     # torque most.
-    worst = int(np.argmax(np.where(weak, closing - springs, -np.inf)))
-    joint = f"j{worst + 1}" if digit.coupling is None else "the joints"
-    slides = bool((coupling[np.array(digit.is_prismatic), worst] != 0.0).any())
+    worst_joint = int(np.argmax(np.where(is_too_weak, closing_torque - springs, -np.inf)))
+    joint = f"j{worst_joint + 1}" if digit.coupling is None else "the joints"
+    is_prismatic = bool((coupling[np.array(digit.is_prismatic), worst_joint] != 0.0).any())
     keys = [(key, PRISMATIC_KEYS[i]) for i, key in enumerate(REVOLUTE_KEYS)]
-    key = keys[SPRING_PRELOAD if stiffness.any() else SPRING_STIFFNESS][slides]
-    unit = ("N m", "N")[slides]
-    what = f"the springs open {joint} with {springs[worst]:.3g} {unit} at {keys[0][slides]}"
-    right = f"more than the {closing[worst]:.3g} {unit} with which tension_floor_N closes"
-    yield FileMistake(what, f"digit[{digit.name}].{key}", right)
+    key = keys[SPRING_PRELOAD if stiffness.any() else SPRING_STIFFNESS][is_prismatic]
+    unit = ("N m", "N")[is_prismatic]
+    problem_text = f"the springs open {joint} with {springs[worst_joint]:.3g} {unit} at {keys[0][is_prismatic]}"
+    expected = (
+        f"more than the {closing_torque[worst_joint]:.3g} {unit} with which tension_floor_N closes"
+    )
+    yield FileMistake(problem_text, f"digit[{digit.name}].{key}", expected)
 
 
 def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:

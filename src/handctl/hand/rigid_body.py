@@ -104,16 +104,16 @@ def write_link_poses(
                 + cosine * link_table[first_row + COSINE_ROTATION_ROW + i, j]
                 + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
             )
-        before = parent[j]
+        parent_joint = parent[j]
         for a in range(3):
-            if before < 0:
+            if parent_joint < 0:
                 pose[j, POSITION_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
                 for b in range(3):
                     pose[j, ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
             else:
-                first_element = pose[before, ROTATION_COLUMN + 3 * a]
-                second_element = pose[before, ROTATION_COLUMN + 3 * a + 1]
-                third_element = pose[before, ROTATION_COLUMN + 3 * a + 2]
+                first_element = pose[parent_joint, ROTATION_COLUMN + 3 * a]
+                second_element = pose[parent_joint, ROTATION_COLUMN + 3 * a + 1]
+                third_element = pose[parent_joint, ROTATION_COLUMN + 3 * a + 2]
                 for b in range(3):
                     pose[j, ROTATION_COLUMN + 3 * a + b] = (
                         first_element * turn[b]
@@ -121,7 +121,7 @@ def write_link_poses(
                         + third_element * turn[6 + b]
                     )
                 pose[j, POSITION_COLUMN + a] = (
-                    pose[before, POSITION_COLUMN + a]
+                    pose[parent_joint, POSITION_COLUMN + a]
                     + first_element * link_table[first_row + ORIGIN_ROW, j]
                     + second_element * link_table[first_row + ORIGIN_ROW + 1, j]
                     + third_element * link_table[first_row + ORIGIN_ROW + 2, j]
@@ -159,10 +159,10 @@ def write_carried_masses(
             )
     # The loop goes through the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
-        before = parent[j]
-        if before >= 0:
+        parent_joint = parent[j]
+        if parent_joint >= 0:
             for i in range(CARRIED_MASS_COLUMN, CARRIED_MOMENT_COLUMN + 3):
-                pose[before, i] += pose[j, i]
+                pose[parent_joint, i] += pose[j, i]
 
 
 @kernel_helper
@@ -373,23 +373,23 @@ def write_newton_euler(
         ddq: (n,) joint accelerations [rad/s2].
         torque: (n,) result.
     """
-    work = np.empty((len(q), _WORK_TABLE_COLUMN_COUNT))
+    work_table = np.empty((len(q), _WORK_TABLE_COLUMN_COUNT))
     for j in range(len(q)):
-        _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
-        _load_link(link_table, first_row, work, j)
+        _move_link(link_table, first_row, parent[j], gravity, q[j], dq[j], ddq[j], work_table, j)
+        _load_link(link_table, first_row, work_table, j)
     # The loop goes through the links from the tips to the palm, because each joint carries the
     # forces of its link and of all links beyond it.
     for j in range(len(q) - 1, -1, -1):
         load = _FORCE_COLUMN if link_table[first_row + PRISMATIC_ROW, j] != 0.0 else _TORQUE_COLUMN
         torque[j] = (
-            link_table[first_row + AXIS_ROW, j] * work[j, load]
-            + link_table[first_row + AXIS_ROW + 1, j] * work[j, load + 1]
-            + link_table[first_row + AXIS_ROW + 2, j] * work[j, load + 2]
+            link_table[first_row + AXIS_ROW, j] * work_table[j, load]
+            + link_table[first_row + AXIS_ROW + 1, j] * work_table[j, load + 1]
+            + link_table[first_row + AXIS_ROW + 2, j] * work_table[j, load + 2]
             + link_table[first_row + ARMATURE_ROW, j] * ddq[j]
         )
-        before = parent[j]
-        if before >= 0:
-            _add_load_to_parent(work, j, before)
+        parent_joint = parent[j]
+        if parent_joint >= 0:
+            _add_load_to_parent(work_table, j, parent_joint)
 
 
 @kernel_helper
@@ -401,7 +401,7 @@ def _move_link(
     q: float,
     dq: float,
     ddq: float,
-    work: Array,
+    work_table: Array,
     j: int,
 ) -> None:
     """Write the motion of link j, in the frame of the link.
@@ -412,7 +412,7 @@ def _move_link(
     cosine = math.cos(q)
     sine = math.sin(q)
     for i in range(9):
-        work[j, i] = (
+        work_table[j, i] = (
             link_table[first_row + FIXED_ROTATION_ROW + i, j]
             + cosine * link_table[first_row + COSINE_ROTATION_ROW + i, j]
             + sine * link_table[first_row + SINE_ROTATION_ROW + i, j]
@@ -424,10 +424,12 @@ def _move_link(
     )
     prismatic = link_table[first_row + PRISMATIC_ROW, j] != 0.0
     for a in range(3):
-        work[j, _ORIGIN_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
+        work_table[j, _ORIGIN_COLUMN + a] = link_table[first_row + ORIGIN_ROW + a, j]
         if prismatic:
-            work[j, _ORIGIN_COLUMN + a] += q * (
-                work[j, 3 * a] * ax + work[j, 3 * a + 1] * ay + work[j, 3 * a + 2] * az
+            work_table[j, _ORIGIN_COLUMN + a] += q * (
+                work_table[j, 3 * a] * ax
+                + work_table[j, 3 * a + 1] * ay
+                + work_table[j, 3 * a + 2] * az
             )
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
@@ -436,58 +438,70 @@ def _move_link(
     mx, my, mz = -gravity[0], -gravity[1], -gravity[2]
     if parent_link >= 0:
         wx, wy, wz = (
-            work[parent_link, _ANGULAR_VELOCITY_COLUMN],
-            work[parent_link, _ANGULAR_VELOCITY_COLUMN + 1],
-            work[parent_link, _ANGULAR_VELOCITY_COLUMN + 2],
+            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN],
+            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 1],
+            work_table[parent_link, _ANGULAR_VELOCITY_COLUMN + 2],
         )
         tx, ty, tz = (
-            work[parent_link, _ANGULAR_ACCELERATION_COLUMN],
-            work[parent_link, _ANGULAR_ACCELERATION_COLUMN + 1],
-            work[parent_link, _ANGULAR_ACCELERATION_COLUMN + 2],
+            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN],
+            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 1],
+            work_table[parent_link, _ANGULAR_ACCELERATION_COLUMN + 2],
         )
         ox, oy, oz = (
-            work[j, _ORIGIN_COLUMN],
-            work[j, _ORIGIN_COLUMN + 1],
-            work[j, _ORIGIN_COLUMN + 2],
+            work_table[j, _ORIGIN_COLUMN],
+            work_table[j, _ORIGIN_COLUMN + 1],
+            work_table[j, _ORIGIN_COLUMN + 2],
         )
         # The acceleration of the point o, at which the joint is, is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
-        mx = work[parent_link, _ACCELERATION_COLUMN] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
-        my = work[parent_link, _ACCELERATION_COLUMN + 1] + (tz * ox - tx * oz) + (wz * ux - wx * uz)
-        mz = work[parent_link, _ACCELERATION_COLUMN + 2] + (tx * oy - ty * ox) + (wx * uy - wy * ux)
+        mx = (
+            work_table[parent_link, _ACCELERATION_COLUMN]
+            + (ty * oz - tz * oy)
+            + (wy * uz - wz * uy)
+        )
+        my = (
+            work_table[parent_link, _ACCELERATION_COLUMN + 1]
+            + (tz * ox - tx * oz)
+            + (wz * ux - wx * uz)
+        )
+        mz = (
+            work_table[parent_link, _ACCELERATION_COLUMN + 2]
+            + (tx * oy - ty * ox)
+            + (wx * uy - wy * ux)
+        )
     for a in range(3):
         # The transposed rotation transforms a vector from the frame of the parent to the frame of
         # the link.
-        work[j, _ANGULAR_VELOCITY_COLUMN + a] = (
-            work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
+        work_table[j, _ANGULAR_VELOCITY_COLUMN + a] = (
+            work_table[j, a] * wx + work_table[j, 3 + a] * wy + work_table[j, 6 + a] * wz
         )
-        work[j, _ANGULAR_ACCELERATION_COLUMN + a] = (
-            work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
+        work_table[j, _ANGULAR_ACCELERATION_COLUMN + a] = (
+            work_table[j, a] * tx + work_table[j, 3 + a] * ty + work_table[j, 6 + a] * tz
         )
-        work[j, _ACCELERATION_COLUMN + a] = (
-            work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
+        work_table[j, _ACCELERATION_COLUMN + a] = (
+            work_table[j, a] * mx + work_table[j, 3 + a] * my + work_table[j, 6 + a] * mz
         )
     wx, wy, wz = (
-        work[j, _ANGULAR_VELOCITY_COLUMN],
-        work[j, _ANGULAR_VELOCITY_COLUMN + 1],
-        work[j, _ANGULAR_VELOCITY_COLUMN + 2],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
     )
     if prismatic:
         # This term exists because the link slides in a turning frame: a q'' + 2 w x (a q').
-        work[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
-        work[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
-        work[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
+        work_table[j, _ACCELERATION_COLUMN] += ax * ddq + 2.0 * (wy * az - wz * ay) * dq
+        work_table[j, _ACCELERATION_COLUMN + 1] += ay * ddq + 2.0 * (wz * ax - wx * az) * dq
+        work_table[j, _ACCELERATION_COLUMN + 2] += az * ddq + 2.0 * (wx * ay - wy * ax) * dq
         return
-    work[j, _ANGULAR_ACCELERATION_COLUMN] += ax * ddq + (wy * az - wz * ay) * dq
-    work[j, _ANGULAR_ACCELERATION_COLUMN + 1] += ay * ddq + (wz * ax - wx * az) * dq
-    work[j, _ANGULAR_ACCELERATION_COLUMN + 2] += az * ddq + (wx * ay - wy * ax) * dq
-    work[j, _ANGULAR_VELOCITY_COLUMN] += ax * dq
-    work[j, _ANGULAR_VELOCITY_COLUMN + 1] += ay * dq
-    work[j, _ANGULAR_VELOCITY_COLUMN + 2] += az * dq
+    work_table[j, _ANGULAR_ACCELERATION_COLUMN] += ax * ddq + (wy * az - wz * ay) * dq
+    work_table[j, _ANGULAR_ACCELERATION_COLUMN + 1] += ay * ddq + (wz * ax - wx * az) * dq
+    work_table[j, _ANGULAR_ACCELERATION_COLUMN + 2] += az * ddq + (wx * ay - wy * ax) * dq
+    work_table[j, _ANGULAR_VELOCITY_COLUMN] += ax * dq
+    work_table[j, _ANGULAR_VELOCITY_COLUMN + 1] += ay * dq
+    work_table[j, _ANGULAR_VELOCITY_COLUMN + 2] += az * dq
 
 
 @kernel_helper
-def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
+def _load_link(link_table: Array, first_row: int, work_table: Array, j: int) -> None:
     """Write the force and the torque at the joint of link j that the motion of this link requires."""
     mass = link_table[first_row + MASS_ROW, j]
     hx, hy, hz = (
@@ -496,25 +510,25 @@ def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
         link_table[first_row + MOMENT_ROW + 2, j],
     )
     wx, wy, wz = (
-        work[j, _ANGULAR_VELOCITY_COLUMN],
-        work[j, _ANGULAR_VELOCITY_COLUMN + 1],
-        work[j, _ANGULAR_VELOCITY_COLUMN + 2],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN + 1],
+        work_table[j, _ANGULAR_VELOCITY_COLUMN + 2],
     )
     tx, ty, tz = (
-        work[j, _ANGULAR_ACCELERATION_COLUMN],
-        work[j, _ANGULAR_ACCELERATION_COLUMN + 1],
-        work[j, _ANGULAR_ACCELERATION_COLUMN + 2],
+        work_table[j, _ANGULAR_ACCELERATION_COLUMN],
+        work_table[j, _ANGULAR_ACCELERATION_COLUMN + 1],
+        work_table[j, _ANGULAR_ACCELERATION_COLUMN + 2],
     )
     mx, my, mz = (
-        work[j, _ACCELERATION_COLUMN],
-        work[j, _ACCELERATION_COLUMN + 1],
-        work[j, _ACCELERATION_COLUMN + 2],
+        work_table[j, _ACCELERATION_COLUMN],
+        work_table[j, _ACCELERATION_COLUMN + 1],
+        work_table[j, _ACCELERATION_COLUMN + 2],
     )
     # The required force is m a + t x h + w x (w x h).
     ux, uy, uz = wy * hz - wz * hy, wz * hx - wx * hz, wx * hy - wy * hx
-    work[j, _FORCE_COLUMN] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
-    work[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
-    work[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
+    work_table[j, _FORCE_COLUMN] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
+    work_table[j, _FORCE_COLUMN + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
+    work_table[j, _FORCE_COLUMN + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
     xx, yy, zz = (
         link_table[first_row + INERTIA_ROW, j],
         link_table[first_row + INERTIA_ROW + 1, j],
@@ -531,39 +545,51 @@ def _load_link(link_table: Array, first_row: int, work: Array, j: int) -> None:
         xy * wx + yy * wy + yz * wz,
         xz * wx + yz * wy + zz * wz,
     )
-    work[j, _TORQUE_COLUMN] = (
+    work_table[j, _TORQUE_COLUMN] = (
         xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
     )
-    work[j, _TORQUE_COLUMN + 1] = (
+    work_table[j, _TORQUE_COLUMN + 1] = (
         xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
     )
-    work[j, _TORQUE_COLUMN + 2] = (
+    work_table[j, _TORQUE_COLUMN + 2] = (
         xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
     )
 
 
 @kernel_helper
-def _add_load_to_parent(work: Array, j: int, parent_link: int) -> None:
+def _add_load_to_parent(work_table: Array, j: int, parent_link: int) -> None:
     """Add the force and the torque of link j to those of the parent."""
-    fx, fy, fz = work[j, _FORCE_COLUMN], work[j, _FORCE_COLUMN + 1], work[j, _FORCE_COLUMN + 2]
-    nx, ny, nz = work[j, _TORQUE_COLUMN], work[j, _TORQUE_COLUMN + 1], work[j, _TORQUE_COLUMN + 2]
-    gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
-    gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
-    gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
-    ox, oy, oz = work[j, _ORIGIN_COLUMN], work[j, _ORIGIN_COLUMN + 1], work[j, _ORIGIN_COLUMN + 2]
-    work[parent_link, _FORCE_COLUMN] += gx
-    work[parent_link, _FORCE_COLUMN + 1] += gy
-    work[parent_link, _FORCE_COLUMN + 2] += gz
+    fx, fy, fz = (
+        work_table[j, _FORCE_COLUMN],
+        work_table[j, _FORCE_COLUMN + 1],
+        work_table[j, _FORCE_COLUMN + 2],
+    )
+    nx, ny, nz = (
+        work_table[j, _TORQUE_COLUMN],
+        work_table[j, _TORQUE_COLUMN + 1],
+        work_table[j, _TORQUE_COLUMN + 2],
+    )
+    gx = work_table[j, 0] * fx + work_table[j, 1] * fy + work_table[j, 2] * fz
+    gy = work_table[j, 3] * fx + work_table[j, 4] * fy + work_table[j, 5] * fz
+    gz = work_table[j, 6] * fx + work_table[j, 7] * fy + work_table[j, 8] * fz
+    ox, oy, oz = (
+        work_table[j, _ORIGIN_COLUMN],
+        work_table[j, _ORIGIN_COLUMN + 1],
+        work_table[j, _ORIGIN_COLUMN + 2],
+    )
+    work_table[parent_link, _FORCE_COLUMN] += gx
+    work_table[parent_link, _FORCE_COLUMN + 1] += gy
+    work_table[parent_link, _FORCE_COLUMN + 2] += gz
     # The force acts at the position o of the joint. Therefore the torque on the parent is R n + o x
     # (R f).
-    work[parent_link, _TORQUE_COLUMN] += (
-        work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
+    work_table[parent_link, _TORQUE_COLUMN] += (
+        work_table[j, 0] * nx + work_table[j, 1] * ny + work_table[j, 2] * nz + (oy * gz - oz * gy)
     )
-    work[parent_link, _TORQUE_COLUMN + 1] += (
-        work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
+    work_table[parent_link, _TORQUE_COLUMN + 1] += (
+        work_table[j, 3] * nx + work_table[j, 4] * ny + work_table[j, 5] * nz + (oz * gx - ox * gz)
     )
-    work[parent_link, _TORQUE_COLUMN + 2] += (
-        work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
+    work_table[parent_link, _TORQUE_COLUMN + 2] += (
+        work_table[j, 6] * nx + work_table[j, 7] * ny + work_table[j, 8] * nz + (ox * gy - oy * gx)
     )
 
 
@@ -605,12 +631,12 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     the upper triangle.
     """
     n = len(q)
-    rest = np.zeros(max(n, 3))
+    rest_rates = np.zeros(max(n, 3))
     unit = np.zeros(n)
     matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(link_table, 0, parent, rest, q, rest, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, rest_rates, q, rest_rates, unit, matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):

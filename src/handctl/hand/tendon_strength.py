@@ -40,7 +40,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
     Tendons or joints with equal values share a line.
     """
-    named: list[tuple[str, str]] = []
+    warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:
         motor = hand.motor_of(tendon.name)
         breaking_force = tendon.rated_breaking_force_N
@@ -48,13 +48,13 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
             if breaking_force < MIN_STRENGTH_RATIO * runaway_tension(force):
                 text = _runaway_text(key, force, breaking_force, motor.spool_radius_m)
-                named.append((tendon.name, text))
-    for key, slides in (("joint_rated_torque_N_m", False), ("joint_rated_force_N", True)):
+                warnings_by_tendon.append((tendon.name, text))
+    for key, is_prismatic in (("joint_rated_torque_N_m", False), ("joint_rated_force_N", True)):
         text = f"{key} is missing: the strength of the joints in a runaway is unknown"
-        named += [
+        warnings_by_tendon += [
             (digit.name, text)
             for digit in hand.digit
-            if slides in digit.is_prismatic and getattr(digit, key) is None
+            if is_prismatic in digit.is_prismatic and getattr(digit, key) is None
         ]
     for digit in hand.digit:
         for joint, torque, rated_load in _joint_loads(hand, digit.name):
@@ -62,19 +62,19 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
                 unit = "N" if hand.is_prismatic[hand.joints.index(joint)] else "N m"
                 load = f"{torque:.3g} {unit}, and {rated_load:g} {unit} is its rating"
                 text = f"a runaway at torque_peak_N_m loads it with {load}"
-                named.append((joint, text))
-    return lines_by_text(named)
+                warnings_by_tendon.append((joint, text))
+    return lines_by_text(warnings_by_tendon)
 
 
 def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: float) -> str:
     """Describe a runaway with a given force, and name the torque limit that the drive should have."""
     peak = runaway_tension(force)
-    right = largest_safe_force(breaking_force)
+    safe_force = largest_safe_force(breaking_force)
     factor = breaking_force / peak
     return (
         f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {breaking_force:g} N is "
         f"{factor:.2f} times this tension; expected a factor of {MIN_STRENGTH_RATIO:g}: "
-        f"limit the drive to {right:.0f} N = {right * spool_radius:.3g} N m"
+        f"limit the drive to {safe_force:.0f} N = {safe_force * spool_radius:.3g} N m"
     )
 
 
@@ -83,14 +83,14 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
 
     If the digit has no rated torques, yield nothing.
     """
-    described = hand.digit_named(digit)
-    rated_loads = described.rated_loads
+    digit_section = hand.digit_named(digit)
+    rated_loads = digit_section.rated_loads
     if rated_loads is None:
         return
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
     motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
-    peaks = np.array(
+    peak_loads = np.array(
         [runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors]
     )
     limits = hand.joint_limits[:, joints]
@@ -100,5 +100,5 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
         arms = np.abs(moment_arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(
             axis=0
         )
-    torques = np.abs(arms).T @ peaks
-    yield from zip(described.joints, torques.tolist(), rated_loads, strict=True)
+    torques = np.abs(arms).T @ peak_loads
+    yield from zip(digit_section.joints, torques.tolist(), rated_loads, strict=True)

@@ -143,9 +143,9 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
     """
     # Only those hinges that a tendon crosses add to the wrap angle of the tendon.
     has_pulley = (digit.moment_arms != 0.0) & ~digit.is_prismatic
-    passed = np.cumsum(has_pulley * np.asarray(q), axis=1)
+    wrapped_angles = np.cumsum(has_pulley * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, CAPSTAN_FRICTION_SPEED_M_S))
-    return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
+    return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + wrapped_angles)))
 
 
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:

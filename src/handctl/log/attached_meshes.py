@@ -59,8 +59,8 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
             f"the meshes have {sizes}, and are not stored in the log: its views show capsules"
         ]
     mistakes = list(mesh_mistakes(hand, folder))
-    wrong = {mistake.where for mistake in mistakes}
-    files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in wrong]
+    wrong_places = {mistake.where for mistake in mistakes}
+    files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in wrong_places]
     lines = [f"{mistake.where}: {mistake.what}; expected {mistake.right}" for mistake in mistakes]
     return {attachment_name(file): data for file, data in read_meshes(files, folder).items()}, lines
 
@@ -74,14 +74,14 @@ def attached_meshes(
         hand: description of the hand in the log.
         attachments: content of all attachments of the log, by name.
     """
-    found: dict[str, AttachedMesh] = {}
-    missing = []
+    mesh_by_name: dict[str, AttachedMesh] = {}
+    missing_meshes = []
     for mesh in meshes_of_hand(hand):
         data = attachments.get(attachment_name(mesh.file), b"")
         try:
-            found[mesh.link] = AttachedMesh(
+            mesh_by_name[mesh.link] = AttachedMesh(
                 mesh, data, mesh.place(mesh_triangles(data, mesh.suffix))
             )
         except ValueError:
-            missing.append(mesh.link)
-    return found, missing
+            missing_meshes.append(mesh.link)
+    return mesh_by_name, missing_meshes

@@ -60,9 +60,9 @@ class CdrWriter:
         Lone surrogates in the string are replaced by escape sequences, because other CDR readers
         cannot decode them.
         """
-        raw = value.encode("utf-8", "backslashreplace")
-        self.put_length(len(raw) + 1)
-        self.data += raw + b"\0"
+        raw_bytes = value.encode("utf-8", "backslashreplace")
+        self.put_length(len(raw_bytes) + 1)
+        self.data += raw_bytes + b"\0"
 
     def put_strings(self, values: tuple[str, ...]) -> None:
         """Append a sequence of strings."""

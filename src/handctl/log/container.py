@@ -133,9 +133,9 @@ class McapContainer:
         while view:
             # A single call may write only a part of the bytes, for example if the disk is almost
             # full.
-            written = os.write(self._fd, view)
-            self._at += written
-            view = view[written:]
+            written_size = os.write(self._fd, view)
+            self._at += written_size
+            view = view[written_size:]
         self._crc = zlib.crc32(data, self._crc)
         # The complete size increases only after the last byte of a record has been written.
         # Therefore `cut_incomplete_record` can remove an incomplete record.
@@ -153,12 +153,12 @@ class McapContainer:
 
     def write_attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Write an attachment."""
-        raw = records_as_bytes([Attachment(time_ns, time_ns, name, media_type, data)])
-        start = self._write_bytes(raw)
+        raw_bytes = records_as_bytes([Attachment(time_ns, time_ns, name, media_type, data)])
+        start = self._write_bytes(raw_bytes)
         self._summary.attachments.append(
             AttachmentIndex(
                 offset=start,
-                length=len(raw),
+                length=len(raw_bytes),
                 log_time=time_ns,
                 create_time=time_ns,
                 data_size=len(data),
@@ -169,9 +169,9 @@ class McapContainer:
 
     def write_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
-        raw = records_as_bytes([Metadata(name=name, metadata=values)])
+        raw_bytes = records_as_bytes([Metadata(name=name, metadata=values)])
         self._summary.metadata.append(
-            MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name)
+            MetadataIndex(offset=self._write_bytes(raw_bytes), length=len(raw_bytes), name=name)
         )
 
     def write_chunk(
@@ -184,25 +184,27 @@ class McapContainer:
 
         The chunk begins with the records of new schemas and channels.
         """
-        head = records_as_bytes([*schemas, *channels])
-        content = b"".join([head, *(block.data for block in blocks)])
+        head_records = records_as_bytes([*schemas, *channels])
+        content = b"".join([head_records, *(block.data for block in blocks)])
         packed = lz4.frame.compress(content)
-        first = min((int(block.log_times.min()) for block in blocks), default=0)
-        last = max((int(block.log_times.max()) for block in blocks), default=0)
+        first_time = min((int(block.log_times.min()) for block in blocks), default=0)
+        last_time = max((int(block.log_times.max()) for block in blocks), default=0)
         fields = _CHUNK_STRUCT.pack(
-            first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed)
+            first_time, last_time, len(content), zlib.crc32(content), 3, b"lz4", len(packed)
         )
         chunk = _RECORD_STRUCT.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
-        indexes, index_offsets = _message_indexes(blocks, len(head))
+        indexes, index_offsets = _message_indexes(blocks, len(head_records))
         start = self._write_bytes(chunk + indexes)
-        at = ChunkEntry(start, len(chunk), len(packed), len(content), first, last, len(indexes))
+        at = ChunkEntry(
+            start, len(chunk), len(packed), len(content), first_time, last_time, len(indexes)
+        )
         self._summary.chunks.add_chunk(at, index_offsets)
         self._summary.schemas += schemas
         self._summary.channels += channels
         for block in blocks:
             self._summary.message_counts[block.channel] += len(block.log_times)
-        self._summary.first_log_time = min(first, self._summary.first_log_time)
-        self._summary.last_log_time = max(last, self._summary.last_log_time)
+        self._summary.first_log_time = min(first_time, self._summary.first_log_time)
+        self._summary.last_log_time = max(last_time, self._summary.last_log_time)
 
     def write_summary_and_footer(self) -> None:
         """Write the summary section and the footer of the file."""
@@ -249,16 +251,16 @@ class McapContainer:
             (Opcode.METADATA_INDEX, summary.metadata),
         ]
         for code, group in groups:
-            raw = records_as_bytes(group)
-            if raw:
+            raw_bytes = records_as_bytes(group)
+            if raw_bytes:
                 offsets.append(
                     SummaryOffset(
-                        group_length=len(raw),
+                        group_length=len(raw_bytes),
                         group_opcode=code,
                         group_start=start_offset + len(body),
                     )
                 )
-            body += raw
+            body += raw_bytes
         return body + records_as_bytes(offsets), start_offset + len(body)
 
 
@@ -278,14 +280,17 @@ def _message_indexes(
         part["offset"] = block.offsets + np.uint64(first_message_offset)
         entries.setdefault(block.channel, []).append(part)
         first_message_offset += len(block.data)
-    out = []
+    index_records = []
     offsets = {}
     at = 0
     for channel, parts in entries.items():
-        raw = b"".join(part.tobytes() for part in parts)
+        raw_bytes = b"".join(part.tobytes() for part in parts)
         offsets[channel] = at
-        out.append(
-            _MESSAGE_INDEX_STRUCT.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw
+        index_records.append(
+            _MESSAGE_INDEX_STRUCT.pack(
+                Opcode.MESSAGE_INDEX, 6 + len(raw_bytes), channel, len(raw_bytes)
+            )
+            + raw_bytes
         )
-        at += len(out[-1])
-    return b"".join(out), offsets
+        at += len(index_records[-1])
+    return b"".join(index_records), offsets

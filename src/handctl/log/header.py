@@ -68,13 +68,13 @@ class RunHeader:
     deterministic: bool = False
 
     @classmethod
-    def from_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
+    def from_hand(cls, hand_toml: str, period_ns: int, **other_fields: object) -> Self:
         """Return a header with the names of joints, tendons, motors, digits and buses, taken from the hand description.
 
         Args:
             hand_toml: the description of the hand, after all defaults have been applied.
             period_ns: control period, the time from one tick to the next [ns].
-            more: values of the other attributes of the header, by name.
+            other_fields: values of the other attributes of the header, by name.
         """
         hand = tomllib.loads(hand_toml)
         joints = tuple(
@@ -92,7 +92,7 @@ class RunHeader:
             names["digit"],
             names["bus"],
             period_ns,
-            **more,  # type: ignore[arg-type]
+            **other_fields,  # type: ignore[arg-type]
         )
 
     @classmethod
@@ -170,12 +170,12 @@ class RunHeader:
     @classmethod
     def load(cls, data: bytes) -> Self:
         """Decode a header that `dump` has encoded."""
-        line, _, rest = data.partition(b"\n")
+        line, _, payload = data.partition(b"\n")
         fields = json.loads(line)
         attachments = {}
         at = 0
         for name, size in fields["attachments"].items():
-            attachments[name] = rest[at : at + size]
+            attachments[name] = payload[at : at + size]
             at += size
         names = {part: tuple(fields[part]) for part in NAME_LIST_KEYS}
         return cls(**(fields | names | {"attachments": attachments}))

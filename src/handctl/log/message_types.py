@@ -70,7 +70,7 @@ MESSAGE_DEFINITIONS = {
     "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in HandMode})
     + _HEADER_FIELD
     + "uint8 mode\nstring name\n",
-    "handctl_msgs/Action": _constant_lines({one.name: one.value for one in SafetyAction})
+    "handctl_msgs/Action": _constant_lines({action.name: action.value for action in SafetyAction})
     + _HEADER_FIELD
     + "uint8 action\nstring name\n",
     "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"

@@ -240,28 +240,31 @@ class TickBatcher:
         # Nearly all ticks have no events. The Tick message of such a tick ends with the phase and
         # empty lists. These last bytes are the same in all ticks of one phase. Because of the
         # cache, equal bytes are decoded only once.
-        tail = message[offset:]
-        phase = self._phase_of_tail.get(tail)
+        tail_bytes = message[offset:]
+        phase = self._phase_of_tail.get(tail_bytes)
         if phase is None:
             tick = unpack_tick(message)
             phase = tick.phase
             if tick.events or tick.tick_in.requests or tick.tick_in.io_events:
                 self._ticks_with_events[len(self._messages)] = tick
             elif len(self._phase_of_tail) < _MAX_CACHED_TAILS:
-                self._phase_of_tail[tail] = phase
+                self._phase_of_tail[tail_bytes] = phase
         self._phases.append(phase)
 
     def take_batch(self) -> TickBatch:
         """Return all ticks added since the last call as a batch, and begin another batch."""
         # In each message, four bytes (the CDR encapsulation) come before the part whose length is
         # constant.
-        fixed = np.frombuffer(
+        tick_heads = np.frombuffer(
             b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
             FIXED_DTYPE,
         )
-        numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
+        numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(
+            len(tick_heads), self._width
+        )
         batch = TickBatch(
-            self._messages, fixed["k"], fixed["t_ns"], fixed["late_ns"], fixed["mode"], fixed["action"], self._phases,
+            self._messages, tick_heads["k"], tick_heads["t_ns"], tick_heads["late_ns"], tick_heads["mode"],
+            tick_heads["action"], self._phases,
             numbers, self._received.collected_frames(), self._sent.collected_frames(), self._ticks_with_events,
         )  # fmt: skip
         self._clear()

@@ -166,11 +166,11 @@ def _tail_without_events(phase: str) -> bytes:
     At every offset that is divisible by four, these bytes are the same. Therefore they can be
     cached.
     """
-    out = CdrWriter()
-    out.put_string(phase)
+    writer = CdrWriter()
+    writer.put_string(phase)
     for _ in range(3):
-        out.put_length(0)
-    return bytes(out.data)
+        writer.put_length(0)
+    return bytes(writer.data)
 
 
 def _message_end(
@@ -185,78 +185,83 @@ def _message_end(
         tick_in: inputs of the tick.
         events: events of the tick.
     """
-    out = CdrWriter(start_offset)
-    out.put_string(phase)
-    out.put_length(len(tick_in.io_events))
-    for kind, where, number in tick_in.io_events:
-        out.put_string(kind)
-        out.put_string(where)
-        out.put_number("q", number)
-    out.put_strings(tuple(map(request_text, tick_in.requests)))
-    out.put_length(len(events))
+    writer = CdrWriter(start_offset)
+    writer.put_string(phase)
+    writer.put_length(len(tick_in.io_events))
+    for kind, location, number in tick_in.io_events:
+        writer.put_string(kind)
+        writer.put_string(location)
+        writer.put_number("q", number)
+    writer.put_strings(tuple(map(request_text, tick_in.requests)))
+    writer.put_length(len(events))
     for event in events:
         for text in event:
-            out.put_string(text)
-    return bytes(out.data)
+            writer.put_string(text)
+    return bytes(writer.data)
 
 
-def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
+def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
     """Encode a tick as a handctl_msgs/Tick message.
 
     Raises:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit into its field.
     """
-    received = frames_as_records(tick_in.frames).records
-    sent = frames_as_records(out.frames).records
-    if len(out.state_hash) != 8:
-        raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
-    fixed = TICK_HEAD_STRUCT.pack(
+    received_records = frames_as_records(tick_in.frames).records
+    sent_records = frames_as_records(tick_output.frames).records
+    if len(tick_output.state_hash) != 8:
+        raise ValueError(f"state hash of {len(tick_output.state_hash)} bytes; expected 8")
+    tick_head = TICK_HEAD_STRUCT.pack(
         tick_in.k,
         tick_in.t_ns,
         tick_in.late_ns,
-        out.state_hash,
-        out.mode,
-        out.action,
-        len(received),
+        tick_output.state_hash,
+        tick_output.mode,
+        tick_output.action,
+        len(received_records),
     )
-    frame_starts = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
+    frame_starts = [
+        records.getfield(_SHORT_FRAME_DTYPE).tobytes()
+        for records in (received_records, sent_records)
+    ]
     long_payload_bytes = _NO_LONG_DATA
     # A slice with a stride reads the length of every frame without decoding the frames. If all
     # frames are short, nothing remains when the short lengths are stripped.
     lengths = b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in frame_starts])
     if lengths.strip(_SHORT_LENGTHS):
-        long_data = _long_data(received) + _long_data(sent)
+        long_data = _long_data(received_records) + _long_data(sent_records)
         long_payload_bytes = (
             _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
         )
     # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
     # are no frames, there is no padding.
-    padding = b"\0\0\0\0" if len(sent) else b""
+    padding = b"\0\0\0\0" if len(sent_records) else b""
     parts = [
         ENCAPSULATION_HEADER,
-        fixed,
+        tick_head,
         frame_starts[0],
-        _COUNT_STRUCT.pack(len(sent)),
+        _COUNT_STRUCT.pack(len(sent_records)),
         padding,
         frame_starts[1],
         long_payload_bytes,
     ]
-    if tick_in.io_events or tick_in.requests or out.events:
-        parts.append(_message_end(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
+    if tick_in.io_events or tick_in.requests or tick_output.events:
+        parts.append(
+            _message_end(sum(map(len, parts)) - 4, tick_output.phase, tick_in, tick_output.events)
+        )
     else:
-        parts.append(_tail_without_events(out.phase))
+        parts.append(_tail_without_events(tick_output.phase))
     return b"".join(parts)
 
 
-def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
+def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
     """Encode a tick as a record for the pipe.
 
     This function raises the same errors as `pack_tick`.
     """
-    message = pack_tick(tick_in, out)
-    values = out.telemetry.packed()
-    sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(out.telemetry))
+    message = pack_tick(tick_in, tick_output)
+    values = tick_output.telemetry.packed()
+    sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(tick_output.telemetry))
     return b"".join(
         (
             RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND),
@@ -303,14 +308,14 @@ def message_layout(message: bytes) -> MessageLayout:
     Raises:
         struct.error: the message ends early.
     """
-    (received,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
+    (received_count,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
     start = TICK_HEAD_STRUCT.size + 4
-    end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received
-    (sent,) = _COUNT_STRUCT.unpack_from(message, end)
+    end = TICK_HEAD_STRUCT.size + 4 + FRAME_RECORD_BYTES * received_count
+    (sent_count,) = _COUNT_STRUCT.unpack_from(message, end)
     # Before the sent frames, the message is padded to 8 bytes. If there are no frames, there is no
     # padding.
-    sent_frames_start = end + 8 if sent else end + 4
-    sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent
+    sent_frames_start = end + 8 if sent_count else end + 4
+    sent_frames_end = sent_frames_start + FRAME_RECORD_BYTES * sent_count
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_frames_end)
     long_data = slice(sent_frames_end + 4, sent_frames_end + 4 + size)
     # The payload bytes after the eighth byte may end at any offset. The text after them is aligned
@@ -386,9 +391,11 @@ def unpack_tick(message: bytes) -> TickRecord:
         raise ValueError("not little-endian CDR")
     try:
         parts = message_layout(message)
-        frames_in, rest = _decode_frames(message[parts.received], message[parts.long_data])
-        frames_out, rest = _decode_frames(message[parts.sent], rest)
-        if rest:
+        frames_in, remaining_bytes = _decode_frames(
+            message[parts.received], message[parts.long_data]
+        )
+        frames_out, remaining_bytes = _decode_frames(message[parts.sent], remaining_bytes)
+        if remaining_bytes:
             raise ValueError("more data than frames")
         return _build_tick(
             TICK_HEAD_STRUCT.unpack_from(message, 4),
@@ -402,21 +409,25 @@ def unpack_tick(message: bytes) -> TickRecord:
 
 
 def _build_tick(
-    fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail_offset: int
+    tick_head: _TickHead,
+    received_frames: Frames,
+    sent_frames: Frames,
+    message: bytes,
+    tail_offset: int,
 ) -> TickRecord:
     """Build a tick from the parts of a Tick message.
 
     Args:
-        fixed: values of the first part of the message.
-        received: frames received in the tick.
-        sent: frames sent in the tick.
+        tick_head: values of the first part of the message.
+        received_frames: frames received in the tick.
+        sent_frames: frames sent in the tick.
         message: the whole Tick message.
         tail_offset: offset of the phase in the message [bytes].
     """
     phase = _phase_without_events(message[tail_offset:])
     if phase is not None:
-        return _tick_without_events(fixed, received, sent, phase)
-    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
+        return _tick_without_events(tick_head, received_frames, sent_frames, phase)
+    k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
     reader = CdrReader(message)
     reader.read_bytes(tail_offset - 4)
     phase = reader.read_string()
@@ -431,21 +442,23 @@ def _build_tick(
         )
         for _ in range(reader.read_length())
     )
-    tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
+    tick_in = TickIn(k, t_ns, lateness_ns, received_frames, io_events, requests)
     return TickRecord(
-        tick_in, sent, HandMode(mode), phase, SafetyAction(action), events, state_hash
+        tick_in, sent_frames, HandMode(mode), phase, SafetyAction(action), events, state_hash
     )
 
 
 def _tick_without_events(
-    fixed: _TickHead, received: Frames, sent: Frames, phase: str
+    tick_head: _TickHead, received_frames: Frames, sent_frames: Frames, phase: str
 ) -> TickRecord:
     """Return a tick that has no io events, no requests and no events."""
-    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
-    tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
+    k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head
+    tick_in = new_tuple(TickIn, (k, t_ns, lateness_ns, received_frames, (), ()))
     mode_member = _MODE_BY_VALUE.get(mode) or HandMode(mode)
     action_member = _ACTION_BY_VALUE.get(action) or SafetyAction(action)
-    return new_tuple(TickRecord, (tick_in, sent, mode_member, phase, action_member, (), state_hash))
+    return new_tuple(
+        TickRecord, (tick_in, sent_frames, mode_member, phase, action_member, (), state_hash)
+    )
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
@@ -466,8 +479,8 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
         is None, the caller decodes each message with `unpack_tick`.
     """
     parts = list[bytes]()
-    ends = [0]
-    fixed = list[_TickHead]()
+    end_indices = [0]
+    tick_heads = list[_TickHead]()
     tail_offsets = list[int]()
     end = 0
     for message in messages:
@@ -476,26 +489,28 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
         try:
             tick_head = TICK_HEAD_STRUCT.unpack_from(message, 4)
             sent_count_offset = _FRAMES_OFFSET + FRAME_RECORD_BYTES * tick_head[6]
-            (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count_offset)
+            (frame_count_sent,) = _COUNT_STRUCT.unpack_from(message, sent_count_offset)
         except struct.error:
             return None
-        start = sent_count_offset + 8 if sent else sent_count_offset + 4
-        long_size_offset = start + FRAME_RECORD_BYTES * sent
+        start = sent_count_offset + 8 if frame_count_sent else sent_count_offset + 4
+        long_size_offset = start + FRAME_RECORD_BYTES * frame_count_sent
         if message[long_size_offset : long_size_offset + 4] != _NO_LONG_DATA:
             return None
         # The frames of all messages are joined and decoded in one call. After that, they are
         # divided again at `ends`.
         parts += message[_FRAMES_OFFSET:sent_count_offset], message[start:long_size_offset]
-        ends += end + tick_head[6], end + tick_head[6] + sent
-        end = ends[-1]
-        fixed.append(tick_head)
+        end_indices += end + tick_head[6], end + tick_head[6] + frame_count_sent
+        end = end_indices[-1]
+        tick_heads.append(tick_head)
         tail_offsets.append(long_size_offset + 4)
     frame_starts = b"".join(parts)
     if max(frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
     records = _decode_frames(frame_starts, b"")[0].records
-    frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
-    return list(map(_build_tick, fixed, frames[::2], frames[1::2], messages, tail_offsets))
+    frames = [
+        Frames(records[first_frame:end_frame]) for first_frame, end_frame in pairwise(end_indices)
+    ]
+    return list(map(_build_tick, tick_heads, frames[::2], frames[1::2], messages, tail_offsets))
 
 
 def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
@@ -511,10 +526,10 @@ def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
     start = RECORD_FRAMING_STRUCT.size + TICK_SIZES_STRUCT.size
     tick = unpack_tick(record[start : start + size])
     lengths = dict(zip(("joint", "tendon", "motor", "digit"), axes, strict=True))
-    ends = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
-    parts = np.split(np.frombuffer(record[start + size :], "<f8"), ends[:-1])
+    end_indices = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
+    parts = np.split(np.frombuffer(record[start + size :], "<f8"), end_indices[:-1])
     telemetry = Telemetry(*parts)
-    out = TickOut(
+    tick_output = TickOut(
         tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash
     )
-    return tick.tick_in, out
+    return tick.tick_in, tick_output

@@ -55,7 +55,7 @@ def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSec
     Args:
         experiment_results: results of `experiments.run_experiments`, or None.
     """
-    fixed = (
+    fixed_sections = (
         _hand_section(),
         _kinematics_section(),
         _statics_section(),
@@ -63,9 +63,13 @@ def page_sections(experiment_results: Mapping[str, Any] | None) -> tuple[PageSec
         _assumptions_section(),
     )
     return (
-        fixed
+        fixed_sections
         if experiment_results is None
-        else (*fixed, _bench_section(experiment_results), _payload_section(experiment_results))
+        else (
+            *fixed_sections,
+            _bench_section(experiment_results),
+            _payload_section(experiment_results),
+        )
     )
 
 

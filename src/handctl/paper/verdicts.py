@@ -19,15 +19,15 @@ def verdict_of_number(printed_number: str, exact_value: Fraction | float) -> Err
         printed_number: decimal number as printed, e.g. `18.33`.
         exact_value: exact value.
     """
-    shown = Fraction(printed_number)
+    printed_value = Fraction(printed_number)
     value = Fraction(exact_value)
     unit = last_digit_value(printed_number)
-    if abs(shown - value) <= ROUNDING_TOLERANCE * abs(value):
+    if abs(printed_value - value) <= ROUNDING_TOLERANCE * abs(value):
         return ErrataVerdict.EQUAL
     # The difference is at most half of one unit in the last printed digit.
-    if 2 * abs(shown - value) <= unit:
+    if 2 * abs(printed_value - value) <= unit:
         return ErrataVerdict.ROUNDED
-    if shown * value >= 0 and 0 < abs(value) - abs(shown) < unit:
+    if printed_value * value >= 0 and 0 < abs(value) - abs(printed_value) < unit:
         return ErrataVerdict.TRUNCATED
     return ErrataVerdict.WRONG
 
@@ -48,13 +48,13 @@ def verdict_of_derived_number(
             the verdict on the other number is returned.
     """
     verdict = verdict_of_number(printed_number, exact_value)
-    explained = verdict_of_number(printed_number, value_from_source) == ErrataVerdict.EQUAL
-    return source_verdict if verdict == ErrataVerdict.WRONG and explained else verdict
+    is_explained = verdict_of_number(printed_number, value_from_source) == ErrataVerdict.EQUAL
+    return source_verdict if verdict == ErrataVerdict.WRONG and is_explained else verdict
 
 
-def verdict_of_statement(holds: bool) -> ErrataVerdict:
+def verdict_of_statement(is_true: bool) -> ErrataVerdict:
     """Return the verdict on a statement that is true or false."""
-    return ErrataVerdict.EQUAL if holds else ErrataVerdict.WRONG
+    return ErrataVerdict.EQUAL if is_true else ErrataVerdict.WRONG
 
 
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
@@ -105,5 +105,5 @@ def last_digit_value(printed_number: str) -> Fraction:
 
 def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
     """Return the lower and the upper end of the interval of all values that would be rounded to a printed number."""
-    half = last_digit_value(printed_number) / 2
-    return Fraction(printed_number) - half, Fraction(printed_number) + half
+    half_digit = last_digit_value(printed_number) / 2
+    return Fraction(printed_number) - half_digit, Fraction(printed_number) + half_digit

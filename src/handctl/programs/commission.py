@@ -124,7 +124,7 @@ class CommissionProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the commissioning by one tick. The interface `Program` explains the arguments."""
@@ -133,12 +133,12 @@ class CommissionProgram:
         if progress.since < 0.0:
             return replace(progress, since=t), (TickEvent("info", "phase", "", _tare_text(model)),)
         if progress.step == 0:
-            return self._tare_cells(model, progress, measured, t)
+            return self._tare_cells(model, progress, measurements, t)
         if progress.touching[0] == NOT_YET_PULLING:
-            return self._advance_rest(model, progress, measured, t)
+            return self._advance_rest(model, progress, measurements, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
-            return self._advance_hold(model, progress, estimate, measured, t)
-        return self._advance_tendon_pull(model, progress, estimate, measured, t)
+            return self._advance_hold(model, progress, estimate, measurements, t)
+        return self._advance_tendon_pull(model, progress, estimate, measurements, t)
 
     def _tare_cells(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
@@ -158,13 +158,13 @@ class CommissionProgram:
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
         """Return a failed progress if a tare is near an end of the load cell's range, or None if all are usable."""
         tare = _tares_from_table(_commissioning_table(progress))
-        worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
-        if TARE_MIN_N <= tare[worst] <= TARE_MAX_N:
+        worst_tendon = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
+        if TARE_MIN_N <= tare[worst_tendon] <= TARE_MAX_N:
             return None
-        reading = f"{tare[worst]:.1f} N without tension"
+        reading = f"{tare[worst_tendon]:.1f} N without tension"
         bounds = f"from {TARE_MIN_N:g} to {TARE_MAX_N:g} N"
         return self._refuse_tendon(
-            model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}"
+            model, progress, worst_tendon, f"load cell reads {reading}, which can be tared {bounds}"
         )
 
     def _advance_rest(
@@ -177,8 +177,8 @@ class CommissionProgram:
         are renewed together.
         """
         tension = _known_tensions(model, measured)
-        missing = np.isnan(tension + measured.travel).any()
-        if t - progress.since < REST_SETTLING_S or missing:
+        is_missing = np.isnan(tension + measured.travel).any()
+        if t - progress.since < REST_SETTLING_S or is_missing:
             return progress, ()
         i = progress.step - 1
         table = _commissioning_table(progress)
@@ -190,28 +190,30 @@ class CommissionProgram:
         if samples * model.period < REST_DURATION_S:
             return _with_commissioning_table(progress, table), ()
         # The new average has as much weight as all earlier readings together.
-        fresh = (
+        fresh_table = (
             slice(i, i + 1)
-            if model.redundancy.sprung[i]
+            if model.redundancy.is_sprung[i]
             else model.digit_tendons[model.digit_of_tendon[i]]
         )
-        table[fresh, TARE_SUM] += table[fresh, REST_SUM] / samples * table[fresh, TARE_SAMPLES]
-        table[fresh, REST_SUM] = 0.0
+        table[fresh_table, TARE_SUM] += (
+            table[fresh_table, REST_SUM] / samples * table[fresh_table, TARE_SAMPLES]
+        )
+        table[fresh_table, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_commissioning_table(progress, table))
-        if not model.redundancy.sprung[i]:
-            held, events = self._begin_holding_digit(model, progress, t, taut=False)
-            return self._check_tare(model, progress) or (held, events)
+        if not model.redundancy.is_sprung[i]:
+            hold_progress, events = self._begin_holding_digit(model, progress, t, is_taut=False)
+            return self._check_tare(model, progress) or (hold_progress, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
         name = model.hand.tendon_names[i]
-        pulling = replace(
+        pull_progress = replace(
             progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals)
         )
         event = TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N")
-        return self._check_tare(model, progress) or (pulling, (event,))
+        return self._check_tare(model, progress) or (pull_progress, (event,))
 
     def _begin_holding_digit(
-        self, model: HandModel, progress: ProgramProgress, t: float, taut: bool
+        self, model: HandModel, progress: ProgramProgress, t: float, is_taut: bool
     ) -> ProgressAndEvents:
         """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
 
@@ -219,22 +221,22 @@ class CommissionProgram:
             model: model of the hand.
             progress: progress so far.
             t: time [s].
-            taut: True if the tendons of the digit are already taut.
+            is_taut: True if the tendons of the digit are already taut.
         """
         i = progress.step - 1
         goals = _hold_goals(model, i, np.zeros(model.tendon_count))
         phase = _hold_phase(model, i)
         table = _commissioning_table(progress)
         table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
-        holding = replace(
+        hold_progress = replace(
             _with_commissioning_table(progress, table),
             since=t,
             goals=goals,
             phase=phase,
-            touching=(int(taut),) * len(goals),
+            touching=(int(is_taut),) * len(goals),
         )
         digit = model.hand.digit_names[model.digit_of_tendon[i]]
-        return holding, () if taut else (
+        return hold_progress, () if is_taut else (
             TickEvent("info", "phase", digit, f"{phase}: all its tendons together"),
         )
 
@@ -243,15 +245,15 @@ class CommissionProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
         i = progress.step - 1
-        own = model.digit_tendons[model.digit_of_tendon[i]]
-        waiting = progress.touching[0]
-        if waiting == 0:
-            if not estimate.is_slack[own].any():
+        own_tendons = model.digit_tendons[model.digit_of_tendon[i]]
+        waiting_tendon = progress.touching[0]
+        if waiting_tendon == 0:
+            if not estimate.is_slack[own_tendons].any():
                 # From now on, the joints are pressed against their limits. So the filter must treat
                 # the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
@@ -260,45 +262,50 @@ class CommissionProgram:
                 ), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
-            slack = own.start + int(np.flatnonzero(estimate.is_slack[own])[0])
-            return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measured))
+            slack = own_tendons.start + int(np.flatnonzero(estimate.is_slack[own_tendons])[0])
+            return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measurements))
         excursion = np.where(
             model.hand.tendons_with_encoders,
-            measured.excursion,
+            measurements.excursion,
             model.redundancy.excursion_at_lower_limits,
-        )[own]
-        tension = _known_tensions(model, measured, estimate)
-        missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
-        first = i == own.start
-        if t - progress.since < (HOLD_SETTLING_TIMEOUT_S if first else PULL_SETTLING_S) or missing:
+        )[own_tendons]
+        tension = _known_tensions(model, measurements, estimate)
+        is_missing = (
+            np.isnan(tension).any() or np.isnan(measurements.travel[own_tendons] + excursion).any()
+        )
+        is_first_tendon = i == own_tendons.start
+        if (
+            t - progress.since < (HOLD_SETTLING_TIMEOUT_S if is_first_tendon else PULL_SETTLING_S)
+            or is_missing
+        ):
             return progress, ()
         table = _commissioning_table(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
-        if first:
-            stretch = tension[own] / model.space.stiffness[own]
-            table[own, ZERO_COLUMN] += (
-                measured.travel[own] - stretch - excursion
-            ) / model.space.spool[own]
+        if is_first_tendon:
+            stretch = tension[own_tendons] / model.space.stiffness[own_tendons]
+            table[own_tendons, ZERO_COLUMN] += (
+                measurements.travel[own_tendons] - stretch - excursion
+            ) / model.space.spool[own_tendons]
         progress = replace(
             _with_commissioning_table(progress, table),
-            touching=(waiting + 1, *progress.touching[1:]),
+            touching=(waiting_tendon + 1, *progress.touching[1:]),
         )
-        if waiting * model.period < MEASUREMENT_DURATION_S:
+        if waiting_tendon * model.period < MEASUREMENT_DURATION_S:
             return progress, ()
-        if first:
-            table[own, ZERO_COLUMN] /= waiting
-        more = np.zeros(model.tendon_count)
-        more[i] = PULL_TENSION_N
+        if is_first_tendon:
+            table[own_tendons, ZERO_COLUMN] /= waiting_tendon
+        added_tension = np.zeros(model.tendon_count)
+        added_tension[i] = PULL_TENSION_N
         name = model.hand.tendon_names[i]
-        pulling = replace(
+        pull_progress = replace(
             _with_commissioning_table(progress, table),
             since=t,
-            goals=_hold_goals(model, i, more),
+            goals=_hold_goals(model, i, added_tension),
             phase=f"pull {name}",
             touching=(1,) * len(progress.goals),
         )
-        return pulling, (
+        return pull_progress, (
             TickEvent("info", "phase", name, f"pulling {name} with {PULL_TENSION_N:g} N more"),
         )
 
@@ -307,36 +314,36 @@ class CommissionProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Pull the present tendon: wait until it is taut, let the tension settle, and measure the response."""
         i = progress.step - 1
-        waiting = progress.touching[0]
-        if waiting == 0 and not estimate.is_slack[i]:
+        waiting_tendon = progress.touching[0]
+        if waiting_tendon == 0 and not estimate.is_slack[i]:
             progress = replace(progress, touching=(1, *progress.touching[1:]), since=t)
-        if waiting == 0:
-            late = t - progress.since > TAKE_UP_TIMEOUT_S
+        if waiting_tendon == 0:
+            is_late = t - progress.since > TAKE_UP_TIMEOUT_S
             return (
-                self._refuse_tendon(model, progress, i, _no_answer_text(model, measured))
-                if late
+                self._refuse_tendon(model, progress, i, _no_answer_text(model, measurements))
+                if is_late
                 else (progress, ())
             )
-        tension = _known_tensions(model, measured, estimate)
-        missing = np.isnan(tension + measured.travel).any()
-        if t - progress.since < PULL_SETTLING_S or missing:
+        tension = _known_tensions(model, measurements, estimate)
+        is_missing = np.isnan(tension + measurements.travel).any()
+        if t - progress.since < PULL_SETTLING_S or is_missing:
             return progress, ()
         table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
-        if model.redundancy.sprung[i]:
+        if model.redundancy.is_sprung[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
             # spool.
-            table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
+            table[i, ZERO_COLUMN] += measurements.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
-            other = _encoder_that_turned(model, table, i, measured.travel)
-            if other is not None:
-                name = model.hand.tendon_names[other]
+            other_encoder = _encoder_that_turned(model, table, i, measurements.travel)
+            if other_encoder is not None:
+                name = model.hand.tendon_names[other_encoder]
                 text = f"the motor encoder of {name} turns instead of its own: exchanged?"
                 return self._refuse_tendon(model, progress, i, text)
             return self._judge_response(
@@ -384,20 +391,20 @@ class CommissionProgram:
             1 < step <= model.tendon_count
             and model.digit_of_tendon[step - 1] == model.digit_of_tendon[step - 2]
         )
-        if is_same_digit and not model.redundancy.sprung[step - 1]:
-            return self._begin_holding_digit(model, replace(progress, step=step), t, taut=True)
-        passive = (DigitGoal(),) * len(model.digits)
+        if is_same_digit and not model.redundancy.is_sprung[step - 1]:
+            return self._begin_holding_digit(model, replace(progress, step=step), t, is_taut=True)
+        passive_goals = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
-            finished = replace(progress, finished=True, phase="end", goals=passive)
-            return finished, (TickEvent("info", "phase", "", "commissioned"),)
+            finished_progress = replace(progress, finished=True, phase="end", goals=passive_goals)
+            return finished_progress, (TickEvent("info", "phase", "", "commissioned"),)
         return replace(
             progress,
             step=step,
             since=t,
-            goals=passive,
+            goals=passive_goals,
             phase="rest",
-            contact=(False,) * len(passive),
-            touching=(NOT_YET_PULLING,) * len(passive),
+            contact=(False,) * len(passive_goals),
+            touching=(NOT_YET_PULLING,) * len(passive_goals),
         ), ()
 
     def _refuse_tendon(
@@ -434,10 +441,10 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
         crosstalk: largest response of any other load cell [N].
     """
     has_cell = model.hand.has_cell
-    own = f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    own_text = f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
     if (has_cell & (np.arange(model.tendon_count) != i)).any():
-        return f"{own}, other load cells {crosstalk:.2f} N"
-    return f"{own}; no other load cell, so swapped tendons are not checked"
+        return f"{own_text}, other load cells {crosstalk:.2f} N"
+    return f"{own_text}; no other load cell, so swapped tendons are not checked"
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
@@ -445,14 +452,12 @@ def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
 
     Another load cell may respond instead.
     """
-    answers = np.nan_to_num(measured.tension)
-    other = int(answers.argmax())
-    if answers[other] < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+    answer_tensions = np.nan_to_num(measured.tension)
+    other_tendon = int(answer_tensions.argmax())
+    if answer_tensions[other_tendon] < MIN_ANSWER_FRACTION * PULL_TENSION_N:
         return "does not become taut"
-    name = model.hand.tendon_names[other]
-    return (
-        f"does not become taut, but the load cell of {name} reads {answers[other]:.1f} N: swapped?"
-    )
+    name = model.hand.tendon_names[other_tendon]
+    return f"does not become taut, but the load cell of {name} reads {answer_tensions[other_tendon]:.1f} N: swapped?"
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
@@ -468,14 +473,14 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 
 
 def _known_tensions(
-    model: HandModel, measured: TickMeasurements, estimate: HandEstimate | None = None
+    model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
     """Return the tensions (N,) in a tick [N]: readings of load cells, or estimates for tendons without a load cell.
 
     If no estimate is given, a tendon without load cell counts as slack.
     """
     return np.where(
-        model.hand.has_cell, measured.tension, 0.0 if estimate is None else estimate.tension
+        model.hand.has_cell, measurements.tension, 0.0 if estimate is None else estimate.tension
     )
 
 
@@ -532,9 +537,9 @@ def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
 
 def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table with the results for tendon i, and with the sums set to zero."""
-    rest = table[:, REST_SUM] / table[i, REST_SAMPLES]
-    rise = table[:, PULL_SUM] / samples - rest
-    if model.redundancy.sprung[i]:
+    rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
+    rise = table[:, PULL_SUM] / samples - rest_tensions
+    if model.redundancy.is_sprung[i]:
         # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
         # becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
@@ -547,9 +552,13 @@ def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -
     tendons = np.arange(model.tendon_count)
     # Friction holds tension in a tendon that was pulled before. This tension falls without a
     # command. So only an increase counts as crosstalk.
-    held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
-    others = model.hand.has_cell & (tendons != i)
-    table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
+    spring_tensions = np.where(
+        model.redundancy.is_sprung & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
+    )
+    other_tendons = model.hand.has_cell & (tendons != i)
+    table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - spring_tensions)[other_tendons].max(
+        initial=0.0
+    )
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
 
@@ -566,10 +575,12 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
         i: index of the pulled tendon.
         travel: (N,) measured travel at the end of the pull [m].
     """
-    sprung = model.redundancy.sprung
-    moved = np.where(sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
-    largest = int(moved.argmax())
-    are_encoders_exchanged = sprung[i] and moved[largest] > max(moved[i], MIN_TAKE_UP_M)
+    is_sprung = model.redundancy.is_sprung
+    joint_travel = np.where(is_sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
+    largest = int(joint_travel.argmax())
+    are_encoders_exchanged = is_sprung[i] and joint_travel[largest] > max(
+        joint_travel[i], MIN_TAKE_UP_M
+    )
     return largest if are_encoders_exchanged else None
 
 
@@ -586,7 +597,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
         drives: drive of each tendon, in the order of the tendons.
     """
     largest = MAX_CROSSTALK_FRACTION * PULL_TENSION_N
-    named: list[tuple[str, str]] = []
+    warnings_by_motor: list[tuple[str, str]] = []
     for tendon, drive in zip(hand.tendon_names, drives, strict=True):
         motor = hand.motor_of(tendon)
         torque = _idle_torque(drive)
@@ -598,8 +609,8 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
             f"{torque / motor.spool_radius_m:.1f} N, and handctl commission needs at most {largest:g} N; "
             f"expected spool_radius_m of {torque / largest:.2g}, or a motor of less torque"
         )
-        named.append((motor.name, text))
-    return lines_by_text(named)
+        warnings_by_motor.append((motor.name, text))
+    return lines_by_text(warnings_by_motor)
 
 
 def _idle_torque(drive: Drive) -> float:
@@ -611,18 +622,23 @@ def _idle_torque(drive: Drive) -> float:
         if signal.quantity == SignalQuantity.TORQUE and signal.coding != SignalCoding.FLOAT
     ]
     return max(
-        (abs(round(-one.offset / one.scale) * one.scale + one.offset) for one in signals),
+        (
+            abs(round(-signal.offset / signal.scale) * signal.scale + signal.offset)
+            for signal in signals
+        ),
         default=0.0,
     )
 
 
-def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str) -> Calibration:
+def calibration_of_result(
+    model: HandModel, progress: ProgramProgress, creation_date: str
+) -> Calibration:
     """Return the calibration of a finished commissioning.
 
     Args:
         model: model of the hand.
         progress: finished progress without failure.
-        made: date and time of the calibration (ISO 8601, UTC).
+        creation_date: date and time of the calibration (ISO 8601, UTC).
     """
     table = _commissioning_table(progress)
     tare = _tares_from_table(table)
@@ -635,4 +651,6 @@ def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str
         )
         for i, name in enumerate(model.hand.tendon_names)
     }
-    return Calibration(hand=model.hand.name, identity=model.hand.identity, made=made, tendon=rows)
+    return Calibration(
+        hand=model.hand.name, identity=model.hand.identity, made=creation_date, tendon=rows
+    )

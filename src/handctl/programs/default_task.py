@@ -78,21 +78,23 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
-    opened = {
+    open_angles = {
         name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names
     }
     # A digit that carries other digits, such as a wrist, keeps its angle in this task.
-    closing = [name for name in hand.digit_names if name not in hand.carrier_digits]
+    closing_digit_names = [name for name in hand.digit_names if name not in hand.carrier_digits]
     content: dict[str, Any] = {
         "schema": 1,
         "name": "close, hold, open",
         "description": f"Default task of {hand.name}",
         "phase": [
-            {"kind": "move", "name": "home", "angle_deg": opened, "duration_s": 0.4},
+            {"kind": "move", "name": "home", "angle_deg": open_angles, "duration_s": 0.4},
             {
                 "kind": "close",
                 "name": "close",
-                "angle_deg": {name: _closed_angles_deg(hand, name).tolist() for name in closing},
+                "angle_deg": {
+                    name: _closed_angles_deg(hand, name).tolist() for name in closing_digit_names
+                },
                 "speed_deg_s": SLIDING_SPEED if hand.is_prismatic.any() else CLOSING_SPEED,
                 "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
             },
@@ -112,7 +114,12 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "tension_N": min(floor + RELEASE_MARGIN_N, largest),
                 "rate_N_per_s": 60.0,
             },
-            {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": OPENING_DURATION_S},
+            {
+                "kind": "move",
+                "name": "open",
+                "angle_deg": open_angles,
+                "duration_s": OPENING_DURATION_S,
+            },
         ],
     }
     text = (
@@ -145,11 +152,11 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     # the same force as the other digits together.
     opposed = _are_digits_opposed(hand)
     count = len(opposed)
-    behind = sum(opposed.values())
-    if behind == 0:
+    opposed_force = sum(opposed.values())
+    if opposed_force == 0:
         return dict.fromkeys(opposed, 1.0)
     return {
-        name: count / 2 / (behind if is_opposed else count - behind)
+        name: count / 2 / (opposed_force if is_opposed else count - opposed_force)
         for name, is_opposed in opposed.items()
     }
 
@@ -173,9 +180,9 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
     tree = HandLinkTree.from_hand(hand)
-    turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
+    turned_link_rotations = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
-        digit.name: turned[digit.joints][-1, :, 1]
+        digit.name: turned_link_rotations[digit.joints][-1, :, 1]
         for digit in tree.digits
         if digit.name not in hand.carrier_digits
     }
@@ -184,8 +191,8 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
     """Return, for each closing digit, True if it closes against the first closing digit."""
     directions = _flexion_directions(hand)
-    first = next(iter(directions.values()))
-    return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
+    first_direction = next(iter(directions.values()))
+    return {name: bool(direction @ first_direction < 0.0) for name, direction in directions.items()}
 
 
 def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | list[float]:
@@ -199,13 +206,13 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
         return round(min(HOLD_FRACTION * tension_fraction, MAX_HOLD_FRACTION) * largest, 1)
-    pressing = _pressing_tension(hand, name)
+    pressing_tension = _pressing_tension(hand, name)
     arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
             min(
-                tension_fraction * max(HOLD_FRACTION * tendon.tension_max_N, pressing),
+                tension_fraction * max(HOLD_FRACTION * tendon.tension_max_N, pressing_tension),
                 MAX_HOLD_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
@@ -219,17 +226,17 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 def _pressing_tension(hand: Hand, name: str) -> float:
     """Return the tension of closing tendons that makes PRESSING_FORCE_N at the tip of a half-closed digit [N]."""
     digit = DigitModel.from_hand(hand, name)
-    half = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
-    q = digit.coupling @ half
+    half_closed_angles = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
+    q = digit.coupling @ half_closed_angles
     springs = digit.coupling.T @ (
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))
     )
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
-    closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
+    closing_arm = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
-    is_flexed = (half > 0.0) & (closing > 0.0)
-    return float((torque[is_flexed] / closing[is_flexed]).max(initial=0.0))
+    is_flexed = (half_closed_angles > 0.0) & (closing_arm > 0.0)
+    return float((torque[is_flexed] / closing_arm[is_flexed]).max(initial=0.0))
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
@@ -246,11 +253,11 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
         )
     for name in opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
-        allowed = MAX_HOLD_FRACTION * min(tendon.tension_max_N for tendon in tendons)
-        if (tension := _pressing_tension(hand, name)) > allowed:
+        max_hold_tension = MAX_HOLD_FRACTION * min(tendon.tension_max_N for tendon in tendons)
+        if (tension := _pressing_tension(hand, name)) > max_hold_tension:
             warnings.append(
                 f"{name}: pressing with {PRESSING_FORCE_N:g} N at its tip takes {tension:.0f} N of tension, "
-                f"and a hold allows {allowed:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
+                f"and a hold allows {max_hold_tension:.0f} N; raise tension_max_N or moment_arm_m, or lower the springs"
             )
     return tuple(warnings)
 
@@ -270,12 +277,13 @@ def default_scene(hand: Hand) -> str:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
     longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
-    free = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
+    free_space_mm = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
     diameter = max(
-        SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest_digit_mm, free - CLEARANCE_MM)
+        SMALLEST_OBJECT_MM,
+        min(OBJECT_DIAMETER_RATIO * longest_digit_mm, free_space_mm - CLEARANCE_MM),
     )
-    if diameter > free:
-        diameter = free - CLEARANCE_MM
+    if diameter > free_space_mm:
+        diameter = free_space_mm - CLEARANCE_MM
     return (
         CYLINDER_SCENE
         if (shape, round(diameter)) == (CYLINDER_SCENE, SMALLEST_OBJECT_MM)
@@ -288,15 +296,18 @@ def _largest_object(hand: Hand, is_ball: bool) -> float:
     tree = HandLinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
-    along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
+    fractions = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
-            x, y, z = (start + along * (end - start)).T
+            x, y, z = (start + fractions * (end - start)).T
             # A circle with diameter D that touches the line x = gap has its centre at x = gap +
             # D/2. A point at the distance D/2 + r from this centre satisfies (x - gap)^2 + y^2 -
             # r^2 = D (x - gap + r). For a ball, y^2 + z^2 takes the place of y^2.
-            reach = x - PALM_GAP_M + digit.radius
-            beside = (reach > 0.0) & (is_ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
+            reach_m = x - PALM_GAP_M + digit.radius
+            passes_object = (reach_m > 0.0) & (is_ball | (np.abs(z) < OBJECT_HALF_LENGTH_M))
             free_space = (x - PALM_GAP_M) ** 2 + y**2 + is_ball * z**2 - digit.radius**2
-            largest = min(largest, float((free_space[beside] / reach[beside]).min(initial=largest)))
+            largest = min(
+                largest,
+                float((free_space[passes_object] / reach_m[passes_object]).min(initial=largest)),
+            )
     return max(largest, 0.0)

@@ -103,7 +103,7 @@ class ExciteProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the excitation by one tick. The interface `Program` explains the arguments."""
@@ -118,9 +118,9 @@ class ExciteProgram:
             if elapsed < TAUT_TIMEOUT_S:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
-            limp = (DigitGoal(),) * len(progress.goals)
+            passive_goals = (DigitGoal(),) * len(progress.goals)
             failed_progress = replace(
-                progress, finished=True, failure=f"{step.digit}: {text}", goals=limp
+                progress, finished=True, failure=f"{step.digit}: {text}", goals=passive_goals
             )
             return failed_progress, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
@@ -138,14 +138,14 @@ class ExciteProgram:
         """Begin a step. After the last step, finish."""
         goals = [DigitGoal()] * len(model.digits)
         if step_index == len(self.steps):
-            done = replace(
+            finished_progress = replace(
                 progress,
                 finished=True,
                 phase="end",
                 goals=tuple(goals),
                 contact=(False,) * len(goals),
             )
-            return done, (TickEvent("info", "phase", "", "excitation complete"),)
+            return finished_progress, (TickEvent("info", "phase", "", "excitation complete"),)
         step = self.steps[step_index]
         d = model.hand.digit_names.index(step.digit)
         goals[d] = _digit_goal(model, d, step, estimate, t)
@@ -165,18 +165,20 @@ def _digit_goal(
     """Return the goal of digit d in a step."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
-    here = coordinates_by_excursion(digit, estimate)
+    coordinates = coordinates_by_excursion(digit, estimate)
     targets = np.array(step.targets) if step.targets else None
     if step.kind == "move":
         path = MinimumJerk(
-            here, np.full_like(here, step.target) if targets is None else targets, step.duration_s
+            coordinates,
+            np.full_like(coordinates, step.target) if targets is None else targets,
+            step.duration_s,
         )
         return DigitGoal(GoalKind.MOTION, path, since=t)
     if step.kind == "chirp":
-        amplitudes = step.amplitudes or (step.amplitude,) * len(here)
+        amplitudes = step.amplitudes or (step.amplitude,) * len(coordinates)
         chirp = ChirpTrajectory(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
         swing_trajectory = SwingTrajectory(
-            np.full_like(here, step.target) if targets is None else targets,
+            np.full_like(coordinates, step.target) if targets is None else targets,
             np.array(amplitudes),
             chirp,
         )

@@ -98,12 +98,12 @@ def exercise_stages(
         for duration in (0.6, shortest_duration_s)
         for angle in (target, HOME_ANGLE_RAD)
     ]
-    holds = [
+    hold_stages = [
         ExerciseStage("close", 0.8, tension=30.0),
         ExerciseStage("hold", 0.5, tension=hold),
         ExerciseStage("hold", 0.5, tension=30.0),
     ]
-    return (ExerciseStage("settle", 0.6, HOME_ANGLE_RAD), *moves, *holds)
+    return (ExerciseStage("settle", 0.6, HOME_ANGLE_RAD), *moves, *hold_stages)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +134,12 @@ class ExerciseProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the exercise by one tick. The interface `Program` explains the arguments."""
         if progress.phase in ("start", "tighten"):
-            progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+            progress, events = LiveProgram().advance(model, progress, estimate, measurements, t)
             return (
                 self._enter_stage(model, progress, estimate, 0, t)
                 if progress.phase == "live"
@@ -170,15 +170,19 @@ class ExerciseProgram:
         # follow the fast moves. If it held a constant tension, it would fall under its load. The
         # moves of the carried digits disturb this digit.
         goals = tuple(
-            previous if carries and stage_index else _digit_goal(model, d, stage, estimate, t)
-            for d, (previous, carries) in enumerate(zip(progress.goals, carriers, strict=True))
+            previous_goal
+            if is_carrier and stage_index
+            else _digit_goal(model, d, stage, estimate, t)
+            for d, (previous_goal, is_carrier) in enumerate(
+                zip(progress.goals, carriers, strict=True)
+            )
         )
         event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
         # In the stage `hold`, every digit that holds a tension is pressed against its closed joint
         # limit.
-        blocked = tuple(stage.name == "hold" and not carries for carries in carriers)
+        must_block = tuple(stage.name == "hold" and not carries for carries in carriers)
         return replace(
-            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked
+            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=must_block
         ), (event,)
 
 
@@ -202,8 +206,10 @@ def _digit_goal(
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
         digit = model.digits[d]
-        aim = stage.angle * digit.coordinate_units.scale
-        return goal_to_move_to_angle(digit, estimate, aim, stage.duration - stage.rest, t)
+        goal_coordinate = stage.angle * digit.coordinate_units.scale
+        return goal_to_move_to_angle(
+            digit, estimate, goal_coordinate, stage.duration - stage.rest, t
+        )
     tension = pull_tensions(model, d, stage.tension, estimate)
     rate = min(stage.tension_rate, model.gains.tension.rate_N_per_s)
     return tension_goal(model, d, tension, rate, estimate)

@@ -119,18 +119,18 @@ def advance_grip(
     """
     events: tuple[TickEvent, ...] = ()
     is_slip_judged = t >= grip.ready
-    settled = not math.isnan(grip.reference_excursion[0])
-    if is_slip_judged and not settled:
+    is_settled = not math.isnan(grip.reference_excursion[0])
+    if is_slip_judged and not is_settled:
         # In the first tick after the settling, the position of a stiff grip is stored.
         grip = grip._replace(reference_excursion=estimate.grip_travel.copy())
     if is_slip_judged:
         # A tendon that opens a digit is pulled out while the digit closes.
-        opening = np.where(
+        opening_travel = np.where(
             np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
         )
-        if opening.max() > SLIP_EXCURSION_M:
-            grip, events = _raise_after_slip(model, grip, plan, opening, t)
-    if not (is_slip_judged or settled) or not (events or plan.stiffness):
+        if opening_travel.max() > SLIP_EXCURSION_M:
+            grip, events = _raise_after_slip(model, grip, plan, opening_travel, t)
+    if not (is_slip_judged or is_settled) or not (events or plan.stiffness):
         return grip, goals, events
     return (
         grip,
@@ -143,28 +143,28 @@ def _raise_after_slip(
     model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
     """Raise the tensions of a grip after slip, as far as the task allows."""
-    worst = int(np.argmax(opening_distances))
+    worst_digit = int(np.argmax(opening_distances))
     digit = next(
         name
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
-        if tendons.start <= worst < tendons.stop
+        if tendons.start <= worst_digit < tendons.stop
     )
     grip = grip._replace(ready=t + RAISE_PAUSE_S)
-    moved = f"{digit} is pushed open, {1e6 * opening_distances[worst]:.0f} um of tendon"
+    slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
-    closing = model.redundancy.side > 0.0
-    factor_limits = plan.limit[closing] / grip.tension[closing]
+    is_closing_side = model.redundancy.side > 0.0
+    factor_limits = plan.limit[is_closing_side] / grip.tension[is_closing_side]
     max_factor = float(np.nanmax(np.append(factor_limits, 1.0)))
     if grip.tension_factor < max_factor:
         grip = grip._replace(
             tension_factor=min(grip.tension_factor * TENSION_RAISE_FACTOR, max_factor)
         )
         return grip, (
-            TickEvent("warn", "slip", digit, f"{moved}: force x {grip.tension_factor:.2f}"),
+            TickEvent("warn", "slip", digit, f"{slip_text}: force x {grip.tension_factor:.2f}"),
         )
-    refused = TickEvent("warn", "slip", digit, f"{moved}; the task allows no more force")
-    return grip._replace(limited=True), () if grip.limited else (refused,)
+    refusal_event = TickEvent("warn", "slip", digit, f"{slip_text}; the task allows no more force")
+    return grip._replace(limited=True), () if grip.limited else (refusal_event,)
 
 
 def _goals_of_held_grip(

@@ -62,12 +62,12 @@ class LiveProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the session by one tick. The interface `Program` explains the arguments."""
         if progress.task is not None:
-            return _carry_out_task(model, progress, progress.task, estimate, measured, t)
+            return _carry_out_task(model, progress, progress.task, estimate, measurements, t)
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
             return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
@@ -95,14 +95,14 @@ def _carry_out_task(
     progress: ProgramProgress,
     task: Task,
     estimate: HandEstimate,
-    measured: TickMeasurements,
+    measurements: TickMeasurements,
     t: float,
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
 
     After the task has ended or failed, the session waits for requests again.
     """
-    progress, events = TaskProgram(task).advance(model, progress, estimate, measured, t)
+    progress, events = TaskProgram(task).advance(model, progress, estimate, measurements, t)
     return (end_task(progress) if progress.finished else progress), events
 
 
@@ -127,15 +127,17 @@ def begin_task(
         check_task_for_hand(task, model.hand, "task", model.digits)
     except ConfigError as error:
         return progress, (TickEvent("warn", "request", "", f"refused: {error}"),)
-    first = task.phase[0]
-    if isinstance(first, MovePhase) and (
-        refusal := _refusal_of_fast_first_move(model, first, estimate)
+    first_phase = task.phase[0]
+    if isinstance(first_phase, MovePhase) and (
+        refusal := _refusal_of_fast_first_move(model, first_phase, estimate)
     ):
         return progress, (refusal,)
     at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None)
     if at is not None:
-        held = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
-        task = task.model_copy(update={"phase": (*task.phase[:at], held, *task.phase[at + 1 :])})
+        hold_phase = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
+        task = task.model_copy(
+            update={"phase": (*task.phase[:at], hold_phase, *task.phase[at + 1 :])}
+        )
     progress, events = TaskProgram(task).begin(model, replace(progress, task=task), estimate, t)
     if progress.finished:
         progress = end_task(progress)
@@ -151,7 +153,7 @@ def _refusal_of_fast_first_move(
         angle = end_angles(
             first_move.angle_deg,
             digit,
-            digit.coordinate_units.displayed(coordinates_by_excursion(digit, estimate)),
+            digit.coordinate_units.to_displayed(coordinates_by_excursion(digit, estimate)),
         )
         if angle is None:
             continue
@@ -193,11 +195,11 @@ class JogProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the jog by one tick. The interface `Program` explains the arguments."""
-        progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+        progress, events = LiveProgram().advance(model, progress, estimate, measurements, t)
         if progress.phase == "live":
             goals = progress.goals
             progress, goal_events = apply_goal(model, progress, self.request, estimate, t)
@@ -237,12 +239,12 @@ def apply_goal(
     """
     names = model.hand.digit_names
     values = request.angle_deg if isinstance(request, MoveDigitsRequest) else request.tension_N
-    right = (*names, *model.hand.joints) if isinstance(request, MoveDigitsRequest) else names
-    unknown = sorted(values.keys() - set(right))
-    if unknown or progress.phase in ("start", "tighten"):
+    expected = (*names, *model.hand.joints) if isinstance(request, MoveDigitsRequest) else names
+    unknown_names = sorted(values.keys() - set(expected))
+    if unknown_names or progress.phase in ("start", "tighten"):
         reason = (
-            f"no digit {unknown[0]!r}, expected one of {', '.join(names)}"
-            if unknown
+            f"no digit {unknown_names[0]!r}, expected one of {', '.join(names)}"
+            if unknown_names
             else "the hand is not ready yet"
         )
         return progress, (TickEvent("warn", "request", "", f"refused: {reason}"),)
@@ -260,8 +262,10 @@ def apply_goal(
                 continue
             if reason := _reach_problem(model, d, estimate, end, request.duration_s):
                 return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
-            aim = model.digits[d].coordinate_units.si(end)
-            goals[d] = _move_goal(model, d, estimate, start, aim, request.duration_s, t)
+            goal_coordinates = model.digits[d].coordinate_units.si(end)
+            goals[d] = _move_goal(
+                model, d, estimate, start, goal_coordinates, request.duration_s, t
+            )
             contact[d] = False
         elif name in values:
             value, tendons = values[name], model.digit_tendons[d]
@@ -296,23 +300,23 @@ def _end_coordinates_of_move(
     digit, name = model.digits[d], model.hand.digit_names[d]
     count = digit.coupling.shape[1]
     joints = model.hand.joints[digit.joints]
-    given = joint_values(angle_of_digit, digit)
-    if not given:
+    angles = joint_values(angle_of_digit, digit)
+    if not angles:
         return np.full(count, angle_of_digit[name]) if name in angle_of_digit else None
     if name in angle_of_digit:
-        return f"{name} and {joints[next(iter(given))]}, expected either the digit or its joints"
-    now = digit.coordinate_units.displayed(
+        return f"{name} and {joints[next(iter(angles))]}, expected either the digit or its joints"
+    present_angles = digit.coordinate_units.to_displayed(
         np.clip(
             start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
-            *digit.reach,
+            *digit.coordinate_limits,
         )
     )
-    end = digit.with_joint_angles(given, now)
+    end = digit.with_joint_angles(angles, present_angles)
     if (
-        np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max()
+        np.abs((digit.coupling @ end)[list(angles)] - list(angles.values())).max()
         > COUPLING_TOLERANCE_DEG
     ):
-        return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
+        return f"{', '.join(joints[j] for j in angles)} are coupled, expected {name}, one angle for all of them"
     return end
 
 
@@ -331,7 +335,7 @@ def _move_goal(
     return DigitGoal(
         GoalKind.MOTION,
         move_that_continues_motion(
-            start_coordinates, end_coordinates, duration, model.digits[d].reach
+            start_coordinates, end_coordinates, duration, model.digits[d].coordinate_limits
         ),
         since=t,
     )
@@ -343,16 +347,19 @@ def _reach_problem(
     """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
     digit = model.digits[d]
     units = digit.coordinate_units
-    joint_min, joint_max = (units.displayed(bound) for bound in digit.reach)
+    joint_min, joint_max = (units.to_displayed(bound) for bound in digit.coordinate_limits)
     for angle, low, high, unit in zip(
         end_coordinates, joint_min, joint_max, units.names, strict=True
     ):
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
-    travel = np.abs(end_coordinates - units.displayed(coordinates_by_excursion(digit, estimate)))
-    worst = int(np.argmax(travel / units.per_degree))
-    peak = PEAK_SPEED_RATIO * float(travel[worst]) / duration
-    unit, limit = units.names[worst], FOLLOW_SPEED_DEG_S * units.per_degree[worst]
+    travel = np.abs(end_coordinates - units.to_displayed(coordinates_by_excursion(digit, estimate)))
+    worst_coordinate = int(np.argmax(travel / units.per_degree))
+    peak = PEAK_SPEED_RATIO * float(travel[worst_coordinate]) / duration
+    unit, limit = (
+        units.names[worst_coordinate],
+        FOLLOW_SPEED_DEG_S * units.per_degree[worst_coordinate],
+    )
     speed_problem = (
         f"at up to {peak:.0f} {unit}/s, expected at most {limit:.4g} {unit}/s: give it more time"
     )

@@ -87,14 +87,14 @@ class PlaybackProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the playback by one tick. The interface `Program` explains the arguments."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
-            progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+            progress, events = LiveProgram().advance(model, progress, estimate, measurements, t)
             return (
                 (self._start_approach(model, progress, estimate, t))
                 if progress.phase == "live"
@@ -120,14 +120,14 @@ class PlaybackProgram:
         goals = []
         for d, digit in enumerate(model.digits):
             tendons = model.digit_tendons[d]
-            first = self.recording.q[0, digit.joints]
-            if np.isnan(first).any():
+            first_angles = self.recording.q[0, digit.joints]
+            if np.isnan(first_angles).any():
                 tension = self.recording.tension[0, tendons]
                 goals.append(
                     DigitGoal(GoalKind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S)
                 )
             else:
-                end = np.asarray(digit.joints_to_coordinates @ first)
+                end = np.asarray(digit.joints_to_coordinates @ first_angles)
                 path = MinimumJerk(
                     coordinates_by_excursion(digit, estimate), end, APPROACH_DURATION_S
                 )
@@ -143,13 +143,13 @@ class PlaybackProgram:
         contact = []
         for d, digit in enumerate(model.digits):
             # Joint goals are NaN where the digit held a tension in the recorded run.
-            holding = bool(np.isnan(rows.q[i, digit.joints]).any())
-            contact.append(holding)
+            is_holding = bool(np.isnan(rows.q[i, digit.joints]).any())
+            contact.append(is_holding)
             q, dq, ddq = (
                 np.asarray(digit.joints_to_coordinates @ signal[i, digit.joints])
                 for signal in (rows.q, rows.dq, rows.ddq)
             )
-            reference = None if holding else SampledTrajectory(q, dq, ddq)
+            reference = None if is_holding else SampledTrajectory(q, dq, ddq)
             if reference is not None and not self.raw:
                 goals.append(DigitGoal(GoalKind.MOTION, reference))
                 continue

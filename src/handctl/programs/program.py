@@ -84,7 +84,7 @@ class Program(Protocol):
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the program by one tick while the hand is active.
@@ -93,7 +93,7 @@ class Program(Protocol):
             model: model of the hand.
             progress: progress of the last tick.
             estimate: estimate of this tick.
-            measured: measurements of this tick.
+            measurements: measurements of this tick.
             t: time [s].
 
         Returns:
@@ -156,7 +156,7 @@ def pull_tensions(
         digit = model.digits[d]
         load = digit.torque_to_tension @ joint_lever(digit, estimate.q[digit.joints])
         return np.asarray(tension / np.abs(load).max() * load)
-    is_antagonist = model.redundancy.surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
+    is_antagonist = model.redundancy.has_surplus[tendons] & (model.redundancy.side[tendons] < 0.0)
     return np.where(is_antagonist, model.redundancy.balance[tendons], tension)
 
 
@@ -169,9 +169,12 @@ def tension_goal(
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
-    here = coordinates_by_excursion(model.digits[d], estimate)
+    coordinates = coordinates_by_excursion(model.digits[d], estimate)
     return DigitGoal(
-        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_DURATION_S), tension=tension, rate=rate
+        GoalKind.TENSION,
+        MinimumJerk(coordinates, coordinates, HOLD_STILL_DURATION_S),
+        tension=tension,
+        rate=rate,
     )
 
 
@@ -194,8 +197,8 @@ Any duration is possible, because these joints do not move.
 
 def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
     """Return the names of the tendons that are slack, or whose tension is below half of the tension floor."""
-    taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
-    return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
+    is_taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
+    return [name for name, ok in zip(model.hand.tendon_names, is_taut, strict=True) if not ok]
 
 
 def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:

@@ -227,8 +227,9 @@ def target_request_text(target: StreamTarget) -> str:
     Values are written to the last bit.
     """
     stream, number, sent_ns, values = target
-    listed = json.dumps(list(values))
-    return f'{_TARGET_REQUEST_PREFIX}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+    values_text = json.dumps(list(values))
+    start = f'{_TARGET_REQUEST_PREFIX}"stream": "{stream}", "n": {number}'
+    return f'{start}, "sent_ns": {sent_ns}, "values": {values_text}}}'
 
 
 def request_text(request: TickRequest) -> str:
@@ -245,14 +246,14 @@ def requests_and_stream_targets(
     requests: tuple[TickRequest, ...],
 ) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
     """Return the requests that are no targets of a stream, and the targets, both in their order."""
-    others = list[str]()
+    other_texts = list[str]()
     targets = list[TickRequest]()
     for request in requests:
         if isinstance(request, StreamTarget) or is_stream_target(request):
             targets.append(request)
         else:
-            others.append(request)
-    return tuple(others), tuple(targets)
+            other_texts.append(request)
+    return tuple(other_texts), tuple(targets)
 
 
 _ALIVE_REQUEST_PREFIX = '{"do": "alive", '
@@ -281,8 +282,8 @@ def parse_target(request: TickRequest) -> StreamTarget | None:
         values = tuple([float(value) for value in fields["values"]])
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
-    right = isinstance(stream, str) and _is_int64(number) and _is_int64(sent_ns)
-    return StreamTarget(stream, number, sent_ns, values) if right else None
+    expected = isinstance(stream, str) and _is_int64(number) and _is_int64(sent_ns)
+    return StreamTarget(stream, number, sent_ns, values) if expected else None
 
 
 def _is_int64(value: object) -> bool:
@@ -298,9 +299,13 @@ def parse_request(text: str) -> Request | str:
     try:
         return _REQUEST_ADAPTER.validate_json(text)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        where = ".".join(str(part) for part in first["loc"])
-        line = f"request {where}: {first['msg']}" if where else f"request: {first['msg']}"
+        first_error = error.errors(include_url=False)[0]
+        location = ".".join(str(part) for part in first_error["loc"])
+        line = (
+            f"request {location}: {first_error['msg']}"
+            if location
+            else f"request: {first_error['msg']}"
+        )
         return "".join(
             c if c.isprintable() else ascii(c)[1:-1] for c in line[:MAX_REFUSAL_TEXT_LENGTH]
         )

@@ -137,37 +137,37 @@ def mapping_of_stream(
     values = np.zeros((model.coordinate_count, len(element_names)))
     digits = list[int]()
     rows = zip(hand.digit_names, model.digits, model.digit_coordinates, strict=True)
-    for d, (name, digit, places) in enumerate(rows):
+    for d, (name, digit, coordinate_slice) in enumerate(rows):
         if space == "digit" and name in element_names:
-            values[places, element_names.index(name)] = 1.0
+            values[coordinate_slice, element_names.index(name)] = 1.0
             digits.append(d)
-        given = (
+        driven_joints = (
             [j for j, joint in enumerate(hand.joints[digit.joints]) if joint in element_names]
             if space == "joint"
             else []
         )
-        if given:
+        if driven_joints:
             # Joints that springs couple turn together. So the result is the coordinates that are
             # nearest to the given angles.
-            columns = [element_names.index(hand.joints[digit.joints][j]) for j in given]
-            values[places, columns] = np.linalg.pinv(digit.coupling[given])
+            columns = [element_names.index(hand.joints[digit.joints][j]) for j in driven_joints]
+            values[coordinate_slice, columns] = np.linalg.pinv(digit.coupling[driven_joints])
             digits.append(d)
     is_streamed = np.abs(values).max(axis=1) > 1e-12
-    held = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
+    held_digits = tuple([d for d in digits if _is_held_by_each_tendon(model.digits[d])])
     si_factor = np.concatenate([digit.coordinate_units.si_factor for digit in model.digits])
-    return TargetMapping(values * si_factor[:, None], is_streamed, tuple(digits), held)
+    return TargetMapping(values * si_factor[:, None], is_streamed, tuple(digits), held_digits)
 
 
 def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
     """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
-    right = {"joint": hand.joints, "tension": hand.tendon_names}.get(
+    expected = {"joint": hand.joints, "tension": hand.tendon_names}.get(
         request.space, hand.digit_names
     )
     kind = {"joint": "joint", "tension": "tendon"}.get(request.space, "digit")
     for name in request.names:
-        if name not in right:
-            return f"no {kind} {name!r}, expected some of {', '.join(right)}"
+        if name not in expected:
+            return f"no {kind} {name!r}, expected some of {', '.join(expected)}"
     if len(set(request.names)) < len(request.names):
         return "a name is given twice, expected each once"
     if request.space == "tip_force":
@@ -184,11 +184,11 @@ def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan 
     """Return the stream that a request opens, or the reason why the request is refused."""
     if reason := stream_problem(model, request):
         return reason
-    slowest = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
-    fastest = 1.0 / model.period
-    if not slowest <= request.rate_Hz <= fastest:
+    min_rate_hz = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    max_rate_hz = 1.0 / model.period
+    if not min_rate_hz <= request.rate_Hz <= max_rate_hz:
         limits = "stream.hold_after_ms of the hand file, and the control rate"
-        return f"{request.rate_Hz:g} Hz, expected {slowest:g} to {fastest:g} Hz ({limits})"
+        return f"{request.rate_Hz:g} Hz, expected {min_rate_hz:g} to {max_rate_hz:g} Hz ({limits})"
     return StreamPlan(
         request.stream, request.client, request.space, request.names, request.interpolation, 1.0 / request.rate_Hz,
         target_horizon_s(request.rate_Hz, model.period), request.stiffness_N_m_per_rad, request.damping_ratio,
@@ -222,11 +222,11 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        missing = floor + FLOOR_MARGIN_N - tension
-        short = missing > 1e-6
-        if not short.any():
+        tension_deficit = floor + FLOOR_MARGIN_N - tension
+        is_short = tension_deficit > 1e-6
+        if not is_short.any():
             break
-        angles += np.linalg.pinv(slope[short]) @ missing[short]
+        angles += np.linalg.pinv(slope[is_short]) @ tension_deficit[is_short]
     return angles
 
 
@@ -347,7 +347,7 @@ def progress_with_stopped_digits(
     tension: tuple[Vector, ...],
     t: float,
     reach: tuple[tuple[Vector, Vector], ...],
-    only_streamed: bool,
+    streamed_digits_only: bool,
 ) -> ProgramProgress:
     """Return the progress with new goals, by which moving digits come to rest.
 
@@ -358,14 +358,14 @@ def progress_with_stopped_digits(
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
         reach: lowest and highest coordinates of each digit [rad].
-        only_streamed: True if only the digits that follow a stream shall come to rest.
+        streamed_digits_only: True if only the digits that follow a stream shall come to rest.
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
         if goal.kind == GoalKind.TENSION and goal.rate == RATE_OF_STREAMED_GOALS:
             goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
         if goal.kind == GoalKind.MOTION and (
-            isinstance(goal.trajectory, StreamedTrajectory) or not only_streamed
+            isinstance(goal.trajectory, StreamedTrajectory) or not streamed_digits_only
         ):
             position, rate, _ = reference[d]
             end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
@@ -407,10 +407,10 @@ def move_that_continues_motion(
         sampled_positions = np.array(
             [move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS]
         )
-        inside = (sampled_positions >= np.minimum(reach[0], position)).all() and (
+        is_inside = (sampled_positions >= np.minimum(reach[0], position)).all() and (
             sampled_positions <= np.maximum(reach[1], position)
         ).all()
-        if inside or blend <= SHORTEST_BLEND_S:
+        if is_inside or blend <= SHORTEST_BLEND_S:
             return move
         blend = max(0.5 * blend, SHORTEST_BLEND_S)
 

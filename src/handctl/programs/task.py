@@ -230,11 +230,11 @@ def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str)
         ConfigError: The same errors as from `load_trajectory`. The message names the source.
     """
     file = validate_content(file_content, TrajectoryFile, source_name)
-    first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
-    follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
+    first_angles = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
+    follow_phase = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
     phases = [
-        {"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5},
-        follow,
+        {"kind": "move", "name": "to the start", "angle_deg": first_angles, "duration_s": 1.5},
+        follow_phase,
     ]
     return validate_content({"schema": 1, "name": file.name, "phase": phases}, Task, source_name)
 
@@ -382,9 +382,9 @@ def end_angles(
         present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
             angles.
     """
-    given = joint_values(value, digit)
-    if not given:
+    angles = joint_values(value, digit)
+    if not angles:
         return value_for_digit(value, digit.name)
     return digit.with_joint_angles(
-        {j: float(np.mean(angle)) for j, angle in given.items()}, present_angles
+        {j: float(np.mean(angle)) for j, angle in angles.items()}, present_angles
     )

@@ -76,45 +76,43 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
     """
     digits = {model.name: model for model in models}
     zero_coordinates = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
-    spans: dict[str, CoordinateRange] = {
+    range_by_digit: dict[str, CoordinateRange] = {
         name: (zero, zero) for name, zero in zero_coordinates.items()
     }  # when the hand is armed, its digits are open
     for i, phase in enumerate(task.phase):
         if isinstance(phase, FollowPhase):
             _check_curves(phase, models, f"{task_name}: phase[{i}].angle_deg")
-        for digit, span in spans.items():
-            low, high = span
+        for digit, angle_range in range_by_digit.items():
+            low, high = angle_range
             end_from_low = _coordinates_after(phase, digits[digit], low)
             end_from_high = _coordinates_after(phase, digits[digit], high)
             if end_from_low is None or end_from_high is None:
                 continue
             if isinstance(phase, MovePhase):
                 units = digits[digit].coordinate_units
-                ways = np.maximum(np.abs(end_from_low - low), np.abs(high - end_from_high))
-                worst = int(np.argmax(ways / units.per_degree))
+                distances = np.maximum(np.abs(end_from_low - low), np.abs(high - end_from_high))
+                worst_coordinate = int(np.argmax(distances / units.per_degree))
                 # The speed limit of a prismatic joint is that of a hinge with a usual moment arm.
-                travel = float((ways / units.per_degree)[worst])
+                travel = float((distances / units.per_degree)[worst_coordinate])
                 min_duration = (
                     math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
                     / 100.0
                 )
                 if phase.duration_s < min_duration:
-                    unit = units.names[worst]
-                    limit = FOLLOW_SPEED_DEG_S * units.per_degree[worst]
-                    distance = (
-                        f"{digit} may have {ways[worst]:g} {unit} to go, at {limit:.4g} {unit}/s"
-                    )
+                    unit = units.names[worst_coordinate]
+                    limit = FOLLOW_SPEED_DEG_S * units.per_degree[worst_coordinate]
+                    distance = f"{digit} may have {distances[worst_coordinate]:g} {unit} to go, at {limit:.4g} {unit}/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(
                         f"{phase.duration_s:g}", f"{task_name}: phase[{i}].duration_s", expected
                     )
             is_close_phase = isinstance(phase, ClosePhase)  # a close phase may end at any angle
-            ends = (
+            end_angles_text = (
                 (np.minimum(low, end_from_low), np.maximum(high, end_from_high))
                 if is_close_phase
                 else (end_from_low, end_from_high)
             )
-            spans[digit] = ends
+            range_by_digit[digit] = end_angles_text
 
 
 def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: str) -> None:
@@ -132,8 +130,8 @@ def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: s
             limit = FOLLOW_SPEED_DEG_S * units.per_degree[j]
             peak = interpolating_curve(phase.time_s, angles).peak_speed()
             if peak > limit:
-                right = f"at most {limit:.4g} mm/s on the way"
-                raise ConfigError(f"{name} reaches {peak:.0f} mm/s", task_name, right)
+                expected = f"at most {limit:.4g} mm/s on the way"
+                raise ConfigError(f"{name} reaches {peak:.0f} mm/s", task_name, expected)
 
 
 def _coordinates_after(
@@ -146,16 +144,16 @@ def _coordinates_after(
     If the phase does not move the digit, return None.
     """
     if isinstance(phase, FollowPhase):
-        last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
-        given = end_angles(last, digit, present_angles)  # type: ignore[arg-type]  # a dict of numbers
+        last_angles = {name: angles[-1] for name, angles in phase.angle_deg.items()}
+        goal_angles = end_angles(last_angles, digit, present_angles)  # type: ignore[arg-type]  # a dict of numbers
     elif isinstance(phase, MovePhase | ClosePhase):
-        given = end_angles(phase.angle_deg, digit, present_angles)
+        goal_angles = end_angles(phase.angle_deg, digit, present_angles)
     else:
         return None
     return (
         None
-        if given is None
-        else np.broadcast_to(np.array(given, dtype=float), present_angles.shape)
+        if goal_angles is None
+        else np.broadcast_to(np.array(goal_angles, dtype=float), present_angles.shape)
     )
 
 
@@ -182,7 +180,10 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
         ConfigError: the joints of a digit cannot reach an angle of the task together.
     """
     range_and_units = {
-        digit.name: (digit.coordinate_units.displayed(digit.reach), digit.coordinate_units.names)
+        digit.name: (
+            digit.coordinate_units.to_displayed(digit.coordinate_limits),
+            digit.coordinate_units.names,
+        )
         for digit in digits
     }
     for i, phase in enumerate(task.phase):
@@ -211,18 +212,23 @@ def _check_joints(
     phase_path: str,
 ) -> None:
     """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
-    given = joint_values(phase.angle_deg, digit)
-    if not given:
+    angles = joint_values(phase.angle_deg, digit)
+    if not angles:
         return
-    low, high = digit.joint_units.displayed(digit.joint_limits)
+    low, high = digit.joint_units.to_displayed(digit.joint_limits)
     if digit.coupling.shape[1] == 1:
         # All joints of a digit with one tendon turn together, until one of the joints reaches its
         # limit.
-        ends = np.sort(digit.coupling @ np.array(displayed_range(digit_description)).T, axis=1)
-        low, high = np.maximum(low, ends[:, 0]), np.minimum(high, ends[:, 1])
+        coordinate_range = np.sort(
+            digit.coupling @ np.array(displayed_range(digit_description)).T, axis=1
+        )
+        low, high = (
+            np.maximum(low, coordinate_range[:, 0]),
+            np.minimum(high, coordinate_range[:, 1]),
+        )
     # A curve has one row of angles for each of its times.
-    for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
-        for j, angle in zip(given, row, strict=True):
+    for row in np.atleast_2d(np.array(list(angles.values()), dtype=float).T):
+        for j, angle in zip(angles, row, strict=True):
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
                 unit = digit.joint_units.names[j]
                 raise ConfigError(
@@ -231,10 +237,10 @@ def _check_joints(
                     f"{low[j]:g} to {high[j]:g} {unit}",
                 )
         end = digit.with_joint_angles(
-            dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1])
+            dict(zip(angles, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1])
         )
-        if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLING_TOLERANCE_DEG:
-            names = ", ".join(digit.joint_names[j] for j in given)
+        if np.abs((digit.coupling @ end)[list(angles)] - row).max() > COUPLING_TOLERANCE_DEG:
+            names = ", ".join(digit.joint_names[j] for j in angles)
             raise ConfigError(
                 f"{names} are coupled", phase_path, f"{digit.name}, one angle for all of them"
             )

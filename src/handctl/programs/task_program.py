@@ -83,7 +83,7 @@ class TaskProgram:
         model: HandModel,
         progress: ProgramProgress,
         estimate: HandEstimate,
-        measured: TickMeasurements,
+        measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
         """Advance the task by one tick. The interface `Program` explains the arguments."""
@@ -108,8 +108,8 @@ class TaskProgram:
     ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
-        progress, slipped = self._advance_hold(model, progress, estimate, t)
-        events += slipped
+        progress, has_slipped = self._advance_hold(model, progress, estimate, t)
+        events += has_slipped
         if self._is_phase_over(model, progress, estimate, t):
             events += self._release_warnings(model, progress, estimate)
             progress, entered = self._enter_phase(model, progress, estimate, t)
@@ -149,10 +149,10 @@ class TaskProgram:
             )
         phase = self.task.phase[step - 1]
         # A phase that moves the hand begins without contact, and so does the phase after a release.
-        free = isinstance(phase, MovePhase | FollowPhase) or (
+        is_free_motion = isinstance(phase, MovePhase | FollowPhase) or (
             step > 1 and isinstance(self.task.phase[step - 2], ReleasePhase)
         )
-        contact = (False,) * len(model.digits) if free else progress.contact
+        contact = (False,) * len(model.digits) if is_free_motion else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
         if isinstance(phase, FollowPhase) and (error := _distance_error(model, phase, estimate)):
@@ -185,42 +185,46 @@ class TaskProgram:
     ) -> DigitGoal:
         """Return the goal of digit d at the beginning of the present phase."""
         phase = self.task.phase[progress.step - 1]
-        previous = progress.goals[d]
+        previous_goal = progress.goals[d]
         digit = model.digits[d]
         units = digit.coordinate_units
         if isinstance(phase, MovePhase):
             angle = end_angles(
-                phase.angle_deg, digit, units.displayed(coordinates_by_excursion(digit, estimate))
+                phase.angle_deg,
+                digit,
+                units.to_displayed(coordinates_by_excursion(digit, estimate)),
             )
             return (
-                previous
+                previous_goal
                 if angle is None
                 else goal_to_move_to_angle(digit, estimate, units.si(angle), phase.duration_s, t)
             )
         if isinstance(phase, FollowPhase):
             curve = _curve_of_digit(phase, digit, estimate)
-            return previous if curve is None else DigitGoal(GoalKind.MOTION, curve, since=t)
+            return previous_goal if curve is None else DigitGoal(GoalKind.MOTION, curve, since=t)
         if isinstance(phase, ClosePhase):
             angle = end_angles(
-                phase.angle_deg, digit, units.displayed(coordinates_by_excursion(digit, estimate))
+                phase.angle_deg,
+                digit,
+                units.to_displayed(coordinates_by_excursion(digit, estimate)),
             )
             if angle is None or progress.contact[d]:
-                return previous
+                return previous_goal
             # A speed in deg/s for hinges is used in mm/s for prismatic joints.
-            moved = units.si(angle) - coordinates_by_excursion(digit, estimate)
-            travel = float(np.abs(units.as_equivalent_angles(moved)).max())
+            travel_to_goal = units.si(angle) - coordinates_by_excursion(digit, estimate)
+            travel = float(np.abs(units.as_equivalent_angles(travel_to_goal)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
             )
             return goal_to_move_to_angle(digit, estimate, units.si(angle), duration, t)
         if not progress.contact[d]:
-            return previous
+            return previous_goal
         if isinstance(phase, ReleasePhase):
             target = released_tensions(model, d, phase.tension_N)
             return tension_goal(model, d, target, phase.rate_N_per_s, estimate)
         tension = self._hold_tension(model, phase, d, name, estimate)
         return (
-            previous
+            previous_goal
             if tension is None
             else tension_goal(model, d, tension, phase.rate_N_per_s, estimate)
         )
@@ -283,37 +287,41 @@ class TaskProgram:
         forces = estimate.contact_force.tolist()
         goals = list(progress.goals)
         contact = list(progress.contact)
-        touching = list(progress.touching)
+        contact_ticks = list(progress.touching)
         events: list[TickEvent] = []
         rows = zip(model.hand.digit_names, model.digit_tendons, strict=True)
         for d, (name, tendons) in enumerate(rows):
-            carries = name in model.hand.carrier_digits
-            closing = goals[d].kind == GoalKind.MOTION and not contact[d] and not carries
+            is_carrier = name in model.hand.carrier_digits
+            is_closing = goals[d].kind == GoalKind.MOTION and not contact[d] and not is_carrier
             threshold = contact_threshold(
                 goals[d], model.digits[d].joint_count, gains.threshold_N, t
             )
-            above = closing and forces[d] > threshold + contact_margin_without_cells(model, d)
-            touching[d] = touching[d] + 1 if above else 0
-            if touching[d] >= gains.ticks:
+            is_above_threshold = is_closing and forces[
+                d
+            ] > threshold + contact_margin_without_cells(model, d)
+            contact_ticks[d] = contact_ticks[d] + 1 if is_above_threshold else 0
+            if contact_ticks[d] >= gains.ticks:
                 contact[d] = True
                 # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
                 side = model.redundancy.side[tendons]
                 pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
-                is_closing = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
-                start = np.where(is_closing, side * pulling_tension, start)
+                is_closing_tendon = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
+                start = np.where(is_closing_tendon, side * pulling_tension, start)
                 goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
                 events.append(
                     TickEvent(
                         "info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"
                     )
                 )
-        if not events and tuple(touching) == progress.touching:
+        if not events and tuple(contact_ticks) == progress.touching:
             return progress, ()
-        changed = replace(
-            progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching)
+        changed_progress = replace(
+            progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(contact_ticks)
         )
-        return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
+        return replace(changed_progress, closing=_closing_digits(phase, changed_progress)), tuple(
+            events
+        )
 
     def _is_phase_over(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
@@ -326,22 +334,22 @@ class TaskProgram:
         if isinstance(phase, FollowPhase):
             return elapsed >= phase.time_s[-1]
         if isinstance(phase, ClosePhase):
-            moving = [
+            moving_goals = [
                 goal
                 for goal in progress.goals
                 if goal.kind == GoalKind.MOTION and goal.trajectory is not None
             ]
             longest_duration = max(
-                (goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0
+                (goal.trajectory.duration for goal in moving_goals if goal.trajectory), default=0.0
             )
             return (
                 elapsed >= min(longest_duration + SETTLE_AFTER_CLOSE_S, phase.timeout_s)
-                if moving
+                if moving_goals
                 else True
             )
-        late = elapsed > RELEASE_TIMEOUT_S
+        is_late = elapsed > RELEASE_TIMEOUT_S
         return elapsed >= phase.settle_s and (
-            late or not _still_tensioned(model, progress, phase, estimate)
+            is_late or not _still_tensioned(model, progress, phase, estimate)
         )
 
     def _release_warnings(
@@ -404,9 +412,9 @@ def _grip_plan(
     """
     limit = np.full(model.tendon_count, np.nan)
     if slip_limit is not None:
-        given = dict(slip_limit) if isinstance(slip_limit, tuple) else slip_limit
+        limit_by_digit = dict(slip_limit) if isinstance(slip_limit, tuple) else slip_limit
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
-            value = value_for_digit(given, name)
+            value = value_for_digit(limit_by_digit, name)
             limit[tendons] = math.nan if value is None else value
     return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
@@ -417,19 +425,19 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
     Otherwise return an empty text.
     """
     for digit in model.digits:
-        angle = digit.coordinate_units.displayed(coordinates_by_excursion(digit, estimate))
+        angle = digit.coordinate_units.to_displayed(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
-        places = {
+        coordinate_places = {
             digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
             for j in joint_values(phase.angle_deg, digit)
         }
         if digit.name in phase.angle_deg:
-            places[digit.name] = angle, digit.coordinate_units.names[0]
-        for name, (present, unit) in places.items():
-            first = phase.angle_deg[name][0]
-            if np.abs(present - first).max() > FOLLOW_START_DEG:
-                start = f"the trajectory begins at {first:g} {unit}: move there first"
-                return f"{name} is at {present.mean():.1f} {unit}, but {start}"
+            coordinate_places[digit.name] = angle, digit.coordinate_units.names[0]
+        for name, (present_angle, unit) in coordinate_places.items():
+            first_angle = phase.angle_deg[name][0]
+            if np.abs(present_angle - first_angle).max() > FOLLOW_START_DEG:
+                start = f"the trajectory begins at {first_angle:g} {unit}: move there first"
+                return f"{name} is at {present_angle.mean():.1f} {unit}, but {start}"
     return ""
 
 
@@ -448,14 +456,16 @@ def _curve_of_digit(
             return CurveTrajectory.through_points(phase.time_s, np.outer(rows, si_factor), count)
         angles = tuple(si_factor[0] * angle for angle in rows)
         return replace(interpolating_curve(phase.time_s, angles), coordinates=count)
-    given = joint_values(phase.angle_deg, digit)
-    if not given:
+    goal_angles = joint_values(phase.angle_deg, digit)
+    if not goal_angles:
         return None
-    now = coordinates_by_excursion(digit, estimate)
-    si_factor = digit.joint_units.si_factor[list(given)]
+    present_coordinates = coordinates_by_excursion(digit, estimate)
+    si_factor = digit.joint_units.si_factor[list(goal_angles)]
     points = [
-        digit.with_joint_angles(dict(zip(given, si_factor * row, strict=True)), now)
-        for row in zip(*given.values(), strict=True)
+        digit.with_joint_angles(
+            dict(zip(goal_angles, si_factor * row, strict=True)), present_coordinates
+        )
+        for row in zip(*goal_angles.values(), strict=True)
     ]
     return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
 

@@ -70,10 +70,11 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = "".join(f" {part}" for part in first["loc"])
+        first_error = error.errors(include_url=False)[0]
+        place = "".join(f" {part}" for part in first_error["loc"])
         raise LogError(
-            printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)
+            printable_text(f"{name} cannot be read:{place}: {first_error['msg']}"),
+            *_versions_text(log),
         ) from None
 
 

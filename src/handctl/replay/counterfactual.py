@@ -38,14 +38,14 @@ class CommandCollector:
         self._reactions: list[tuple[int, int]] = []
         self._faults: list[tuple[int, TickEvent]] = []
 
-    def add_tick(self, entry: TickIn, out: TickOut) -> None:
+    def add_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Add the commands of one tick."""
         self._faults += [
-            (len(self._torque), event) for event in out.events if event.name == "fault"
+            (len(self._torque), event) for event in tick_output.events if event.name == "fault"
         ]
-        self._reactions.append((int(out.mode), int(out.action)))
-        self._torque.append(out.telemetry.motor_torque_goal)
-        self._tension.append(out.telemetry.tension_goal)
+        self._reactions.append((int(tick_output.mode), int(tick_output.action)))
+        self._torque.append(tick_output.telemetry.motor_torque_goal)
+        self._tension.append(tick_output.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
         """Return the number of ticks before the mode or the reaction to faults first differs from the log."""

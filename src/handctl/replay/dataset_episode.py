@@ -230,15 +230,15 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     """
     low, high = hand.joint_limits
     units = hand.display_units
-    distance_beyond_range = units.displayed(
+    distance_beyond_range = units.to_displayed(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
     wrong = ~(distance_beyond_range <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
         unit = units.names[joint]
-        given = units.displayed(angles_of_frames[frame])[joint]
-        lower_limit, upper_limit = units.displayed(hand.joint_limits)[:, joint]
+        given = units.to_displayed(angles_of_frames[frame])[joint]
+        lower_limit, upper_limit = units.to_displayed(hand.joint_limits)[:, joint]
         problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
         raise ConfigError(problem, episode_name, f"{lower_limit:g} to {upper_limit:g} {unit}")
     return np.clip(angles_of_frames, low, high)
@@ -266,7 +266,7 @@ def _smooth_curve(
     curve = CubicSpline(times, angles, bc_type="clamped")
     at = np.arange(round(times[-1] / period) + 1) * period
     units = hand.display_units
-    rates = units.displayed(np.abs(curve(at, 1))) / units.per_degree
+    rates = units.to_displayed(np.abs(curve(at, 1))) / units.per_degree
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
         unit, per_degree = units.names[joint], units.per_degree[joint]

@@ -93,13 +93,13 @@ def execute_log(
     runner = LogRunner.from_log(log, gains)
     start = time.perf_counter()
     cpu_start = _cpu_seconds()
-    done = 0
+    finished_ticks = 0
 
     def add_progress(ticks: int) -> None:
-        nonlocal done
-        done += ticks
+        nonlocal finished_ticks
+        finished_ticks += ticks
         if progress:
-            progress(done)
+            progress(finished_ticks)
 
     with gc_disabled():
         if worker_count > 1 and not gains and not observer:
@@ -108,7 +108,7 @@ def execute_log(
             _, difference_tally = runner.execute_part(
                 0, len(log), runner.controller.initial_state(), observer, add_progress
             )
-    wall = time.perf_counter() - start
+    wall_time_s = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (
@@ -119,7 +119,7 @@ def execute_log(
         difference_tally.first_state_difference,
         difference_tally.largest_difference,
     )
-    return LogExecution(*parts, wall, cpu, length)
+    return LogExecution(*parts, wall_time_s, cpu, length)
 
 
 def _ignore_progress(ticks: int) -> None:

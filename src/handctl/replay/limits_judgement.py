@@ -96,34 +96,36 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
-    new = load_document(path, LimitsFile)
-    old = controller.derived.limits
+    new_limits = load_document(path, LimitsFile)
+    old_limits = controller.derived.limits
     period = controller.model.period
-    trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
-    for name in trips.keys() - set(old.tendons):
-        raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
-    rows = zip(old.tendons, old.tension_trip, strict=True)
-    trip = tuple(trips.get(name, old_trip) for name, old_trip in rows)
-    if isinstance(new.tension_trip_N, float):
-        trip = (new.tension_trip_N,) * len(trip)
-    max_silence_ms = new.silent_ms
-    max_stall_ms = new.stalled_ms
-    soft_temperature = new.temperature_soft_degC
-    hard_temperature = new.temperature_hard_degC
+    trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
+    for name in trip_limits.keys() - set(old_limits.tendons):
+        raise ConfigError(
+            repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old_limits.tendons)
+        )
+    rows = zip(old_limits.tendons, old_limits.tension_trip, strict=True)
+    trip = tuple(trip_limits.get(name, old_trip) for name, old_trip in rows)
+    if isinstance(new_limits.tension_trip_N, float):
+        trip = (new_limits.tension_trip_N,) * len(trip)
+    max_silence_ms = new_limits.silent_ms
+    max_stall_ms = new_limits.stalled_ms
+    soft_temperature = new_limits.temperature_soft_degC
+    hard_temperature = new_limits.temperature_hard_degC
     return replace(
-        old,
+        old_limits,
         tension_trip=trip,
         silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
         if max_silence_ms
-        else old.silent_ticks,
+        else old_limits.silent_ticks,
         one_silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
         if max_silence_ms
-        else old.one_silent_ticks,
+        else old_limits.one_silent_ticks,
         stalled_ticks=tick_count_for_time(max_stall_ms / 1e3, period, MIN_STALLED_TICKS)
         if max_stall_ms
-        else old.stalled_ticks,
-        temperature_soft=soft_temperature or old.temperature_soft,
-        temperature_hard=hard_temperature or old.temperature_hard,
+        else old_limits.stalled_ticks,
+        temperature_soft=soft_temperature or old_limits.temperature_soft,
+        temperature_hard=hard_temperature or old_limits.temperature_hard,
     )
 
 
@@ -159,32 +161,34 @@ def _judge_ticks(
     judging_controller = replace(controller, other_limits=limits)
     state = controller.initial_state()
     judging_state = judging_controller.initial_state()
-    stops: list[StoppingFault] = []
+    limit_stops: list[StoppingFault] = []
     ticks = stopped_ticks = ticks_stopped_by_old_limits = 0
-    for logged in log.ticks():
-        entry = logged.tick_in
+    for logged_tick in log.ticks():
+        entry = logged_tick.tick_in
         # In every tick, the controller starts from the state that it had in the recorded run. Only
         # the debounce counters and latched faults that follow from the new limits are carried from
         # tick to tick.
-        judged = state.copy()
-        judged.view("fault_ticks")[...] = judging_state.view("fault_ticks")
-        judged.decide(
+        judged_state = state.copy()
+        judged_state.view("fault_ticks")[...] = judging_state.view("fault_ticks")
+        judged_state.decide(
             latched=judging_state.latched,
             reported_faults=judging_state.decisions.reported_faults,
         )
         try:
-            judging_state, verdict = judging_controller.tick(judged, entry)
-            state, out = controller.tick(state, entry)
+            judging_state, verdict = judging_controller.tick(judged_state, entry)
+            state, tick_output = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
         logged_faults = {
-            _fault_id_in_text(event) + event.where for event in out.events if event.name == "fault"
+            _fault_id_in_text(event) + event.where
+            for event in tick_output.events
+            if event.name == "fault"
         }
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
         stopped_ticks += verdict.action >= SafetyAction.HOLD
-        ticks_stopped_by_old_limits += out.action >= SafetyAction.HOLD
+        ticks_stopped_by_old_limits += tick_output.action >= SafetyAction.HOLD
         for event in verdict.events:
             if (
                 event.name == "fault"
@@ -195,7 +199,7 @@ def _judge_ticks(
                 # The text of a fault event ends with the reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 is_in_log = fault.id + event.where in logged_faults
-                stops.append(
+                limit_stops.append(
                     StoppingFault(
                         entry.k,
                         t_s,
@@ -207,9 +211,9 @@ def _judge_ticks(
                         is_in_log,
                     )
                 )
-    counts = Counter(stop.fault for stop in stops)
+    counts = Counter(stop.fault for stop in limit_stops)
     return LimitsJudgement(
-        ticks, stopped_ticks, ticks_stopped_by_old_limits, tuple(stops), dict(counts)
+        ticks, stopped_ticks, ticks_stopped_by_old_limits, tuple(limit_stops), dict(counts)
     )
 
 

@@ -52,12 +52,12 @@ def _check_counters(log: RunLog) -> Iterator[str]:
 
 def _check_clock(log: RunLog) -> Iterator[str]:
     """Check the times and the lateness of the ticks, and yield a line for each defect."""
-    off = log.t_ns != log.k * log.header.period_ns
-    if off.any():
-        yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
-    late = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
-    if late.any():
-        lateness = f"the lateness of tick {int(log.k[late][0])} is {int(log.late_ns[late][0])} ns"
+    is_off_grid = log.t_ns != log.k * log.header.period_ns
+    if is_off_grid.any():
+        yield f"the time of tick {int(log.k[is_off_grid][0])} is not its number times the period"
+    invalid_ticks = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
+    if invalid_ticks.any():
+        lateness = f"the lateness of tick {int(log.k[invalid_ticks][0])} is {int(log.late_ns[invalid_ticks][0])} ns"
         yield f"{lateness}; expected 0 to less than a period, {log.header.period_ns} ns"
 
 
@@ -67,15 +67,15 @@ def _check_frames(log: RunLog) -> Iterator[str]:
     The time stamp of such a frame comes from another clock than the clock of the controller.
     """
     late_stamp_count = 0
-    last = -1
+    last_time_ns = -1
     for tick in log.ticks():
-        now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
-        late_stamps_in_tick = sum(frame.t_ns > now for frame in tick.tick_in.frames)
+        tick_end_ns = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
+        late_stamps_in_tick = sum(frame.t_ns > tick_end_ns for frame in tick.tick_in.frames)
         if late_stamps_in_tick and not late_stamp_count:
-            last = tick.tick_in.k
+            last_time_ns = tick.tick_in.k
         late_stamp_count += late_stamps_in_tick
     if late_stamp_count:
-        yield f"{late_stamp_count} frames are stamped later than the tick that read them, first in tick {last}"
+        yield f"{late_stamp_count} frames are stamped later than the tick that read them, first in tick {last_time_ns}"
 
 
 def _check_hashes(log: RunLog) -> Iterator[str]:
@@ -91,8 +91,8 @@ def _check_hashes(log: RunLog) -> Iterator[str]:
 
 def _check_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain of the log, and name the first tick with a wrong hash."""
-    before = first_hash_of_run(log.header)
-    broken = list[int]()
+    hash_before = first_hash_of_run(log.header)
+    broken_chunks = list[int]()
     ticks = zip(
         log.k.tolist(),
         log.tick_messages(),
@@ -101,14 +101,17 @@ def _check_chain(log: RunLog) -> Iterator[str]:
         strict=False,
     )
     for k, message, numbers, digest in ticks:
-        if tick_hash(before, message, numbers) != digest:
-            broken.append(k)
+        if tick_hash(hash_before, message, numbers) != digest:
+            broken_chunks.append(k)
         # After a wrong hash, the check continues with the hash in the log. So a single changed tick
         # is reported only once.
-        before = digest
-    if broken:
-        others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
-        yield f"the hash chain breaks at tick {broken[0]}{others}: this tick, or the hash before it, was changed"
+        hash_before = digest
+    if broken_chunks:
+        others_text = f", and {len(broken_chunks) - 1} more" if len(broken_chunks) > 1 else ""
+        yield (
+            f"the hash chain breaks at tick {broken_chunks[0]}{others_text}: this tick, "
+            "or the hash before it, was changed"
+        )
     final_hash = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
-    if final_hash and final_hash != before.hex():
-        yield f"the hash chain ends with {before.hex()}, the end record states {final_hash}"
+    if final_hash and final_hash != hash_before.hex():
+        yield f"the hash chain ends with {hash_before.hex()}, the end record states {final_hash}"

@@ -49,7 +49,7 @@ def describe_first_damage(path: Path) -> str:
     try:
         scan_damaged(file, scan)
         channels: tuple[int, ...] = ()
-        before = b""
+        previous_bytes = b""
         for chunk in scan.chunks:
             content, defect = _intact_content(file, chunk)
             try:
@@ -57,21 +57,21 @@ def describe_first_damage(path: Path) -> str:
                     channels = channels or _channel_ids(content)
                     ticks = list(_chunk_ticks(content, chunk, channels))
             except LogError as error:
-                return f"{error}; its chunk begins {_last_intact_tick_text(before)}"
+                return f"{error}; its chunk begins {_last_intact_tick_text(previous_bytes)}"
             for tick in ticks:
                 if (
-                    before
+                    previous_bytes
                     and tick.chain_hash
-                    and tick_hash(before[-HASH_SIZE:], tick.message, tick.telemetry)
+                    and tick_hash(previous_bytes[-HASH_SIZE:], tick.message, tick.telemetry)
                     != tick.chain_hash
                 ):
                     return f"tick {tick.k} was changed after it was written" + (
                         f": {defect}" if defect else ""
                     )
-                before = tick.k.to_bytes(8, "little") + tick.chain_hash
+                previous_bytes = tick.k.to_bytes(8, "little") + tick.chain_hash
             if defect:
-                where = _tick_range_text(ticks)
-                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {where}"
+                location = _tick_range_text(ticks)
+                return f"{defect}; its ticks are intact, the topics derived from them are damaged: {location}"
         return ""
     finally:
         file.close()

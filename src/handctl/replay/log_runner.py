@@ -44,12 +44,12 @@ def relative_error(difference: TickDifference) -> float:
     Returns:
         the size: 0 for texts, and infinity if a number is NaN.
     """
-    logged = difference.logged
+    logged_value = difference.logged
     computed = difference.computed
-    if isinstance(logged, str) or isinstance(computed, str):
+    if isinstance(logged_value, str) or isinstance(computed, str):
         return 0.0
-    distance = abs(logged - computed)
-    return math.inf if math.isnan(distance) else distance / max(1.0, abs(logged))
+    distance = abs(logged_value - computed)
+    return math.inf if math.isnan(distance) else distance / max(1.0, abs(logged_value))
 
 
 @dataclass(slots=True)
@@ -157,53 +157,59 @@ class LogRunner:
         """
         difference_tally = DifferenceTally()
         tick = self.controller.tick
-        for logged, numbers in self._logged_ticks(first_tick, tick_end):
+        for logged_tick, numbers in self._logged_ticks(first_tick, tick_end):
             try:
-                state, out = tick(state, logged.tick_in)
+                state, tick_output = tick(state, logged_tick.tick_in)
             except ValueError as error:
-                raise refusal_error(error, logged.tick_in.k) from None
+                raise refusal_error(error, logged_tick.tick_in.k) from None
             difference_tally.ticks += 1
             if progress and difference_tally.ticks % TICKS_PER_PROGRESS_REPORT == 0:
                 progress(TICKS_PER_PROGRESS_REPORT)
             if observer:
-                observer(logged.tick_in, out)
-            if not are_outputs_equal(logged, numbers, out):
+                observer(logged_tick.tick_in, tick_output)
+            if not are_outputs_equal(logged_tick, numbers, tick_output):
                 difference_tally.add_tick(
-                    list(differing_fields(self.telemetry_columns, logged, numbers, out)),
-                    are_decisions_equal(logged, out),
+                    list(
+                        differing_fields(self.telemetry_columns, logged_tick, numbers, tick_output)
+                    ),
+                    are_decisions_equal(logged_tick, tick_output),
                 )
                 if (
                     difference_tally.first_state_difference is None
-                    and logged.tick_in.k in self.snapshots
+                    and logged_tick.tick_in.k in self.snapshots
                 ):
-                    difference_tally.first_state_difference = self._state_difference(logged, state)
+                    difference_tally.first_state_difference = self._state_difference(
+                        logged_tick, state
+                    )
         return state, difference_tally
 
     def _logged_ticks(self, first_tick: int, tick_end: int) -> Iterator[tuple[TickRecord, bytes]]:
         """Yield the logged ticks from index `first_tick` to `end_tick` - 1, each with its telemetry."""
-        firsts = self.log.first_tick_of_chunk
+        chunk_starts = self.log.first_tick_of_chunk
         # A chunk of the log is always read as a whole. The ticks of a chunk that do not belong to
         # the part are dropped below.
-        chunk, last = np.searchsorted(firsts, (first_tick, tick_end), side="right") - 1
-        chunks = slice(int(chunk), int(last) + 1)
+        chunk, last_chunk = np.searchsorted(chunk_starts, (first_tick, tick_end), side="right") - 1
+        chunks = slice(int(chunk), int(last_chunk) + 1)
         ticks_and_telemetry = zip(
             self.log.ticks(chunks), self.log.packed_telemetry(chunks), strict=True
         )
         return islice(
-            ticks_and_telemetry, first_tick - int(firsts[chunk]), tick_end - int(firsts[chunk])
+            ticks_and_telemetry,
+            first_tick - int(chunk_starts[chunk]),
+            tick_end - int(chunk_starts[chunk]),
         )
 
     def _state_difference(
-        self, logged: TickRecord, state: ControllerState
+        self, logged_tick: TickRecord, state: ControllerState
     ) -> TickDifference | None:
         """Compare the controller's state after a tick with the snapshot in the log, and return the first difference."""
         try:
             snapshot_state = restore_state(
-                self.controller.derived.layout, self.snapshots[logged.tick_in.k]
+                self.controller.derived.layout, self.snapshots[logged_tick.tick_in.k]
             )
         except ValueError:
             return None  # if another version wrote the state, its fields are different
-        return state_difference(self.log.header, logged, snapshot_state, state)
+        return state_difference(self.log.header, logged_tick, snapshot_state, state)
 
 
 def refusal_error(error: ValueError, k: int) -> LogError:

@@ -95,7 +95,7 @@ def run_parallel(
     """
     parts = split_log(runner, worker_count)
     counts = ProgressCounts(len(parts), progress)
-    running = [
+    workers = [
         _start_worker(runner, part, counts.counter_of_process(i))
         for i, part in enumerate(parts)
         if i
@@ -104,7 +104,7 @@ def run_parallel(
         state, total = runner.execute_part(
             parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
         )
-        for worker in running:
+        for worker in workers:
             # If the hashes are equal, the worker process started from the state that a serial
             # execution has at this tick.
             result = (
@@ -121,7 +121,7 @@ def run_parallel(
             total = total.merged_with_later_tally(difference_tally)
         return total
     finally:
-        for worker in running:
+        for worker in workers:
             _kill_worker(worker)
 
 
@@ -134,22 +134,22 @@ def split_log(runner: LogRunner, worker_count: int) -> list[LogPart]:
     k = runner.log.k
     snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
     at = np.searchsorted(k, snapshot_ticks)
-    usable = [
+    usable_ticks = [
         int(index) + 1
         for index, tick in zip(at, snapshot_ticks, strict=True)
         if index < ticks and k[index] == tick
     ]
-    count = min(worker_count, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable) + 1)
-    nearest = [
-        min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
+    count = min(worker_count, max(ticks // MIN_TICKS_PER_PROCESS, 1), len(usable_ticks) + 1)
+    nearest_ticks = [
+        min(usable_ticks, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
     ]
-    starts = {0: runner.controller.initial_state()}
-    for start in nearest:
+    state_by_start = {0: runner.controller.initial_state()}
+    for start in nearest_ticks:
         state = _state_after_tick(runner, start - 1)
         if state is not None:
-            starts[start] = state
-    ends = [*sorted(starts), ticks]
-    return [LogPart(start, stop, starts[start]) for start, stop in pairwise(ends)]
+            state_by_start[start] = state
+    end_ticks = [*sorted(state_by_start), ticks]
+    return [LogPart(start, stop, state_by_start[start]) for start, stop in pairwise(end_ticks)]
 
 
 def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | None:
@@ -203,18 +203,21 @@ def _wait_for_result(
     data = b""
     while True:
         if select.select([worker.pipe], [], [], PROGRESS_PERIOD_S)[0]:
-            more = os.read(worker.pipe, 1 << 20)
-            if not more:
+            received_bytes = os.read(worker.pipe, 1 << 20)
+            if not received_bytes:
                 break
-            data += more
+            data += received_bytes
         counts.report_total()
     if not data:
         return None
     result: dict[str, Any] = json.loads(data)
-    *numbers, first, state, largest = result["tally"]
+    *numbers, first_difference, state, largest = result["tally"]
     difference_tally = DifferenceTally(
         *numbers,
-        *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
+        *(
+            TickDifference(*worker) if worker else None
+            for worker in (first_difference, state, largest)
+        ),
     )
     return restore_state(
         runner.controller.derived.layout, bytes.fromhex(result["state"])

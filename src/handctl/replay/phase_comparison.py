@@ -36,8 +36,8 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
     changes = log.phases
     spans = []
     counts = dict[str, int]()
-    ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
-    for change, end in zip(changes, ends, strict=True):
+    end_times = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
+    for change, end in zip(changes, end_times, strict=True):
         counts[change.name] = number = counts.get(change.name, 0) + 1
         spans.append(
             PhaseSpan(
@@ -47,13 +47,13 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
     return spans
 
 
-def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
+def compare_logs(a: RunLog, b: RunLog, location: str) -> dict[str, Any]:
     """Compare two runs of the same hand, phase by phase.
 
     Args:
         a: log of the first run.
         b: log of the second run, of the same hand.
-        where: file name of the second log, for the error message.
+        location: file name of the second log, for the error message.
 
     Returns:
         The gains that differ, the phases that only one of the runs has, and a comparison of each
@@ -67,29 +67,29 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     """
     second_metadata = b.header.metadata
     check_same_hand(
-        a, second_metadata.get("hand", "?"), second_metadata.get("identity", "?"), where
+        a, second_metadata.get("hand", "?"), second_metadata.get("identity", "?"), location
     )
     for names in ("joints", "tendons", "motors", "digits"):
         if getattr(a.header, names) != getattr(b.header, names):
             raise IncomparableError(
-                f"other {names} than in the other log", where, "a log of the same hand"
+                f"other {names} than in the other log", location, "a log of the same hand"
             )
     for log in (a, b):
         check_order(log.t_ns, log.header.period_ns)
-    first, second = ({part.name: part for part in phase_spans(log)} for log in (a, b))
+    first_phases, second_phases = ({part.name: part for part in phase_spans(log)} for log in (a, b))
     phases = {}
-    for name, part in first.items():
-        if name not in second:
+    for name, part in first_phases.items():
+        if name not in second_phases:
             continue
-        other = second[name]
-        durations_s = (part.end_s - part.start_s, other.end_s - other.start_s)
+        other_phase = second_phases[name]
+        durations_s = (part.end_s - part.start_s, other_phase.end_s - other_phase.start_s)
         is_moving_phase = part.name not in PASSIVE_PHASES and min(durations_s) > 0
-        shared = (
-            compare_runs(a, part.start_s, b, other.start_s, min(durations_s))
+        shared_comparison = (
+            compare_runs(a, part.start_s, b, other_phase.start_s, min(durations_s))
             if is_moving_phase
             else {}
         )
-        phases[name] = {"duration_s": list(durations_s), **shared}
+        phases[name] = {"duration_s": list(durations_s), **shared_comparison}
     gains = a.header.gains.keys() | b.header.gains.keys()
     return {
         "gains": {
@@ -97,7 +97,7 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
             for name in sorted(gains)
             if a.header.gains.get(name) != b.header.gains.get(name)
         },
-        "only_in_first": [name for name in first if name not in second],
-        "only_in_second": [name for name in second if name not in first],
+        "only_in_first": [name for name in first_phases if name not in second_phases],
+        "only_in_second": [name for name in second_phases if name not in first_phases],
         "phases": phases,
     }

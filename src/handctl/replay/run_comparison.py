@@ -35,14 +35,14 @@ COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendo
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
 
-def check_same_hand(log: RunLog, name: str, hand_identity: str, where: str) -> None:
+def check_same_hand(log: RunLog, name: str, hand_identity: str, location: str) -> None:
     """Raise an error if a log was recorded with another hand than the given hand.
 
     Args:
         log: log to check.
         name: name of the given hand.
         hand_identity: identity of the given hand.
-        where: file of the given hand, for the error message.
+        location: file of the given hand, for the error message.
 
     Raises:
         IncomparableError: the identity of the hand in the log differs from the given identity.
@@ -52,7 +52,7 @@ def check_same_hand(log: RunLog, name: str, hand_identity: str, where: str) -> N
     if logged_identity != hand_identity:
         raise IncomparableError(
             f"the log is of hand {logged_name} {logged_identity[:12]}, not of {name} {hand_identity[:12]}",
-            where,
+            location,
             "the same hand",
         )
 
@@ -86,10 +86,13 @@ def rms_and_peak_difference(signal_difference: Array) -> dict[str, float]:
 
     If all values are NaN, the RMS and the peak are NaN.
     """
-    finite = signal_difference[~np.isnan(signal_difference)]
-    if not finite.size:
+    finite_differences = signal_difference[~np.isnan(signal_difference)]
+    if not finite_differences.size:
         return {"rms": float("nan"), "peak": float("nan")}
-    return {"rms": float(np.sqrt(np.mean(finite**2))), "peak": float(np.abs(finite).max())}
+    return {
+        "rms": float(np.sqrt(np.mean(finite_differences**2))),
+        "peak": float(np.abs(finite_differences).max()),
+    }
 
 
 def signal_delay(signal_before: Array, signal_after: Array, period: float) -> float:
@@ -121,12 +124,16 @@ def signal_delay(signal_before: Array, signal_after: Array, period: float) -> fl
         signal_before[compared_rows]
     ):
         return float("nan")
-    variance_before, lowest, variance_after = residual[best - 1 : best + 2]
+    variance_before, min_residual, variance_after = residual[best - 1 : best + 2]
     # Here, `bend` is the second difference of the variance with respect to the shift. If `bend` is
     # not positive, the minimum is flat, and the best shift is not refined.
-    bend = variance_before - 2.0 * lowest + variance_after
+    curvature = variance_before - 2.0 * min_residual + variance_after
     return float(
-        (best - max_shift + (0.5 * (variance_before - variance_after) / bend if bend > 0 else 0.0))
+        (
+            best
+            - max_shift
+            + (0.5 * (variance_before - variance_after) / curvature if curvature > 0 else 0.0)
+        )
         * period
     )
 
@@ -163,19 +170,21 @@ def compare_runs(
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
     result: dict[str, Any] = {}
     for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
-        before, after = (
+        signals_before, signals_after = (
             factor * resampled_field(*run, times)
             for run in ((a, field, first_start_s), (b, field, second_start_s))
         )
-        rows = compare_signals(a.header.axis_names(axis), before, after, period)
-        sliding = prismatic_joints(a.header) if field == "q" else frozenset()
-        result[f"{axis}_{unit}"] = {name: row for name, row in rows.items() if name not in sliding}
-        if sliding:
+        rows = compare_signals(a.header.axis_names(axis), signals_before, signals_after, period)
+        prismatic = prismatic_joints(a.header) if field == "q" else frozenset()
+        result[f"{axis}_{unit}"] = {
+            name: row for name, row in rows.items() if name not in prismatic
+        }
+        if prismatic:
             factors_to_mm = np.array([MM_PER_M / factor, MM_PER_M / factor, 1.0])
             result[f"{axis}_mm"] = {
                 name: dict(zip(row, (factors_to_mm * list(row.values())).tolist(), strict=True))
                 for name, row in rows.items()
-                if name in sliding
+                if name in prismatic
             }
     return result
 
@@ -190,7 +199,7 @@ def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = (
+            delay_text = (
                 ""
                 if math.isnan(ms)
                 else ", in time"
@@ -198,7 +207,7 @@ def difference_lines(comparison: dict[str, Any]) -> Iterator[str]:
                 else f", {_delay_text(ms)}"
             )
             if not math.isnan(row["rms"]):
-                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
+                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{delay_text}"
 
 
 def _delay_text(delay_ms: float) -> str:

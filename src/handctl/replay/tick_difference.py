@@ -79,7 +79,7 @@ def _float_ordinal(value: float) -> int:
 
 
 def differing_fields(
-    columns: TelemetryColumns, logged: TickRecord, logged_telemetry: bytes, computed: TickOut
+    columns: TelemetryColumns, logged_tick: TickRecord, logged_telemetry: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
     """Yield every field in which a logged tick and a computed tick differ.
 
@@ -87,12 +87,12 @@ def differing_fields(
 
     Args:
         columns: names of the telemetry columns.
-        logged: the logged tick.
+        logged_tick: the logged tick.
         logged_telemetry: packed telemetry of the logged tick.
         computed: the computed tick.
     """
-    k = logged.tick_in.k
-    t_s = logged.tick_in.t_ns / 1e9
+    k = logged_tick.tick_in.k
+    t_s = logged_tick.tick_in.t_ns / 1e9
 
     def text_difference(
         field: str, logged_value: object, computed_value: object
@@ -100,10 +100,12 @@ def differing_fields(
         if logged_value != computed_value:
             yield TickDifference(k, t_s, field, "", str(logged_value), str(computed_value))
 
-    yield from text_difference("mode", logged.mode.name, computed.mode.name)
-    yield from text_difference("action", logged.action.name, computed.action.name)
-    yield from text_difference("phase", logged.phase, computed.phase)
-    yield from text_difference("events", _events_text(logged.events), _events_text(computed.events))
+    yield from text_difference("mode", logged_tick.mode.name, computed.mode.name)
+    yield from text_difference("action", logged_tick.action.name, computed.action.name)
+    yield from text_difference("phase", logged_tick.phase, computed.phase)
+    yield from text_difference(
+        "events", _events_text(logged_tick.events), _events_text(computed.events)
+    )
     # logs of earlier versions do not have the last fields
     packed = computed.telemetry.packed()[: len(logged_telemetry)]
     if packed != logged_telemetry:
@@ -119,15 +121,21 @@ def differing_fields(
                 computed_value,
                 distance_in_ulps(logged_value, computed_value),
             )
-    yield from text_difference("number of frames", len(logged.frames), len(computed.frames))
-    for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
-        yield from text_difference(f"frames[{i}]", _frame_text(old), _frame_text(new))
-    yield from text_difference("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
+    yield from text_difference("number of frames", len(logged_tick.frames), len(computed.frames))
+    for i, (logged_frame, computed_frame) in enumerate(
+        zip(logged_tick.frames, computed.frames, strict=False)
+    ):
+        yield from text_difference(
+            f"frames[{i}]", _frame_text(logged_frame), _frame_text(computed_frame)
+        )
+    yield from text_difference(
+        "state_hash", logged_tick.state_hash.hex(), computed.state_hash.hex()
+    )
 
 
 def state_difference(
     header: RunHeader,
-    logged: TickRecord,
+    logged_tick: TickRecord,
     logged_state: ControllerState,
     computed_state: ControllerState,
 ) -> TickDifference | None:
@@ -135,19 +143,27 @@ def state_difference(
 
     Args:
         header: header of the log.
-        logged: logged tick to which both states belong.
+        logged_tick: logged tick to which both states belong.
         logged_state: state from the snapshot in the log.
         computed_state: computed state.
     """
-    k = logged.tick_in.k
-    t_s = logged.tick_in.t_ns / 1e9
-    first = logged_state.layout.difference(logged_state.block, computed_state.block)
-    if first:
-        field, element, old, new = first
+    k = logged_tick.tick_in.k
+    t_s = logged_tick.tick_in.t_ns / 1e9
+    first_difference = logged_state.layout.difference(logged_state.block, computed_state.block)
+    if first_difference:
+        field, element, logged_number, computed_number = first_difference
         axis = logged_state.layout.axis_of(field)
         names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
-        return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
+        return TickDifference(
+            k,
+            t_s,
+            f"state {field}",
+            name,
+            logged_number,
+            computed_number,
+            distance_in_ulps(logged_number, computed_number),
+        )
     for field, old_part, new_part in zip(
         ControllerDecisions._fields, logged_state.decisions, computed_state.decisions, strict=True
     ):
@@ -156,27 +172,28 @@ def state_difference(
     return None
 
 
-def are_outputs_equal(logged: TickRecord, logged_telemetry: bytes, computed: TickOut) -> bool:
+def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed: TickOut) -> bool:
     """Return True if every byte of a tick's output is the same in the log and in the re-execution."""
     return (
-        logged.state_hash == computed.state_hash
-        and logged.frames.records.tobytes() == frames_as_records(computed.frames).records.tobytes()
+        logged_tick.state_hash == computed.state_hash
+        and logged_tick.frames.records.tobytes()
+        == frames_as_records(computed.frames).records.tobytes()
         and logged_telemetry == computed.telemetry.packed()[: len(logged_telemetry)]
-        and (logged.mode, logged.action, logged.phase, logged.events)
+        and (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_tick.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )
 
 
-def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
+def are_decisions_equal(logged_tick: TickRecord, computed: TickOut) -> bool:
     """Return True if the decisions of a tick are the same in the log and in the re-execution.
 
     The decisions are the mode, the reaction, the phase and the events. The texts of the events are
     not compared, because they contain numbers.
     """
     logged_events, computed_events = (
-        [event[:3] for event in events] for events in (logged.events, computed.events)
+        [event[:3] for event in events] for events in (logged_tick.events, computed.events)
     )
-    return (logged.mode, logged.action, logged.phase, logged_events) == (
+    return (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_events) == (
         computed.mode,
         computed.action,
         computed.phase,
@@ -206,7 +223,7 @@ def _changed_telemetry_numbers(
 
     A number that has become NaN also counts as changed.
     """
-    old: NDArray[np.float64] = np.frombuffer(logged_bytes, "<f8")
-    new: NDArray[np.float64] = np.frombuffer(computed_bytes, "<f8")
-    at = np.flatnonzero(old.view(np.uint64) != new.view(np.uint64))
-    return [(int(i), float(old[i]), float(new[i])) for i in at]
+    logged_numbers: NDArray[np.float64] = np.frombuffer(logged_bytes, "<f8")
+    computed_numbers: NDArray[np.float64] = np.frombuffer(computed_bytes, "<f8")
+    at = np.flatnonzero(logged_numbers.view(np.uint64) != computed_numbers.view(np.uint64))
+    return [(int(i), float(logged_numbers[i]), float(computed_numbers[i])) for i in at]

@@ -37,22 +37,24 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
     sync_frames = 0
     silent_ids = set(node.ids) if node.amplifiers else set[int]()
     fresh_frames = 0
-    late = 0
-    refused = 0
-    silent = 0
+    late_frame_count = 0
+    refused_count = 0
+    silent_tick_count = 0
     for tick in log.ticks():
-        silent += sync_frames > 0 and all(frame.bus != node.bus for frame in tick.tick_in.frames)
+        silent_tick_count += sync_frames > 0 and all(
+            frame.bus != node.bus for frame in tick.tick_in.frames
+        )
         for frame in tick.tick_in.frames:
             if frame.bus != node.bus or frame.can_id not in node.ids:
                 continue
             group = node.ids.index(frame.can_id)
             silent_ids.discard(frame.can_id)
             if len(frame.data) == node.lengths[group] and not silent_ids:
-                fresh = node.answers(
+                fresh_answers = node.answers(
                     frame.data, sync_counter
                 ) and frame.t_ns >= node.earliest_answer_time_ns(sync_ns)
-                late += not fresh
-                fresh_frames += fresh and group < node.tension_frames
+                late_frame_count += not fresh_answers
+                fresh_frames += fresh_answers and group < node.tension_frames
         for frame in tick.frames:
             if (
                 frame.bus == node.bus
@@ -64,7 +66,11 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
                 # The amplifier of the load cells replies to a SYNC frame only after the set-up of
                 # the amplifier is complete.
                 sync_frames += not silent_ids
-        refused += sum(event.number for event in tick.tick_in.io_events if event.kind == "enobufs")
+        refused_count += sum(
+            event.number for event in tick.tick_in.io_events if event.kind == "enobufs"
+        )
     return FrameCounts(
-        late, refused + node.lost_frame_count(sync_frames, fresh_frames, late), silent
+        late_frame_count,
+        refused_count + node.lost_frame_count(sync_frames, fresh_frames, late_frame_count),
+        silent_tick_count,
     )

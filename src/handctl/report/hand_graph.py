@@ -53,22 +53,22 @@ def draw_hand(path: Path, hand: Hand) -> None:
     rows = sum(1.6 + len(_digit_tendons(hand, digit)) for digit in hand.digit) + 1.0
     joints = max(len(digit.joints) for digit in hand.digit)
     left = MOTOR_COLUMN_X - 1.6 - BUS_SPACING * len(hand.bus)
-    right = FIRST_JOINT_COLUMN_X + JOINT_SPACING * joints + 0.6
+    right_edge_x = FIRST_JOINT_COLUMN_X + JOINT_SPACING * joints + 0.6
     figure = Figure(
-        figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
+        figsize=(1.05 * (right_edge_x - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
     )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.set_xlim(left, right)
+    axes.set_xlim(left, right_edge_x)
     axes.set_ylim(-rows, 0.4)
     axes.set_axis_off()
     title = printable_text(f"{hand.name}: {hand.description}", 100)
     axes.set_title(title, fontsize=10, loc="left", parse_math=False)
-    ends = {name: [0.0, 0.0] for name in hand.bus_names}
+    bus_ends = {name: [0.0, 0.0] for name in hand.bus_names}
     y = -_sensor_node(axes, hand)
     for digit in hand.digit:
-        y = _draw_digit(axes, hand, digit, y, ends) - 0.6
-    _draw_buses(axes, hand, ends)
+        y = _draw_digit(axes, hand, digit, y, bus_ends) - 0.6
+    _draw_buses(axes, hand, bus_ends)
     save_figure(figure, path)
 
 
@@ -130,8 +130,8 @@ def _moment_arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> 
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
-    ends = moment_arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
-    return f"{1e3 * ends[0]:{sign}.3g}..{1e3 * ends[1]:.3g} mm"
+    arms_at_limits = moment_arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
+    return f"{1e3 * arms_at_limits[0]:{sign}.3g}..{1e3 * arms_at_limits[1]:.3g} mm"
 
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
@@ -209,7 +209,7 @@ def _draw_digit(
             fontsize=7,
             zorder=3,
         )
-        edge, width = (
+        edge_colour, width = (
             (ENCODER_COLOUR, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
         )
         axes.plot(
@@ -217,7 +217,7 @@ def _draw_digit(
             y,
             "o",
             color="white",
-            markeredgecolor=edge,
+            markeredgecolor=edge_colour,
             markeredgewidth=width,
             markersize=9,
             zorder=3,
@@ -245,10 +245,12 @@ def _draw_tendon(
     arm_by_joint = {
         joint: mean_arms[hand.joints.index(joint)] for joint in tendon.arms if joint in column_x
     }
-    last = max(column_x[joint] for joint in arm_by_joint)
+    last_column = max(column_x[joint] for joint in arm_by_joint)
     axes.plot([_bus_x(bus), MOTOR_COLUMN_X], [y, y], color=colour, linewidth=1.2, zorder=1)
-    axes.plot([MOTOR_COLUMN_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
-    axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
+    axes.plot(
+        [MOTOR_COLUMN_X, last_column + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1
+    )
+    axes.plot(last_column + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
     axes.plot(
         MOTOR_COLUMN_X,
         y,
@@ -293,10 +295,10 @@ def _draw_buses(axes: Any, hand: Hand, line_ends: dict[str, list[float]]) -> Non
     """Draw each bus as a vertical line between the motors on the bus, with its name and its bit rates."""
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
-        top, bottom = line_ends[bus.name]
+        top_y, bottom = line_ends[bus.name]
         colour = BUS_COLOURS[i % len(BUS_COLOURS)]
         axes.plot(
-            [x, x], [top + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round"
+            [x, x], [top_y + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round"
         )
         rates = f"{bus.bitrate / 1e6:g}" + (
             f"/{bus.data_bitrate / 1e6:g}" if bus.data_bitrate else ""
@@ -304,7 +306,7 @@ def _draw_buses(axes: Any, hand: Hand, line_ends: dict[str, list[float]]) -> Non
         label = f"{bus.name}, {rates} Mbit/s"
         axes.text(
             x - 0.12,
-            (top + bottom) / 2,
+            (top_y + bottom) / 2,
             label,
             rotation=90,
             ha="right",

@@ -39,7 +39,7 @@ def judge_lift(
         `object_slid_mm`: distance that the object moved from the start of the sinking to the end of
         the last hold. Both distances are NaN if the table never sank or if there was no hold.
     """
-    unknown = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    nan_result = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _hold_times(log, hold_phases) + offset_ns
     if (
         truth is None
@@ -47,27 +47,27 @@ def judge_lift(
         or not len(t_ns)
         or not truth.covers_any_time(t_ns)
     ):
-        return unknown
-    inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
-    sunk = truth.values[inside, truth.columns.index(TABLE_DEPTH_COLUMN)]
+        return nan_result
+    is_inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
+    table_depths = truth.values[is_inside, truth.columns.index(TABLE_DEPTH_COLUMN)]
     positions = truth.interpolated_columns(
-        ["object/x", "object/y", "object/z"], truth.t_ns[inside]
-    )[sunk > 0.0]
-    slid = float("nan")
+        ["object/x", "object/y", "object/z"], truth.t_ns[is_inside]
+    )[table_depths > 0.0]
+    slip_distance = float("nan")
     if len(positions):
-        slid = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
-    return {"table_sunk_mm": float(sunk[-1] * 1e3), "object_slid_mm": slid}
+        slip_distance = float(np.linalg.norm(positions - positions[0], axis=1).max() * 1e3)
+    return {"table_sunk_mm": float(table_depths[-1] * 1e3), "object_slid_mm": slip_distance}
 
 
 def _hold_times(log: RunLog, hold_phases: Collection[str]) -> Any:
     """Return the times [ns] of the ticks from the start of the first hold phase to the end of the last hold phase."""
     changes = log.phases
-    ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
-    changes_and_ends = zip(changes, ends, strict=True)
-    spans = [(change.k, end) for change, end in changes_and_ends if change.name in hold_phases]
-    if not spans:
+    end_ticks = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
+    changes_and_ends = zip(changes, end_ticks, strict=True)
+    hold_spans = [(change.k, end) for change, end in changes_and_ends if change.name in hold_phases]
+    if not hold_spans:
         return log.t_ns[:0]
-    return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
+    return log.t_ns[(log.k >= hold_spans[0][0]) & (log.k < hold_spans[-1][1])]
 
 
 def lift_failure(lift_result: dict[str, Any]) -> str:
@@ -78,10 +78,10 @@ def lift_failure(lift_result: dict[str, Any]) -> str:
     Args:
         lift_result: result of `judge_lift`.
     """
-    sunk = lift_result["table_sunk_mm"]
-    slid = lift_result["object_slid_mm"]
-    if sunk == 0.0:
+    table_sunk_mm = lift_result["table_sunk_mm"]
+    object_slid_mm = lift_result["object_slid_mm"]
+    if table_sunk_mm == 0.0:
         return "the object was never lifted: too few digits pressed on it for the table to sink"
-    if slid > MAX_SLIP_MM:
-        return f"the object was not held: it moved {slid:.0f} mm while the table sank {sunk:.0f} mm"
+    if object_slid_mm > MAX_SLIP_MM:
+        return f"the object was not held: it moved {object_slid_mm:.0f} mm while the table sank {table_sunk_mm:.0f} mm"
     return ""

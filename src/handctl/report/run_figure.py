@@ -78,21 +78,23 @@ def draw_run(
 
     n = len(hand.digit)
     # In virtual time no tick is late, so the figure has no row for the lateness.
-    timed = bool(log.late_ns.any())  # in virtual time no tick is late
+    has_lateness = bool(log.late_ns.any())  # in virtual time no tick is late
     layout = ConstrainedLayoutEngine(w_pad=LAYOUT_PAD_INCH)
-    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout=layout)
+    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * has_lateness), layout=layout)
     FigureCanvasAgg(figure)
-    figure_grid = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
+    figure_grid = figure.add_gridspec(
+        1 + has_lateness, 1, height_ratios=[8, 1.2][: 1 + has_lateness]
+    )
     grid = figure_grid[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
     figure.suptitle(title)
     _draw_angles(grid[0], log, hand, truth, offset_ns)
     _draw_tensions(grid[1], log, hand, truth, offset_ns)
     _draw_forces(grid[2], log, hand, truth, offset_ns)
-    late = [figure.add_subplot(figure_grid[1])] if timed else []
-    for axes in late:
+    lateness_axes = [figure.add_subplot(figure_grid[1])] if has_lateness else []
+    for axes in lateness_axes:
         axes.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
         axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
-    _add_titles_and_phases(grid, late, log, hand)
+    _add_titles_and_phases(grid, lateness_axes, log, hand)
     figure.legend(
         *_legend_entries(truth is not None),
         loc="outside lower center",
@@ -115,19 +117,19 @@ def _add_titles_and_phases(
         column[-1].set_xlabel("time [s]", fontsize=8)
     for row, label in zip(axes_grid, ROW_LABELS, strict=True):
         row[0].set_ylabel(label)
-    slides = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
+    are_prismatic = [bool(hand.displayed_mean(name).is_prismatic[0]) for name in hand.digit_names]
     for d, axes in enumerate(axes_grid[0]):
         # Otherwise, the label of the first digit is the label of all digits.
-        if d == 0 or len(set(slides)) > 1:
-            axes.set_ylabel("mean joint position [mm]" if slides[d] else ROW_LABELS[0])
+        if d == 0 or len(set(are_prismatic)) > 1:
+            axes.set_ylabel("mean joint position [mm]" if are_prismatic[d] else ROW_LABELS[0])
     for axes in (*axes_grid.flat, *lateness_axes):
         axes.grid(alpha=0.3)
         axes.margins(x=0)
         axes.tick_params(labelsize=8)
-    acting = np.flatnonzero(np.isin(log.mode, (int(HandMode.ACTIVE), int(HandMode.RELAX))))
-    if len(acting):
-        start = max(0.0, log.times[acting[0]] - 0.2)
-        end = log.times[acting[-1]] + 0.1
+    torque_ticks = np.flatnonzero(np.isin(log.mode, (int(HandMode.ACTIVE), int(HandMode.RELAX))))
+    if len(torque_ticks):
+        start = max(0.0, log.times[torque_ticks[0]] - 0.2)
+        end = log.times[torque_ticks[-1]] + 0.1
         for axes in (axes_grid[0, 0], *lateness_axes):
             axes.set_xlim(start, end)
         for row in (axes_grid[0], axes_grid[2]):
@@ -166,7 +168,7 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
                 "plant, for forces the sum of all contact forces",
             )
         )
-    return [mark for mark, _ in samples_and_texts], [text for _, text in samples_and_texts]
+    return [handle for handle, _ in samples_and_texts], [text for _, text in samples_and_texts]
 
 
 def _draw_angles(
@@ -175,15 +177,17 @@ def _draw_angles(
     """Draw the mean joint angle of each digit: estimate, command and true value."""
     factors = np.array([hand.displayed_mean(name).factor[0] for name in hand.digit_names])
     goal, estimate = (factors * mean_angles(hand, log.field(name)) for name in ("q_goal", "q"))
-    real = None
+    true_angles = None
     if truth is not None:
         table = truth.interpolated_columns(
             [f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns
         )
-        real = factors * mean_angles(hand, table)
+        true_angles = factors * mean_angles(hand, table)
     for d, (axes, colour) in enumerate(zip(axes_row, digit_colours(hand), strict=True)):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.8)
-        _draw_command_and_truth(axes, log, goal[:, d], None if real is None else real[:, d])
+        _draw_command_and_truth(
+            axes, log, goal[:, d], None if true_angles is None else true_angles[:, d]
+        )
 
 
 def _draw_command_and_truth(
@@ -218,18 +222,18 @@ def _draw_tensions(
             low = estimate[:, i] - sigma[:, i]
             high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
-            real = (
+            true_tensions = (
                 None
                 if truth is None
                 else truth.interpolated_column(f"tension/{name}", log.t_ns + offset_ns)
             )
-            _draw_command_and_truth(axes, log, goal[:, i], real)
+            _draw_command_and_truth(axes, log, goal[:, i], true_tensions)
         if len(names) > 1:
             axes.legend(loc="upper left", fontsize=6, frameon=False)
     # If a load cell is wrong, the command and the true tension may be far above the estimated
     # tension.
-    drawn = np.concatenate([line.get_ydata() for axes in axes_row for line in axes.lines])
-    axes_row[0].set_ylim(-2, float(np.fmax.reduce(drawn, initial=9.0)) * 1.15)
+    drawn_values = np.concatenate([line.get_ydata() for axes in axes_row for line in axes.lines])
+    axes_row[0].set_ylim(-2, float(np.fmax.reduce(drawn_values, initial=9.0)) * 1.15)
 
 
 def _draw_forces(
@@ -299,10 +303,10 @@ def _mark_positions(
         # If a mark is near the end of the axis, the name is written to the left of the line that
         # marks the time.
         left = t_s if t_s + width <= time_limits_s[1] else t_s - width
-        taken = {place[1] for place in positions if place and abs(place[0] - left) < width}
-        free = [height for height in MARK_HEIGHTS if height not in taken]
-        inside = time_limits_s[0] <= t_s <= time_limits_s[1]
-        positions.append((left, free[0]) if inside and free else None)
+        taken_heights = {place[1] for place in positions if place and abs(place[0] - left) < width}
+        free_heights = [height for height in MARK_HEIGHTS if height not in taken_heights]
+        is_inside = time_limits_s[0] <= t_s <= time_limits_s[1]
+        positions.append((left, free_heights[0]) if is_inside and free_heights else None)
     return positions
 
 

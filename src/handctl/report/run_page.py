@@ -118,14 +118,14 @@ def _number_table(
 ) -> str:
     """Return the HTML table with the numbers of a run."""
     summary = summarise_run(log, hand, truth, offset_ns)
-    late = summary["late_us"]
+    lateness_us = summary["late_us"]
     factor, unit = tracking_text(summary)
     frames = frame_counts(log, hand)
     rows = [
         ("ticks", f"{summary['ticks']} at {summary['rate_hz']:g} Hz, {summary['missed']} missed"),
         (
             "lateness p50 / p99.9 / max",
-            " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else "",
+            " / ".join(f"{us:.0f}" for us in lateness_us.values()) + " us" if len(log) else "",
         ),
         ("frames late", f"{frames.late_frames}"),
         ("frames lost", f"{frames.lost_frames}"),
@@ -188,14 +188,15 @@ def _run_image(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: in
 
 def _fault_counts(log: RunLog) -> str:
     """Return HTML lines with each reported fault, the number of reports, and the time of the first report."""
-    first: dict[str, float] = {}
+    first_time_by_fault: dict[str, float] = {}
     counts: Counter[str] = Counter()
     for event in _events_named(log, "fault"):
         fault = event.event.text.partition(":")[0]
-        first.setdefault(fault, event.t_ns / 1e9)
+        first_time_by_fault.setdefault(fault, event.t_ns / 1e9)
         counts[fault] += 1
     lines = (
-        f"{_escaped_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items()
+        f"{_escaped_text(fault)}: {counts[fault]}, first at {t:.3f} s"
+        for fault, t in first_time_by_fault.items()
     )
     return "<br>".join(lines) or "none"
 
@@ -217,7 +218,7 @@ def _events_named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
 def _event_table(log: RunLog) -> str:
     """Return the HTML table of the events of a run."""
     hidden_event_count = len(log.events) - MAX_EVENTS
-    more = (
+    more_text = (
         f"<p>and {hidden_event_count} more: handctl log info</p>" if hidden_event_count > 0 else ""
     )
     rows = (
@@ -226,4 +227,4 @@ def _event_table(log: RunLog) -> str:
         f"<td>{_escaped_text(event.name)}</td><td>{_escaped_text(event.text)}</td></tr>"
         for _, t_ns, event in log.events[:MAX_EVENTS]
     )
-    return "<table>" + "".join(rows) + "</table>" + more
+    return "<table>" + "".join(rows) + "</table>" + more_text

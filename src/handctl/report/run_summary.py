@@ -57,7 +57,7 @@ def summarise_run(
         the numbers and texts, by name.
     """
     truth = truth if truth and truth.covers_any_time(log.t_ns + offset_ns) else None
-    late = log.late_ns / 1e3
+    lateness_us = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
         "hand": hand.name,
@@ -65,16 +65,16 @@ def summarise_run(
         "missed": int(log.k[-1]) + 1 - len(log) if len(log) else 0,
         "rate_hz": 1e9 / log.header.period_ns,
         "late_us": {
-            "p50": _percentile(late, 50.0),
-            "p99_9": _percentile(late, 99.9),
-            "max": float(late.max(initial=0.0)),
+            "p50": _percentile(lateness_us, 50.0),
+            "p99_9": _percentile(lateness_us, 99.9),
+            "max": float(lateness_us.max(initial=0.0)),
         },
     }
-    holds = hold_windows(log, hand)
+    hold_spans = hold_windows(log, hand)
     result |= judge_tracking(log, hand, truth, offset_ns, active)
-    result |= judge_tension(log, hand, truth, offset_ns, active, holds)
-    result |= judge_grasp(log, hand, truth, offset_ns, holds)
-    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, holds)}
+    result |= judge_tension(log, hand, truth, offset_ns, active, hold_spans)
+    result |= judge_grasp(log, hand, truth, offset_ns, hold_spans)
+    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, hold_spans)}
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
@@ -87,8 +87,8 @@ def root_mean_square(values: Array) -> float:
 
     If all values are NaN, the result is NaN.
     """
-    finite = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
+    finite_values = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(finite_values**2))) if finite_values.size else float("nan")
 
 
 def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
@@ -112,11 +112,17 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
         if kinds.get(change.name, change.name[:4]) != "hold":
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
-        inside = (log.k >= change.k) & (log.k < end)
-        window = inside & in_contact & _settled_mask(inside & moving, inside, log)
-        if not window.any() and inside.any():
-            is_far_from_target = np.abs(goal - goal[inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
-            window = inside & in_contact & _settled_mask(inside & is_far_from_target, inside, log)
+        is_inside = (log.k >= change.k) & (log.k < end)
+        window = is_inside & in_contact & _settled_mask(is_inside & moving, is_inside, log)
+        if not window.any() and is_inside.any():
+            is_far_from_target = (
+                np.abs(goal - goal[is_inside][-1]).max(axis=1) > MAX_TARGET_CHANGE_N
+            )
+            window = (
+                is_inside
+                & in_contact
+                & _settled_mask(is_inside & is_far_from_target, is_inside, log)
+            )
         windows.append(window)
     return windows
 
@@ -126,10 +132,10 @@ def _kind_by_phase_name(log: RunLog) -> dict[str, str]:
 
     The result is empty if the log has no valid task.
     """
-    where = "task.toml in the log"
+    location = "task.toml in the log"
     try:
         text = log.header.attachments.get("task.toml", b"").decode()
-        task = validate_content(parse_toml(text, where), Task, where)
+        task = validate_content(parse_toml(text, location), Task, location)
     except (ConfigError, UnicodeDecodeError):
         return {}
     return {phase.name: phase.kind for phase in task.phase}
@@ -139,11 +145,13 @@ def _settled_mask(
     moving_mask: NDArray[np.bool_], inside_mask: NDArray[np.bool_], log: RunLog
 ) -> NDArray[np.bool_]:
     """Return a mask (ticks,) that is True where the targets of a hold phase have been constant for SETTLING_TIME_S."""
-    last = np.flatnonzero(moving_mask)
-    settled: NDArray[np.bool_] = (
-        log.times >= log.times[last[-1] if len(last) else np.argmax(inside_mask)] + SETTLING_TIME_S
+    moving_ticks = np.flatnonzero(moving_mask)
+    settled_mask: NDArray[np.bool_] = (
+        log.times
+        >= log.times[moving_ticks[-1] if len(moving_ticks) else np.argmax(inside_mask)]
+        + SETTLING_TIME_S
     )
-    return settled
+    return settled_mask
 
 
 def mean_angles(hand: Hand, q: Array) -> Array:
@@ -182,22 +190,22 @@ def judge_tracking(
         active_mask: mask (ticks,) that is True where the hand is active.
     """
     goal = mean_angles(hand, log.field("q_goal"))
-    free = active_mask[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
-    unknown = {
+    free_motion_mask = active_mask[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
+    nan_result = {
         "tracking_rmse_rad": float("nan"),
         "tracking_rmse_deg": {},
         "tracking_rmse_joint_deg": {},
     }
     if truth is None:
-        return unknown
+        return nan_result
     joint_angles = truth.interpolated_columns(
         [f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns
     )
-    real = mean_angles(hand, joint_angles)
-    touched = _contact_mask(truth, hand, log, offset_ns)
-    error = np.where(free & ~touched, goal - real, np.nan)
+    true_angles = mean_angles(hand, joint_angles)
+    touch_mask = _contact_mask(truth, hand, log, offset_ns)
+    error = np.where(free_motion_mask & ~touch_mask, goal - true_angles, np.nan)
     error_by_digit = {
-        name: float(hand.displayed_mean(name).displayed(root_mean_square(error[:, d]))[0])
+        name: float(hand.displayed_mean(name).to_displayed(root_mean_square(error[:, d]))[0])
         for d, name in enumerate(hand.digit_names)
     }
     unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
@@ -205,7 +213,9 @@ def judge_tracking(
         np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
     )
     joints = np.where(
-        (free & ~touched)[:, digit_of_joint], log.field("q_goal") - joint_angles, np.nan
+        (free_motion_mask & ~touch_mask)[:, digit_of_joint],
+        log.field("q_goal") - joint_angles,
+        np.nan,
     )
     error_by_joint = {
         name: hand.display_units.factor[j] * root_mean_square(joints[:, j])
@@ -256,17 +266,17 @@ def judge_tension(
     if truth is None:
         return dict.fromkeys(TENSION_ERROR_KEYS, float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
-    real = truth.interpolated_columns(names, log.t_ns + offset_ns)
+    true_tensions = truth.interpolated_columns(names, log.t_ns + offset_ns)
     # When a tick uses a load-cell reading, the reading is one control period old.
-    before = truth.interpolated_columns(names, log.t_ns - log.header.period_ns + offset_ns)
+    columns_before = truth.interpolated_columns(names, log.t_ns - log.header.period_ns + offset_ns)
     # One of the two tendons of a spool pair is always taut.
-    taut = active_mask[:, None] & ((real > 0.5) | hand.is_pair)
-    error = np.where(_holding_mask(log, hand), log.field("tension_goal") - real, np.nan)
+    is_taut = active_mask[:, None] & ((true_tensions > 0.5) | hand.is_pair)
+    error = np.where(_holding_mask(log, hand), log.field("tension_goal") - true_tensions, np.nan)
     columns = [column[~np.isnan(column)] for hold in hold_masks for column in error[hold].T]
     columns = [column for column in columns if len(column)]
     errors = (
-        root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
-        root_mean_square(np.where(taut, log.field("tension_raw") - before, np.nan)),
+        root_mean_square(np.where(is_taut, log.field("tension") - true_tensions, np.nan)),
+        root_mean_square(np.where(is_taut, log.field("tension_raw") - columns_before, np.nan)),
         max((abs(float(column.mean())) for column in columns), default=float("nan")),
         max((float(np.abs(column).max()) for column in columns), default=float("nan")),
     )
@@ -287,8 +297,8 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
         tendon_directions(DigitModel.from_hand(hand, name), hand.is_pair[hand.digit_tendons[name]])
         for name in hand.digit_names
     ]
-    carries = np.array([name in hand.carrier_digits for name in hand.digit_names])
-    can_hold_tension = (np.concatenate(side) != 0.0) & ~carries[digit_of_tendon]
+    is_carrier = np.array([name in hand.carrier_digits for name in hand.digit_names])
+    can_hold_tension = (np.concatenate(side) != 0.0) & ~is_carrier[digit_of_tendon]
     return np.asarray((log.field("contact") > 0.0)[:, digit_of_tendon] & can_hold_tension)
 
 
@@ -310,13 +320,13 @@ def judge_grasp(
         offset_ns: time on the simulator's clock when the time of the run is 0 [ns].
         hold_masks: mask (ticks,) for each hold, True where the hold is settled.
     """
-    settled = np.any(hold_masks, axis=0) if hold_masks else np.zeros(len(log), dtype=bool)
-    estimated = log.field("tip_force")[settled]
+    settled_mask = np.any(hold_masks, axis=0) if hold_masks else np.zeros(len(log), dtype=bool)
+    estimated = log.field("tip_force")[settled_mask]
     mean_forces = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
     result: dict[str, Any] = {
         "tip_equivalent_force_n": dict(zip(hand.digit_names, mean_forces.tolist(), strict=True))
     }
-    if truth is None or not settled.any():
+    if truth is None or not settled_mask.any():
         return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
     t_ns = log.t_ns + offset_ns
     force = {
@@ -324,7 +334,9 @@ def judge_grasp(
             np.mean(
                 np.sqrt(
                     sum(
-                        truth.interpolated_column(f"contact_force/{name}/{axis}", t_ns[settled])
+                        truth.interpolated_column(
+                            f"contact_force/{name}/{axis}", t_ns[settled_mask]
+                        )
                         ** 2
                         for axis in "xyz"
                     )
@@ -336,7 +348,7 @@ def judge_grasp(
     motion = float("nan")
     is_object_on_table = (
         truth.has_column(TABLE_DEPTH_COLUMN)
-        and not truth.interpolated_column(TABLE_DEPTH_COLUMN, t_ns[settled]).any()
+        and not truth.interpolated_column(TABLE_DEPTH_COLUMN, t_ns[settled_mask]).any()
     )
     if truth.has_column("object/x") and not is_object_on_table:
         paths = [
@@ -374,17 +386,17 @@ def judge_angles(
         (fraction of the errors within two standard deviations). Without true values, `error_deg`
         and `inside` are NaN.
     """
-    inside = np.any(hold_masks, axis=0) if hold_masks and np.any(hold_masks) else active_mask
-    q = log.field("q")[inside]
-    sigma = log.field("q_sigma")[inside]
+    hold_mask = np.any(hold_masks, axis=0) if hold_masks and np.any(hold_masks) else active_mask
+    q = log.field("q")[hold_mask]
+    sigma = log.field("q_sigma")[hold_mask]
     error = np.full_like(q, np.nan)
     if truth is not None:
         error = q - truth.interpolated_columns(
-            [f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns
+            [f"q/{joint}" for joint in hand.joints], log.t_ns[hold_mask] + offset_ns
         )
     angles = {}
     for name, joints in hand.digit_joints.items():
-        finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
+        is_finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
         is_within_two_sigma = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
         unit = hand.displayed_mean(name)
         scale = 1.0 if unit.is_prismatic[0] else hand.display_units.scale[joints]
@@ -392,7 +404,9 @@ def judge_angles(
             "source": angle_source(hand, name),
             "sigma_deg": float(unit.factor[0] * root_mean_square(sigma[:, joints] / scale)),
             "error_deg": float(unit.factor[0] * root_mean_square(error[:, joints] / scale)),
-            "inside": float(is_within_two_sigma[finite].mean()) if finite.any() else float("nan"),
+            "inside": float(is_within_two_sigma[is_finite].mean())
+            if is_finite.any()
+            else float("nan"),
         }
         if unit.is_prismatic[0]:
             angles[name]["unit"] = unit.names[0]

@@ -66,19 +66,26 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
         else:
             _draw_palm(axes, hand)
         paths = tree.points(q[index])
-        turned = link_rotations(tree.poses(q[index]))
+        turned_link_rotations = link_rotations(tree.poses(q[index]))
         # In this projection, a digit with a larger z lies behind the others, so it is drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             # The object pushes the fingertip against the direction in which the digit closes, which
             # is the y axis of the last link.
-            push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
-            shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
+            push = (
+                -max(float(force[index, d]), 0.0)
+                * turned_link_rotations[digits[d].joints][-1, :, 1]
+            )
+            link_mesh_list = [
+                meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)
+            ]
             for mesh, position, rotation in zip(
-                shown, paths[d], turned[digits[d].joints], strict=False
+                link_mesh_list, paths[d], turned_link_rotations[digits[d].joints], strict=False
             ):
                 if mesh:
                     _draw_mesh(axes, mesh.triangles @ rotation.T + position, colours[d])
-            _draw_digit(axes, paths[d], push, colours[d], [mesh is not None for mesh in shown])
+            _draw_digit(
+                axes, paths[d], push, colours[d], [mesh is not None for mesh in link_mesh_list]
+            )
         _write_force_values(axes, force[index], colours)
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
@@ -158,8 +165,8 @@ def _draw_digit(
         has_mesh: True for each link that is drawn as a mesh.
     """
     path = _project_points(joints)
-    single = [path[i : i + 2] for i, meshed in enumerate(has_mesh) if not meshed]
-    for line in single if any(has_mesh) else [path]:
+    line_segments = [path[i : i + 2] for i, meshed in enumerate(has_mesh) if not meshed]
+    for line in line_segments if any(has_mesh) else [path]:
         axes.plot(
             *line.T,
             color=colour,
@@ -207,15 +214,15 @@ def _draw_scale_bar(
 def _middle_ticks_of_phases(log: RunLog) -> list[tuple[str, int]]:
     """Return the name and the index of the middle tick of each phase in which the hand is active."""
     changes = log.phases
-    ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
+    end_ticks = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middle_ticks = [
         (c.name, int(np.searchsorted(log.k, (c.k + end) // 2)))
-        for c, end in zip(changes, ends, strict=True)
+        for c, end in zip(changes, end_ticks, strict=True)
     ]
-    inside = [
+    phases_inside = [
         (name, i) for name, i in middle_ticks if name not in PASSIVE_PHASES and i < len(log)
     ]  # the log may contain the ticks in a different order
-    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][
+    return [(name, i) for name, i in phases_inside if log.mode[i] == int(HandMode.ACTIVE)][
         : 2 * POSES_PER_ROW
     ]
 
@@ -225,14 +232,14 @@ def draw_lateness(log: RunLog) -> str:
 
     A tick with a larger lateness counts as late.
     """
-    late = log.late_ns / 1e3
-    if not late.any():
+    lateness_us = log.late_ns / 1e3
+    if not lateness_us.any():
         return "<p>No tick began late: this run was in virtual time.</p>"
     figure, (axes,) = _new_figure(1, 6.0, 2.2)
     quarter_period_us = log.header.period_ns / 4e3
     axes.hist(
-        late,
-        bins=np.linspace(0.0, max(quarter_period_us, float(late.max(initial=0.0))), 80),
+        lateness_us,
+        bins=np.linspace(0.0, max(quarter_period_us, float(lateness_us.max(initial=0.0))), 80),
         color=DIGIT_COLOURS[0],
     )
     axes.axvline(quarter_period_us, color=DIGIT_COLOURS[3], linewidth=0.8)
@@ -258,7 +265,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
         the picture, and the largest load of each bus (buses,) in any time window of
         `LOAD_WINDOW_S`. If the run is shorter than the window, the whole run is one window.
     """
-    busy = np.zeros((len(log), len(hand.bus)))
+    bus_loads = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
         for frame in (*tick.tick_in.frames, *tick.frames):
             if frame.bus < len(hand.bus):
@@ -266,14 +273,14 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
                 extended = bool(frame.can_id & EXTENDED_FLAG)
-                busy[i, frame.bus] += frame_time_s(
+                bus_loads[i, frame.bus] += frame_time_s(
                     size, fd, bus.bitrate, bus.data_bitrate, extended
                 )
     window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
-    load = busy
+    load = bus_loads
     if len(log):
-        load = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T])
+        load = np.column_stack([np.convolve(column, kernel, "same") for column in bus_loads.T])
     figure, (axes,) = _new_figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
         axes.plot(

@@ -119,28 +119,28 @@ def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int)
         OSError: a file cannot be read or written.
     """
     with source_path.open("rb") as file:
-        head = file.readline()
+        header_line = file.readline()
         try:
-            size = 8 * (len(json.loads(head)["columns"]) + 1)
+            size = 8 * (len(json.loads(header_line)["columns"]) + 1)
         except (ValueError, KeyError, TypeError) as error:
-            right = "a JSON line and float64 rows"
-            raise LogError(f"is not a truth file: {error}", str(source_path), right) from None
-        count = (file.seek(0, os.SEEK_END) - len(head)) // size
+            expected = "a JSON line and float64 rows"
+            raise LogError(f"is not a truth file: {error}", str(source_path), expected) from None
+        count = (file.seek(0, os.SEEK_END) - len(header_line)) // size
 
         def time_of_row(row: int) -> int:
-            file.seek(len(head) + size * row)
+            file.seek(len(header_line) + size * row)
             return int.from_bytes(file.read(8), "little", signed=True)
 
-        first = bisect_left(range(count), start_ns, key=time_of_row)
-        last = bisect_right(range(count), end_ns, lo=first, key=time_of_row)
-        if first == last:
+        first_row = bisect_left(range(count), start_ns, key=time_of_row)
+        end_row = bisect_right(range(count), end_ns, lo=first_row, key=time_of_row)
+        if first_row == end_row:
             return 0
-        file.seek(len(head) + size * first)
+        file.seek(len(header_line) + size * first_row)
         with target_path.open("wb") as copy:
-            copy.write(head)
-            for row in range(first, last, ROWS_PER_BLOCK):
-                copy.write(file.read(size * min(ROWS_PER_BLOCK, last - row)))
-    return last - first
+            copy.write(header_line)
+            for row in range(first_row, end_row, ROWS_PER_BLOCK):
+                copy.write(file.read(size * min(ROWS_PER_BLOCK, end_row - row)))
+    return end_row - first_row
 
 
 def truth_path_of(log_path: Path) -> Path:

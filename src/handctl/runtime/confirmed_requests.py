@@ -65,8 +65,8 @@ def report_absent_controller(bus: str) -> Iterator[None]:
     Raises:
         BusError: the bus is local, and had no mailbox before the block and none after it.
     """
-    simulated = bus.startswith(LOCAL_BUS_PREFIX)
-    mailbox_may_exist = not simulated or os.path.lexists(mailbox_path(bus))
+    is_simulated = bus.startswith(LOCAL_BUS_PREFIX)
+    mailbox_may_exist = not is_simulated or os.path.lexists(mailbox_path(bus))
     try:
         yield
     except UnconfirmedError:
@@ -98,15 +98,15 @@ def send_with_confirmation(
     name = f"{os.getpid()}-{next(_request_numbers)}"
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
-    sent = False
+    is_sent = False
     reason = CONTROLLER_SILENT_TEXT
     watcher.discard_status_lines()
     while (left := end - time.monotonic()) > 0.0:
-        if is_repeated or not sent:
-            sent, reason = _try_send_request(
+        if is_repeated or not is_sent:
+            is_sent, reason = _try_send_request(
                 watcher, data, min(left, REQUEST_REPEAT_PERIOD_S) if is_repeated else left
             )
-        if not sent:
+        if not is_sent:
             if not (is_repeated or reason == MAILBOX_FULL_TEXT):
                 break
             time.sleep(min(left, SEND_RETRY_PERIOD_S))
@@ -196,17 +196,17 @@ def wait_until_drives_off(
                 command_word,
                 f"accepted, but the hand is still in mode {line['mode']}",
             )
-        new = None
+        new_status = None
         last_line = time.monotonic()
-        while new is None:
+        while new_status is None:
             if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
                     watcher.name,
                     command_word,
                     f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
-            new = watcher.next_status_line(0.0) or _subscribe_again(watcher)
-        line = new
+            new_status = watcher.next_status_line(0.0) or _subscribe_again(watcher)
+        line = new_status
 
 
 def are_drives_off(line: StatusLine) -> bool:

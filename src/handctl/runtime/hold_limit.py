@@ -36,12 +36,12 @@ class HoldLimit:
         self._requests.clear()
         return requests
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Observe a tick, see ``RunObserver``."""
-        for event in out.events:
+        for event in tick_output.events:
             if event.name == "fault":
                 self._fault = event.text
-        if out.mode != HandMode.ACTIVE or out.action < SafetyAction.HOLD:
+        if tick_output.mode != HandMode.ACTIVE or tick_output.action < SafetyAction.HOLD:
             self._hold_start_ns = -1
             return
         if self._hold_start_ns < 0:
@@ -50,12 +50,12 @@ class HoldLimit:
             self.stop_reason = self._fault or "a fault"
             self._requests.append(STOP_REQUEST)
 
-    def raise_if_stopped(self, where: str) -> None:
+    def raise_if_stopped(self, location: str) -> None:
         """Raise an error if this observer has stopped the run.
 
         Raises:
             DriveError: a fault held the hand for too long.
         """
         if self.stop_reason:
-            right = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"
-            raise DriveError(f"held for {MAX_HOLD_S:g} s by {self.stop_reason}", where, right)
+            expected = "a hand without this fault; if it oscillates, try handctl tune design, then handctl gains apply"
+            raise DriveError(f"held for {MAX_HOLD_S:g} s by {self.stop_reason}", location, expected)

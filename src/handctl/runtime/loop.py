@@ -157,7 +157,7 @@ def _skip_snapshot(entry: TickIn, state: object) -> None:
     """Do nothing. This function takes the place of a recorder of snapshots, if the run has none."""
 
 
-def _skip_publication(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> None:
+def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
     This function takes the place of the programs that observe the run, if there are none.
@@ -175,7 +175,7 @@ class ControlLoop(Generic[S]):
             buses of a hand.
         begin_tick: function that begins a tick, given the last state of the controller and the
             received frames.
-        cut_frames: frames that remove the torque of all motors, which are built before the run.
+        torque_cut_frames: frames that remove the torque of all motors, which are built before the run.
         take_requests: function that returns the requests of operators and programs since the last
             call of the function.
         take_host_events: function that returns the events of the recorder and the host since the
@@ -201,7 +201,7 @@ class ControlLoop(Generic[S]):
     period_ns: int
     buses: Sequence[LoopBus]
     begin_tick: Callable[[S, TickIn], TickInProgress[S]]
-    cut_frames: Sequence[Frame]
+    torque_cut_frames: Sequence[Frame]
     take_requests: Callable[[], tuple[TickRequest, ...]]
     take_host_events: Callable[[], list[IoEvent]]
     record_tick: Callable[[TickIn, TickOut], None]
@@ -245,14 +245,14 @@ class ControlLoop(Generic[S]):
             PowerError: after an error, a drive has not reported that it is disabled. The error in
                 the tick is the cause of this exception.
         """
-        last = [state]
+        last_state = [state]
         try:
-            return self._run(last)
+            return self._run(last_state)
         except Exception as error:
             left: tuple[str, ...] = ("the drives are unknown, because their query failed as well",)
             try:
                 self._send_torque_cut()
-                left = self._poll_until_disabled(last[0])
+                left = self._poll_until_disabled(last_state[0])
             finally:
                 if left:
                     raise PowerError(
@@ -273,8 +273,8 @@ class ControlLoop(Generic[S]):
             self._k + 1, self._k + 2 + DISABLE_CONFIRMATION_TIMEOUT_NS // self.period_ns
         ):
             self.clock.wait(k)
-            received = [frame for bus in self.buses for frame in bus.drain()]
-            state, frames, left = self.disable_drives(state, k * self.period_ns, received)
+            received_frames = [frame for bus in self.buses for frame in bus.drain()]
+            state, frames, left = self.disable_drives(state, k * self.period_ns, received_frames)
             if not left:
                 break
             self._send(frames)
@@ -287,7 +287,7 @@ class ControlLoop(Generic[S]):
         """
         is_single_bus = len(self.buses) == 1
         left = [
-            (bus, [f for f in self.cut_frames if f.bus == index or is_single_bus])
+            (bus, [f for f in self.torque_cut_frames if f.bus == index or is_single_bus])
             for index, bus in enumerate(self.buses)
         ]
         for _ in range(TORQUE_CUT_ATTEMPTS):
@@ -303,12 +303,12 @@ class ControlLoop(Generic[S]):
         """
         if not unsent_frames:
             return
-        (bus, frames), *others = unsent_frames
+        (bus, frames), *other_frames = unsent_frames
         try:  # the recursion in ``finally`` sends on the other buses before the error is raised
             if frames:
                 del frames[: bus.send(frames)]
         finally:
-            self._send_torque_cut_once(others)
+            self._send_torque_cut_once(other_frames)
 
     def _warm_up(self, state: S) -> None:
         """Execute a tick before the run, and discard the result.
@@ -331,12 +331,12 @@ class ControlLoop(Generic[S]):
         mode = HandMode.SILENT
         while mode != HandMode.DONE:
             self._k = k
-            late = self.clock.wait(k)
+            late_ns = self.clock.wait(k)
             # Ticks that were missed are skipped and not made up for.
-            skipped = late // self.period_ns
-            k += skipped
+            skipped_ticks = late_ns // self.period_ns
+            k += skipped_ticks
             self._k = k
-            entry = self._collect_tick_input(k, late - skipped * self.period_ns)
+            entry = self._collect_tick_input(k, late_ns - skipped_ticks * self.period_ns)
             tick = self.begin_tick(last_state[0], entry)
             requests = self.take_requests()
             tick.decide(requests)
@@ -350,17 +350,17 @@ class ControlLoop(Generic[S]):
             last_state[0] = tick.state
             self._send(frames)
             sent_ns = time.monotonic_ns()
-            last_state[0], out = tick.conclude()
-            self.publish_tick(entry, out, last_state[0], sent_ns)
-            self.record_tick(entry, out)
+            last_state[0], tick_output = tick.conclude()
+            self.publish_tick(entry, tick_output, last_state[0], sent_ns)
+            self.record_tick(entry, tick_output)
             self.keep_snapshot(entry, last_state[0])
-            self._count_tick(entry, skipped, late)
-            self.show_tick(entry, out)
-            mode = out.mode
+            self._count_tick(entry, skipped_ticks, late_ns)
+            self.show_tick(entry, tick_output)
+            mode = tick_output.mode
             k += 1
         return last_state[0]
 
-    def _collect_tick_input(self, k: int, late_ns: int) -> TickIn:
+    def _collect_tick_input(self, k: int, lateness_ns: int) -> TickIn:
         """Return the inputs of a tick: the frames and the events since the last tick."""
         parts: list[Frames] = []
         events = self.take_host_events()
@@ -368,7 +368,7 @@ class ControlLoop(Generic[S]):
             parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
         frames = join_frames(parts)
-        return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events))
+        return TickIn(k, k * self.period_ns, lateness_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:
         """Send each frame on its bus, and count the accepted and the refused frames."""

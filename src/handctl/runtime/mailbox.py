@@ -67,18 +67,18 @@ class Mailbox:
             BusError: another controller is running on this bus, or the socket cannot be created.
         """
         self.path = mailbox_path(name)
-        with ExitStack() as opened:
+        with ExitStack() as exit_stack:
             try:
                 self._lock = _lock_bus(name)
-                opened.callback(os.close, self._lock)
+                exit_stack.callback(os.close, self._lock)
                 self.path.unlink(missing_ok=True)
                 self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                opened.callback(self.socket.close)
+                exit_stack.callback(self.socket.close)
                 request_sender_credentials(self.socket)
                 self.socket.bind(str(self.path))
             except OSError as error:
                 raise _lock_error(name, error) from None
-            opened.pop_all()
+            exit_stack.pop_all()
         self.socket.setblocking(False)
         self.watchers: list[str] = []
         self.askers: list[str] = []
@@ -90,10 +90,10 @@ class Mailbox:
             self.askers = []
         for _ in range(MAX_REQUESTS_PER_TICK):
             try:
-                data, sender, ours = receive_datagram(self.socket, MAX_REQUEST_BYTES)
+                data, sender, is_own_user = receive_datagram(self.socket, MAX_REQUEST_BYTES)
             except BlockingIOError:
                 break
-            if not ours:
+            if not is_own_user:
                 continue
             if data == SUBSCRIBE_REQUEST and sender:
                 if sender in self.watchers:
@@ -271,11 +271,11 @@ class StatusWatcher:
         """Return the next unread status line, or None if none arrives within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
-            data, _, ours = receive_datagram(self.socket, MAX_STATUS_BYTES)
+            data, _, is_own_user = receive_datagram(self.socket, MAX_STATUS_BYTES)
         # With a timeout of 0, the error is a BlockingIOError.
         except (TimeoutError, BlockingIOError):
             return None
-        if not ours:
+        if not is_own_user:
             return None
         line: dict[str, Any] = json.loads(data)
         return line

@@ -138,11 +138,13 @@ class ObservationWriter:
         # one vector at the end of the record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
         assert kind.itemsize == _SCALAR_FIELDS_STRUCT.size + 8 * count
-        starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
-        self._counters = [np.frombuffer(self._map, COUNTER_DTYPE, 1, start) for start in starts]
+        slot_offsets = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
+        self._counters = [
+            np.frombuffer(self._map, COUNTER_DTYPE, 1, start) for start in slot_offsets
+        ]
         self._numbers = [
             np.frombuffer(self._map, "<f8", count, start + 8 + _SCALAR_FIELDS_STRUCT.size)
-            for start in starts
+            for start in slot_offsets
         ]
         self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + len(text)] = text
         HEADER_STRUCT.pack_into(
@@ -151,29 +153,31 @@ class ObservationWriter:
         self._total = np.frombuffer(self._map, COUNTER_DTYPE, 1, WRITTEN_COUNT_OFFSET)
         self._ended = np.frombuffer(self._map, COUNTER_DTYPE, 1, END_MARK_OFFSET)
 
-    def write_record(self, entry: TickIn, out: TickOut, stream: StreamStatus, sent_ns: int) -> None:
+    def write_record(
+        self, entry: TickIn, tick_output: TickOut, stream: StreamStatus, sent_ns: int
+    ) -> None:
         """Write the record of a tick.
 
         Args:
             entry: inputs of the tick.
-            out: output of the tick.
+            tick_output: output of the tick.
             stream: status of the stream of targets that a client has opened.
             sent_ns: reading of CLOCK_MONOTONIC after the commands of the tick had been sent [ns].
         """
-        numbers = out.telemetry
+        numbers = tick_output.telemetry
         assert isinstance(numbers, PackedTelemetry)
-        written = self._written
-        slot = written % RING_RECORDS
+        written_count = self._written
+        slot = written_count % RING_RECORDS
         counter = self._counters[slot]
-        counter[0] = 2 * written + 1
+        counter[0] = 2 * written_count + 1
         _SCALAR_FIELDS_STRUCT.pack_into(
             self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, sent_ns,
-            out.mode, out.action, out.phase.encode()[:24], *stream,
+            tick_output.mode, tick_output.action, tick_output.phase.encode()[:24], *stream,
         )  # fmt: skip
         self._numbers[slot][...] = numbers.numbers
-        counter[0] = 2 * written + 2
-        self._written = written + 1
-        self._total[0] = written + 1
+        counter[0] = 2 * written_count + 2
+        self._written = written_count + 1
+        self._total[0] = written_count + 1
 
     def close(self) -> None:
         """Write the end mark, and remove the file.
@@ -233,12 +237,12 @@ class ObservationReader:
     def latest_record(self) -> NDArray[np.void] | None:
         """Return the latest record as an array of shape (), or None before the first record."""
         for _ in range(COPY_ATTEMPTS):
-            written = self.written_count
-            if written == 0:
+            written_count = self.written_count
+            if written_count == 0:
                 return None
-            record = self.read_record(written - 1)
+            record = self.read_record(written_count - 1)
             if record is not None:
-                self.last_read_number = written
+                self.last_read_number = written_count
                 return record
         return None
 
@@ -248,11 +252,11 @@ class ObservationReader:
         If it has already been overwritten, return the oldest usable record in the ring.
         """
         for _ in range(COPY_ATTEMPTS):
-            written = self.written_count
+            written_count = self.written_count
             # The controller may overwrite the oldest record at any time. Therefore the reader does
             # not use the oldest record.
-            at = max(self.last_read_number, written - self._records + 2)
-            if at >= written:
+            at = max(self.last_read_number, written_count - self._records + 2)
+            if at >= written_count:
                 return None
             record = self.read_record(at)
             if record is not None:
@@ -264,9 +268,9 @@ class ObservationReader:
         """Return the record with the number ``record_index``, or None if the ring buffer does not contain it."""
         start = self._ring_at + self._size * (record_index % self._records)
         data = self._map[start : start + self._size]
-        after = self._map[start : start + 8]
-        complete = (2 * record_index + 2).to_bytes(8, "little")
-        if data[:8] != complete or after != complete:
+        bytes_after = self._map[start : start + 8]
+        complete_mark = (2 * record_index + 2).to_bytes(8, "little")
+        if data[:8] != complete_mark or bytes_after != complete_mark:
             return None
         return np.frombuffer(data, self.kind, 1, 8).reshape(())
 

@@ -30,9 +30,11 @@ def find_simulator(bus: str | None) -> Path:
         return faults_path(bus)
     socket_paths = sorted(run_dir().glob("*.faults"))
     if len(socket_paths) != 1:
-        running = ", ".join(path.stem.replace("_", ":", 1) for path in socket_paths) or "none"
+        running_text = ", ".join(path.stem.replace("_", ":", 1) for path in socket_paths) or "none"
         raise BusError(
-            f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo"
+            f"simulators that run: {running_text}",
+            "--bus",
+            "the bus of one, as in --bus local:demo",
         )
     return socket_paths[0]
 
@@ -61,7 +63,7 @@ def ask_simulator(path: Path, request: dict[str, Any]) -> dict[str, Any]:
     """
     reply_path = run_dir() / f"asking-{os.getpid()}"
     reply_path.unlink(missing_ok=True)
-    where = f"bus {path.stem.replace('_', ':', 1)}"  # the socket local_demo.faults belongs to the bus local:demo
+    location = f"bus {path.stem.replace('_', ':', 1)}"  # the socket local_demo.faults belongs to the bus local:demo
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         try:
             asking.bind(str(reply_path))
@@ -71,10 +73,10 @@ def ask_simulator(path: Path, request: dict[str, Any]) -> dict[str, Any]:
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else "no answer"
             raise BusError(
-                f"no simulator answers ({reason})", where, "a running handctl sim"
+                f"no simulator answers ({reason})", location, "a running handctl sim"
             ) from None
         finally:
             reply_path.unlink(missing_ok=True)
     if "error" in answer:
-        raise ConfigError(str(answer["error"]), where)
+        raise ConfigError(str(answer["error"]), location)
     return answer

@@ -68,18 +68,18 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
         BusError: see ``run_dir``.
     """
     parts = Path(os.path.abspath(path)).parts
-    here = Path(parts[0])
+    folder = Path(parts[0])
     at = os.open(parts[0], FOLDER_OPEN_FLAGS)
     try:
         for number, part in enumerate(parts[1:], 1):
-            here /= part
+            folder /= part
             is_private = number >= len(parts) - private_path_parts
             state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
                 # Only symbolic links that root has created are followed, such as /tmp on macOS.
                 if is_private or state.st_uid != 0 or link_count == MAX_SYMBOLIC_LINKS:
-                    raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
-                target = here.parent / os.readlink(part, dir_fd=at)
+                    raise BusError("is a link", str(folder), PRIVATE_FOLDER_TEXT)
+                target = folder.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(
                     target.joinpath(*parts[number + 1 :]), private_path_parts, link_count + 1
                 )
@@ -89,10 +89,10 @@ def _private_folder(path: Path, private_path_parts: int, link_count: int = 0) ->
             child_fd = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = child_fd
-            (_refuse_shared_folder if is_private else _refuse_unsafe_folder)(here, at)
+            (_refuse_shared_folder if is_private else _refuse_unsafe_folder)(folder, at)
     except OSError as error:
         raise BusError(
-            f"cannot be used: {error.strerror}", str(here), PRIVATE_FOLDER_TEXT
+            f"cannot be used: {error.strerror}", str(folder), PRIVATE_FOLDER_TEXT
         ) from None
     finally:
         os.close(at)

@@ -44,10 +44,10 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
         return data, sender if isinstance(sender, str) else "", True
     data, ancillary, _, sender = link.recvmsg(max_bytes, CONTROL_BUFFER_BYTES)
     users = [
-        CREDENTIALS_STRUCT.unpack(raw)[1]
-        for level, kind, raw in ancillary
+        CREDENTIALS_STRUCT.unpack(raw_bytes)[1]
+        for level, kind, raw_bytes in ancillary
         if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS)
-        and len(raw) == CREDENTIALS_STRUCT.size
+        and len(raw_bytes) == CREDENTIALS_STRUCT.size
     ]
     return (
         data,
@@ -60,8 +60,8 @@ def is_served_by_same_user(link: socket.socket) -> bool:
     """Return True if the process at the other end of a connected stream socket belongs to this user or to root."""
     if not IS_LINUX:
         return True
-    raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
-    return is_trusted_user(CREDENTIALS_STRUCT.unpack(raw)[1])
+    raw_bytes = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
+    return is_trusted_user(CREDENTIALS_STRUCT.unpack(raw_bytes)[1])
 
 
 def is_trusted_user(user_id: int) -> bool:

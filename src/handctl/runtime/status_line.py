@@ -5,20 +5,22 @@ from typing import Any
 from handctl.core.tick_types import TickIn, TickOut
 
 
-def status_of_tick(entry: TickIn, out: TickOut, commander_name: str | None) -> dict[str, Any]:
+def status_of_tick(
+    entry: TickIn, tick_output: TickOut, commander_name: str | None
+) -> dict[str, Any]:
     """Return the content of a tick's status line as plain values. A NaN becomes None.
 
     Args:
         entry: inputs of the tick.
-        out: output of the tick.
+        tick_output: output of the tick.
         commander_name: client that commands the hand, or None if any client may start to command it.
     """
-    numbers = out.telemetry
+    numbers = tick_output.telemetry
     return {
         "k": entry.k,
         "t_s": entry.t_ns / 1e9,
-        "mode": out.mode.name,
-        "phase": out.phase,
+        "mode": tick_output.mode.name,
+        "phase": tick_output.phase,
         "commander": commander_name,
         "late_us": entry.late_ns / 1e3,
         "q_rad": _json_values(numbers.q.tolist()),
@@ -28,7 +30,8 @@ def status_of_tick(entry: TickIn, out: TickOut, commander_name: str | None) -> d
         "tip_force_N": _json_values(numbers.tip_force.tolist()),
         "tip_force_sigma_N": _json_values(numbers.tip_force_sigma.tolist()),
         "events": [
-            {"name": event.name, "where": event.where, "text": event.text} for event in out.events
+            {"name": event.name, "where": event.where, "text": event.text}
+            for event in tick_output.events
         ],
         "contact": [contact_value > 0.5 for contact_value in numbers.contact.tolist()],
     }

@@ -90,10 +90,10 @@ class TargetBox:
         targets: list[StreamTarget] = []
         for _ in range(MAX_DATAGRAMS_PER_TICK):
             try:
-                data, _, ours = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
+                data, _, is_own_user = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
-            if ours and (target := self._decode_datagram(data)) is not None:
+            if is_own_user and (target := self._decode_datagram(data)) is not None:
                 targets.append(target)
         return tuple(targets[-MAX_TARGETS_PER_TICK:])
 

@@ -20,12 +20,18 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
     """Return one line for each missing kind of sensor, with the faults that cannot be detected without this kind."""
     lines = []
     tendons = hand.tendon_names
-    if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:
+    if tendons_without_cell := [
+        name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has
+    ]:
         text = "no load cell: its tension is that of motor, encoder and friction"
         lines.append(
-            f"{shortened_list(bare)}: {text}; not judged: {', '.join(FAULTS_NEEDING_LOAD_CELL)}"
+            f"{shortened_list(tendons_without_cell)}: {text}; not judged: {', '.join(FAULTS_NEEDING_LOAD_CELL)}"
         )
-        if unread := [name for name in bare if not hand.tendons_with_encoders[tendons.index(name)]]:
+        if unread := [
+            name
+            for name in tendons_without_cell
+            if not hand.tendons_with_encoders[tendons.index(name)]
+        ]:
             text = "neither load cell nor joint encoders"
             lines.append(
                 f"{shortened_list(unread)}: {text}; not judged: {', '.join(FAULTS_NEEDING_ENCODERS)}"

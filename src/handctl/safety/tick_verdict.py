@@ -94,25 +94,33 @@ def judge_tick(
     """
     action = demanded_action
     findings = list(detected_faults)
-    present = []
+    present_reports = []
     # A reported fault without a report in this tick is dropped. If the fault is reported again
     # later, the count starts again at 1.
-    before = {(report.id, report.instance): report.ticks for report in reported_faults}
-    for fault, where, value in locate_reports(event_reports):
-        ticks = before.get((fault.id, where), 0) + 1
-        present.append(CountedFault(fault.id, where, ticks))
+    ticks_by_report = {(report.id, report.instance): report.ticks for report in reported_faults}
+    for fault, location, value in locate_reports(event_reports):
+        ticks = ticks_by_report.get((fault.id, location), 0) + 1
+        present_reports.append(CountedFault(fault.id, location, ticks))
         if ticks >= fault.debounce:
             action = max(action, fault.action)
         if ticks == fault.debounce:
-            findings.append(FaultFinding(fault, where, value))
+            findings.append(FaultFinding(fault, location, value))
     # A detector may find a latched fault again, but the log gets no second entry.
-    new = [finding for finding in findings if _latched_fault_of(finding) not in latched_faults]
+    new_findings = [
+        finding for finding in findings if _latched_fault_of(finding) not in latched_faults
+    ]
     latched_faults += tuple(
-        dict.fromkeys(_latched_fault_of(finding) for finding in new if finding.fault.latched)
+        dict.fromkeys(
+            _latched_fault_of(finding) for finding in new_findings if finding.fault.latched
+        )
     )
-    action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched_faults)])
-    new.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
-    return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched_faults, tuple(present))
+    action = max(
+        [action, *(FAULT_BY_ID[latched_fault.id].action for latched_fault in latched_faults)]
+    )
+    new_findings.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
+    return TickVerdict(
+        _ACTION_BY_NUMBER[action], tuple(new_findings), latched_faults, tuple(present_reports)
+    )
 
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
@@ -162,12 +170,12 @@ def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, st
     If a fault is reported several times at the same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
-    for kind, where, value in event_reports:
+    for kind, location, value in event_reports:
         # The location of a recorder event is the kind of the event ("disk_full"). So the key
         # contains the kind as well as the fault.
-        key = f"{kind}:{where}" if kind == "recorder" else kind
+        key = f"{kind}:{location}" if kind == "recorder" else kind
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
-            name = where or kind
+            name = location or kind
             faults[fault.id, name] = (fault, name, value)
     return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
 
@@ -188,15 +196,15 @@ def filter_error_frames(
             B18 cannot occur if this is True.
     """
     kept_frames, error = [], None
-    for one in event_reports:
-        if one[0] != "error_frame":
-            kept_frames.append(one)
+    for event_report in event_reports:
+        if event_report[0] != "error_frame":
+            kept_frames.append(event_report)
         elif (
             error is None
             and not has_node_answered
-            and any(word in one[1] for word in MISSING_ACKNOWLEDGE_TEXTS)
+            and any(word in event_report[1] for word in MISSING_ACKNOWLEDGE_TEXTS)
         ):
-            error = one
+            error = event_report
     return [*kept_frames, error] if error else kept_frames
 
 

@@ -19,21 +19,21 @@ def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
     """
     specs: dict[str, str] = {}
     for number, text in enumerate(bus_arguments):
-        head, equals_sign, spec = text.partition("=")
-        named = bool(equals_sign) and ":" not in head
-        name = head if named else "main" if number == 0 else f"bus{number}"
+        name_part, equals_sign, spec = text.partition("=")
+        is_named = bool(equals_sign) and ":" not in name_part
+        name = name_part if is_named else "main" if number == 0 else f"bus{number}"
         if name in specs or not NAME_PATTERN.fullmatch(name):
             raise ConfigError(
                 repr(text),
                 "--bus",
                 "SPEC, or NAME=SPEC with every name once, of letters, digits and _",
             )
-        specs[name] = spec if named else text
+        specs[name] = spec if is_named else text
         check_bus_spec(specs[name])
     return specs
 
 
-def refuse_default_hand(bus_specs: Sequence[str], where: str) -> None:
+def refuse_default_hand(bus_specs: Sequence[str], location: str) -> None:
     """Raise an error if the operator named no hand although a bus may have real motors.
 
     In this case the operator must name the hand, because the limits of the default hand belong to
@@ -41,11 +41,13 @@ def refuse_default_hand(bus_specs: Sequence[str], where: str) -> None:
 
     Args:
         bus_specs: specifications of the buses.
-        where: name of the argument that is missing, for the error message.
+        location: name of the argument that is missing, for the error message.
 
     Raises:
         ConfigError: a bus may have real motors.
     """
-    if real := real_buses(bus_specs):
-        right = f"the file of the connected hand; the default {DEFAULT_HAND!r} is only for simulated buses"
-        raise ConfigError(f"no hand is given, and {real[0]} may have real motors", where, right)
+    if hardware_buses := real_buses(bus_specs):
+        expected = f"the file of the connected hand; the default {DEFAULT_HAND!r} is only for simulated buses"
+        raise ConfigError(
+            f"no hand is given, and {hardware_buses[0]} may have real motors", location, expected
+        )

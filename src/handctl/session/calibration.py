@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from handctl.core.calibration import Calibration, TendonCalibration, calibration_from
+from handctl.core.calibration import Calibration, TendonCalibration, parse_calibration
 from handctl.core.identified_parameters import IdentifiedParameters
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -41,7 +41,7 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
         ConfigError: the file cannot be read, belongs to another hand or to another version of the
             hand's description, or lacks a tendon.
     """
-    return calibration_from(read_toml(path), hand, str(path))
+    return parse_calibration(read_toml(path), hand, str(path))
 
 
 def find_calibration(
@@ -67,11 +67,11 @@ def find_calibration(
         return None, f"there is no {path}"
     try:
         calibration = load_calibration(path, hand)
-        if calibration.simulated and (real := real_buses(buses)):
+        if calibration.simulated and (hardware_buses := real_buses(buses)):
             raise ConfigError(
                 "is of a simulated hand",
                 str(path),
-                f"a calibration of the hand on {real[0]}: handctl commission",
+                f"a calibration of the hand on {hardware_buses[0]}: handctl commission",
             )
     except ConfigError as error:
         if is_file_named:
@@ -104,14 +104,14 @@ def run_commissioning(
     outcome = runner(plan, controller, log)
     outcome.raise_if_not_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
     is_lockstep = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
-    now = LOCKSTEP_CALIBRATION_DATE if is_lockstep else datetime.datetime.now(datetime.UTC)
+    present_date = LOCKSTEP_CALIBRATION_DATE if is_lockstep else datetime.datetime.now(datetime.UTC)
     calibration = calibration_of_result(
-        controller.model, outcome.state.progress, now.isoformat(timespec="seconds")
+        controller.model, outcome.state.progress, present_date.isoformat(timespec="seconds")
     )
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
     drives = {drive.name: drive.identity(state) for drive, state in drive_states}
-    simulated = is_lockstep or plan.is_simulated
-    return calibration.model_copy(update={"drive": drives, "simulated": simulated}), outcome
+    is_simulated = is_lockstep or plan.is_simulated
+    return calibration.model_copy(update={"drive": drives, "simulated": is_simulated}), outcome
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -119,9 +119,9 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
-    for optional in ("drive", "simulated"):
-        if not rows[optional]:
-            del rows[optional]
+    for optional_key in ("drive", "simulated"):
+        if not rows[optional_key]:
+            del rows[optional_key]
     text = toml_text(rows) + "".join(
         f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items()
     )
@@ -144,18 +144,18 @@ def previous_identified_parameters(
         show_notice: function that shows a notice to the operator.
     """
     try:
-        before = load_calibration(path, hand) if path.exists() else None
+        calibration_before = load_calibration(path, hand) if path.exists() else None
     except ConfigError:
         return {}
-    if before is None:
+    if calibration_before is None:
         return {}
-    if drives and before.drive and before.drive != drives:
-        if before.identified:
+    if drives and calibration_before.drive and calibration_before.drive != drives:
+        if calibration_before.identified:
             show_notice(
                 f"handctl: caution: {path}: was made with other drives, so their identified parameters are left out"
             )
         return {}
-    return before.identified
+    return calibration_before.identified
 
 
 def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedParametersByTendon:
@@ -185,9 +185,9 @@ def homed_calibration(hand: Hand, identified: IdentifiedParametersByTendon) -> C
     """Return the calibration of a simulated hand that starts with taut tendons and zero encoder readings."""
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
-    made = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")
+    date_text = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")
     return Calibration(
-        hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified
+        hand=hand.name, identity=hand.identity, made=date_text, tendon=rows, identified=identified
     )
 
 
@@ -212,7 +212,9 @@ def ensure_calibration(
     """
     plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     calibration, _ = run_commissioning(plan, log, runner)
-    previous = previous_identified_parameters(path, plan.hand, calibration.drive, plan.show_notice)
-    calibration = calibration.model_copy(update={"identified": previous})
+    previous_parameters = previous_identified_parameters(
+        path, plan.hand, calibration.drive, plan.show_notice
+    )
+    calibration = calibration.model_copy(update={"identified": previous_parameters})
     write_calibration(path, calibration)
     return calibration

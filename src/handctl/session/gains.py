@@ -62,15 +62,15 @@ def layered_gains(
     """
     default = Path(f"{hand.name}.gains.toml")
     gains_file = gains_file or (default if default.exists() else None)
-    loaded = read_gains_for_hand(hand, gains_file, show_notice) if gains_file else None
-    base = loaded.gains if loaded else packaged_gains(hand.name)
+    loaded_gains = read_gains_for_hand(hand, gains_file, show_notice) if gains_file else None
+    base = loaded_gains.gains if loaded_gains else packaged_gains(hand.name)
     values = gain_assignments(assignment_words, "--gain")
     gains = gains_with_values(base, values, "--gain") if values else base
     origins = {
         key: _origin_of(base, key, gains_file) for key in values_by_key(base)
     } | dict.fromkeys(values, COMMAND_LINE_ORIGIN)
     return LayeredGains(
-        gains, gains_file, loaded.provenance if loaded else GainsProvenance(), origins
+        gains, gains_file, loaded_gains.provenance if loaded_gains else GainsProvenance(), origins
     )
 
 
@@ -86,12 +86,16 @@ def read_gains_for_hand(
         ConfigError: the file cannot be used, or is for another hand.
     """
     file = load_gains_file(path)
-    made = file.provenance
-    if made.hand not in ("", hand.name):
-        raise ConfigError(f"is for hand {made.hand!r}", str(path), f"gains for {hand.name!r}")
-    if made.identity not in ("", hand.identity):
-        which = f"{hand.name} as {made.identity[:12]}, which is now {hand.identity[:12]}"
-        show_notice(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
+    provenance = file.provenance
+    if provenance.hand not in ("", hand.name):
+        raise ConfigError(f"is for hand {provenance.hand!r}", str(path), f"gains for {hand.name!r}")
+    if provenance.identity not in ("", hand.identity):
+        identity_text = (
+            f"{hand.name} as {provenance.identity[:12]}, which is now {hand.identity[:12]}"
+        )
+        show_notice(
+            f"handctl: {path} was made for {identity_text}: handctl tune design shows its margins"
+        )
     return file
 
 
@@ -104,7 +108,7 @@ def _origin_of(gains: Gains, key: str, gains_file: Path | None) -> str:
     return str(gains_file) if gains_file and is_key_in_file else PACKAGED_ORIGIN
 
 
-def gain_assignments(assignment_words: Sequence[str], where: str) -> dict[str, float]:
+def gain_assignments(assignment_words: Sequence[str], location: str) -> dict[str, float]:
     """Return the numbers that the words KEY=VALUE assign, by key.
 
     Raises:
@@ -114,12 +118,12 @@ def gain_assignments(assignment_words: Sequence[str], where: str) -> dict[str, f
     for word in assignment_words:
         key, equals_sign, text = word.partition("=")
         if key in values:
-            raise ConfigError(f"{key} is given twice", where, "one value for each")
+            raise ConfigError(f"{key} is given twice", location, "one value for each")
         try:
             values[key] = float(text)
         except ValueError:
             equals_sign = ""
         if not equals_sign or not key or values[key] != values[key]:
-            example = "stiffness=0.8" if where == "--perturb" else "motion.force_N=25"
-            raise ConfigError(repr(word), where, f"KEY=NUMBER, e.g. {example}")
+            example = "stiffness=0.8" if location == "--perturb" else "motion.force_N=25"
+            raise ConfigError(repr(word), location, f"KEY=NUMBER, e.g. {example}")
     return values

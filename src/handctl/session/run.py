@@ -76,7 +76,9 @@ class RunOutcome:
     @property
     def was_too_slow(self) -> bool:
         """Return True if a fault occurred because the host or the simulator was too slow."""
-        return any(FAULT_BY_ID[mark.id].caused_by_lateness for mark in self.state.latched)
+        return any(
+            FAULT_BY_ID[latched_fault.id].caused_by_lateness for latched_fault in self.state.latched
+        )
 
     @property
     def exit_code(self) -> ExitCode:
@@ -85,11 +87,11 @@ class RunOutcome:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
-    def raise_if_not_finished(self, where: str, right: str = "") -> None:
+    def raise_if_not_finished(self, location: str, right: str = "") -> None:
         """Raise an error if the run did not finish.
 
         Args:
-            where: text for the error message that names the purpose of the run.
+            location: text for the error message that names the purpose of the run.
             right: remedy that the error message suggests, or an empty text if no remedy is known.
 
         Raises:
@@ -97,9 +99,9 @@ class RunOutcome:
             DriveError: the run ended early for another reason.
         """
         if self.state.unconfirmed:
-            raise PowerError(self.state.failure, where)
+            raise PowerError(self.state.failure, location)
         if self.state.failure or not self.state.progress.finished:
-            raise DriveError(self.state.failure or "stopped before the end", where, right)
+            raise DriveError(self.state.failure or "stopped before the end", location, right)
 
 
 RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
@@ -134,7 +136,7 @@ class RunObserver(Protocol):
         """Return the requests that the observer has made since the last call."""
         ...
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Receive the input and the output of a finished tick."""
         ...
 
@@ -177,9 +179,9 @@ def run_live(
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
-            opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
-            stack.callback(opened.close)
-            buses.append(opened)
+            opened_bus = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
+            stack.callback(opened_bus.close)
+            buses.append(opened_bus)
         priority = prepare_priority()
         stack.callback(restore_priority)
         clock.busy_wait = priority.is_realtime
@@ -192,11 +194,11 @@ def run_live(
             signals = StopSignals()
             stack.enter_context(signals.install_handlers())
             published_state = PublishedState()
-            show = _merge_observers(
+            show_tick = _merge_observers(
                 observer, _status_callback(display, mailbox, plan.rate_hz, published_state)
             )
             request_source = _merge_requests(observer, _request_source(plan, signals, mailbox))
-            loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
+            loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show_tick)
             loop.take_targets = targets.read_targets
             loop.publish_tick = partial(_publish_tick, observations, published_state)
             cleanup_stack.pop_all()
@@ -235,11 +237,11 @@ def run_lockstep(
         )
         limit = HoldLimit()
         request_source = _merge_requests(observer, limit.poll_requests)
-        show = _merge_observers(
+        show_tick = _merge_observers(
             limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
         )
         loop = _build_loop(
-            plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
+            plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show_tick
         )
         cleanup_stack.pop_all()
     outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
@@ -346,8 +348,8 @@ def _build_loop(
     receive_requests: Callable[[], tuple[TickRequest, ...]],
     show_tick: Callable[[TickIn, TickOut], None],
 ) -> ControlLoop[ControllerState]:
-    def record_tick(entry: TickIn, out: TickOut) -> None:
-        recorder.send_record(pack_tick_record(entry, out))
+    def record_tick(entry: TickIn, tick_output: TickOut) -> None:
+        recorder.send_record(pack_tick_record(entry, tick_output))
 
     take_suspend_events = (
         SuspendWatch().take_events if isinstance(clock, RealClock) else list[IoEvent]
@@ -357,7 +359,7 @@ def _build_loop(
         period_ns=plan.period_ns,
         buses=buses,
         begin_tick=controller.begin_tick,
-        cut_frames=controller.cut_frames(),
+        torque_cut_frames=controller.torque_cut_frames(),
         take_requests=receive_requests,
         take_host_events=lambda: [*recorder.take_events(), *take_suspend_events()],
         record_tick=record_tick,
@@ -397,8 +399,8 @@ def _request_source(
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
     def take_requests() -> tuple[TickRequest, ...]:
-        first = (orders.pop(),) if orders else ()
-        return first + signals.take_request() + mailbox.read_requests()
+        first_orders = (orders.pop(),) if orders else ()
+        return first_orders + signals.take_request() + mailbox.read_requests()
 
     return take_requests
 
@@ -407,19 +409,19 @@ RequestSource = Callable[[], tuple[TickRequest, ...]]
 TickCallback = Callable[[TickIn, TickOut], None]
 
 
-def _merge_requests(observer: RunObserver | None, others: RequestSource) -> RequestSource:
+def _merge_requests(observer: RunObserver | None, other_source: RequestSource) -> RequestSource:
     if observer is None:
-        return others
-    return lambda: others() + observer.poll_requests()
+        return other_source
+    return lambda: other_source() + observer.poll_requests()
 
 
-def _merge_observers(observer: RunObserver | None, others: TickCallback) -> TickCallback:
+def _merge_observers(observer: RunObserver | None, other_callback: TickCallback) -> TickCallback:
     if observer is None:
-        return others
+        return other_callback
 
-    def show_tick(entry: TickIn, out: TickOut) -> None:
-        observer.on_tick(entry, out)
-        others(entry, out)
+    def show_tick(entry: TickIn, tick_output: TickOut) -> None:
+        observer.on_tick(entry, tick_output)
+        other_callback(entry, tick_output)
 
     return show_tick
 
@@ -443,12 +445,12 @@ def _publish_tick(
     observations: ObservationWriter,
     published_state: PublishedState,
     entry: TickIn,
-    out: TickOut,
+    tick_output: TickOut,
     state: ControllerState,
     sent_ns: int,
 ) -> None:
     """Write the observation of a tick, and store the part of the state that status lines show."""
-    observations.write_record(entry, out, stream_status(state), sent_ns)
+    observations.write_record(entry, tick_output, stream_status(state), sent_ns)
     published_state.commander = state.decisions.commander
 
 
@@ -462,18 +464,20 @@ def _status_callback(
 
     The function updates the display, and sends status lines to the programs that observe the run.
     """
-    every = max(1, round(rate_hz / STATUS_RATE_HZ))
+    ticks_per_status = max(1, round(rate_hz / STATUS_RATE_HZ))
 
-    def show_tick(entry: TickIn, out: TickOut) -> None:
+    def show_tick(entry: TickIn, tick_output: TickOut) -> None:
         if display:
-            display.show_tick(entry, out)
-        if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
-            mailbox.publish_status(status_of_tick(entry, out, published_state.commander))
+            display.show_tick(entry, tick_output)
+        if (
+            mailbox.watchers and (entry.k % ticks_per_status == 0 or tick_output.events)
+        ) or mailbox.askers:
+            mailbox.publish_status(status_of_tick(entry, tick_output, published_state.commander))
 
     return show_tick
 
 
-def _ignore_tick(entry: TickIn, out: TickOut) -> None:
+def _ignore_tick(entry: TickIn, tick_output: TickOut) -> None:
     return
 
 

@@ -39,7 +39,7 @@ def run_header(
         "pip-freeze.txt": "\n".join(installed_packages()).encode(),
         **plan.attachments,
     }
-    wall = {
+    wall_clock = {
         "host": platform.node(),
         "kernel": platform.release(),
         "python": sys.version.split()[0],
@@ -66,7 +66,7 @@ def run_header(
         metadata=metadata,
         gains=_flatten_table(plan.gains.model_dump(by_alias=True)),
         attachments=attachments,
-        wall=wall,
+        wall=wall_clock,
         deterministic=lockstep,
     )
 

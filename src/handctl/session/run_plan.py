@@ -38,7 +38,7 @@ With two ticks, a single lost frame does not disable a drive.
 class OperatorDisplay(Protocol):
     """Display that shows the operator the state of a running hand."""
 
-    def show_tick(self, entry: TickIn, out: TickOut) -> None:
+    def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Show the state of the hand after a tick."""
         ...
 
@@ -143,12 +143,12 @@ def make_plan(
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(choice.rate_hz, hand, loads)
-    load = tuple(one.load_at(rate) for one in loads)
+    load = tuple(bus_load.load_at(rate) for bus_load in loads)
     time_scale = chosen_time_scale(choice.time_scale, buses)
     _check_log(choice.log_path)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
-    meshes, left_out = mesh_attachments(hand, hand_path(choice.hand).parent)
-    for line in left_out:
+    meshes, omitted_meshes = mesh_attachments(hand, hand_path(choice.hand).parent)
+    for line in omitted_meshes:
         show_notice(f"handctl: caution: {line}")
     attachments |= meshes
     return RunPlan(
@@ -179,37 +179,46 @@ def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> fl
     """
     if requested_scale is not None and not 0.001 <= requested_scale <= 100:
         raise ConfigError(f"{requested_scale:g}", "--time-scale", "0.001 to 100")
-    if real := real_buses(buses):
+    if hardware_buses := real_buses(buses):
         if requested_scale not in (None, 1.0):
-            right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
+            expected = "1, or a simulated bus: local:NAME, socketcan:vcan0"
             raise ConfigError(
-                f"{requested_scale:g}, and {real[0]} may have real motors", "--time-scale", right
+                f"{requested_scale:g}, and {hardware_buses[0]} may have real motors",
+                "--time-scale",
+                expected,
             )
         return 1.0
-    simulated = (
+    simulator_time_scale = (
         simulated_time_scale(buses[0]) if buses else None
     )  # only the first bus has the simulator's socket for requests
-    if requested_scale is not None and simulated not in (None, requested_scale):
+    if requested_scale is not None and simulator_time_scale not in (None, requested_scale):
         raise ConfigError(
             f"{requested_scale:g}",
             "--time-scale",
-            f"{simulated:g}, as the simulator on {buses[0]} has",
+            f"{simulator_time_scale:g}, as the simulator on {buses[0]} has",
         )
-    return next((one for one in (requested_scale, simulated) if one is not None), 1.0)
+    return next(
+        (
+            condition
+            for condition in (requested_scale, simulator_time_scale)
+            if condition is not None
+        ),
+        1.0,
+    )
 
 
-def check_hand_ready(hand: Hand, where: str) -> None:
+def check_hand_ready(hand: Hand, location: str) -> None:
     """Raise an error if a hand must not run although the hand file is valid, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
-        where: name or file of the hand, for the error message.
+        location: name or file of the hand, for the error message.
 
     Raises:
         ConfigError: the hand must not run. The message contains the first reason.
     """
     for mistake in reasons_not_ready(hand):
-        raise mistake.error(where)
+        raise mistake.error(location)
 
 
 def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[BusLoad]) -> float:
@@ -223,14 +232,18 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
     """
     best = highest_rate_of_buses(load_of_bus)
     rate = best if requested_hz is None else requested_hz
-    lowest = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
-    if not lowest <= rate < math.inf:
-        what = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
-        raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
+    min_rate_hz = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
+    if not min_rate_hz <= rate < math.inf:
+        problem_text = f"{rate:g}" if requested_hz is not None else f"the buses carry {rate:g}"
+        raise ConfigError(
+            problem_text, "--rate", f"at least {min_rate_hz:g}, for the drives' watchdogs"
+        )
     for name, load in zip(hand.bus_names, load_of_bus, strict=True):
         if load.load_at(rate) > MAX_BUS_LOAD:
-            what = f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
-            raise ConfigError(what, "--rate", f"at most {best:g}")
+            problem_text = (
+                f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
+            )
+            raise ConfigError(problem_text, "--rate", f"at most {best:g}")
     return rate
 
 
@@ -249,7 +262,7 @@ def _check_log(log: Path | None) -> None:
 def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
-        (load.tick_s for load in load_of_bus), (load.timed_fraction for load in load_of_bus)
+        (load.tick_s for load in load_of_bus), (load.periodic_load_fraction for load in load_of_bus)
     )
 
 

@@ -140,7 +140,7 @@ class SimulatorSettings:
         See ``simulated_hand``.
         """
         with self.simulated_hand(round(1e9 * controller.model.period)) as peer:
-            yield SimulatedRun.begin(controller, peer)
+            yield SimulatedRun.start_run(controller, peer)
 
     def _hand_file(self, folder: Path) -> str:
         if not isinstance(self.hand, Hand):
@@ -182,7 +182,7 @@ class SimulatedRun:
     are_ticks_recorded: bool = True
 
     @staticmethod
-    def begin(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
+    def start_run(controller: Controller, simulated_hand: SimulatedHand) -> "SimulatedRun":
         """Begin a run in which a controller controls a simulated hand."""
         return SimulatedRun(
             controller,
@@ -213,9 +213,9 @@ class SimulatedRun:
         """
         for _ in range(skipped_ticks):
             self._advance_simulated_hand()
-        _, out = self._run_controller_tick(io_events, requests, late_ns)
+        _, tick_output = self._run_controller_tick(io_events, requests, late_ns)
         self._advance_simulated_hand()
-        return out
+        return tick_output
 
     def run_ticks(self, max_duration_s: float = math.inf) -> Iterator[tuple[TickIn, TickOut]]:
         """Run ticks until the controller is done.
@@ -227,9 +227,9 @@ class SimulatedRun:
             max_duration_s: longest duration of the run [s].
         """
         while self.k * self.period_ns < max_duration_s * 1e9:
-            entry, out = self._run_controller_tick((), (), 0)
-            yield entry, out
-            if out.mode == HandMode.DONE:
+            entry, tick_output = self._run_controller_tick((), (), 0)
+            yield entry, tick_output
+            if tick_output.mode == HandMode.DONE:
                 return
             self._advance_simulated_hand()
 
@@ -239,10 +239,10 @@ class SimulatedRun:
         Return True if an output fulfilled the condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
-            out = self.run_tick()
-            if is_condition_met(out):
+            tick_output = self.run_tick()
+            if is_condition_met(tick_output):
                 return True
-            if out.mode == HandMode.DONE:
+            if tick_output.mode == HandMode.DONE:
                 return False
         return False
 
@@ -305,6 +305,6 @@ def simulate_controller(
     """
     with simulator.begin_run(controller) as run:
         run.are_ticks_recorded = False
-        for entry, out in run.run_ticks(max_duration_s):
-            on_tick(entry, out)
+        for entry, tick_output in run.run_ticks(max_duration_s):
+            on_tick(entry, tick_output)
         return run.state

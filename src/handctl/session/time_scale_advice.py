@@ -38,14 +38,16 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     """
     run_s = outcome.state.k * plan.period_ns / 1e9
     controller_load = outcome.loop_stats.cpu_s / run_s if outcome.state.k > 0 else 0.0
-    measured: dict[str, float | None] = {}
+    measured_figures: dict[str, float | None] = {}
     with suppress(HandctlError):
-        measured = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get("pace", {})
-    capacity = measured.get("plant_s_per_cpu_s") or math.inf
-    core_loads = (controller_load, 1.0 / capacity)
+        measured_figures = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get(
+            "pace", {}
+        )
+    max_time_scale = measured_figures.get("plant_s_per_cpu_s") or math.inf
+    core_loads = (controller_load, 1.0 / max_time_scale)
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
     scale_below_failed = FRACTION_OF_FAILED_TIME_SCALE * plan.time_scale
-    simulator_advice = measured.get("advice") or math.inf
+    simulator_advice = measured_figures.get("advice") or math.inf
     max_scale_for_load = MAX_CORE_LOAD / load if load > 0.0 else math.inf
     return round_down_to_one_digit(
         max(0.001, min(scale_below_failed, simulator_advice, max_scale_for_load))

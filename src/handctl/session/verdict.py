@@ -56,8 +56,8 @@ def judge_run(
         truth = read_truth(truth_file) if truth_file else None
         result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
-        silent = frame_counts(record, plan.hand).silent_ticks
-        drawn = _draw_picture(plan, outcome, record, truth, log) if draws_picture else None
+        silent_ticks = frame_counts(record, plan.hand).silent_ticks
+        drawn_picture = _draw_picture(plan, outcome, record, truth, log) if draws_picture else None
     stats = outcome.loop_stats
     result |= {
         "missed": stats.missed_ticks,
@@ -68,12 +68,12 @@ def judge_run(
         "frames_rx": stats.frames_rx,
         "frames_late": outcome.state.run_integer(STALE_FRAMES),
         "frames_lost": lost_frames(plan, outcome),
-        "silent_ticks": silent,
+        "silent_ticks": silent_ticks,
         "bus_load": max(plan.bus_loads),
         "log": str(log),
         "log_bytes": int(str(outcome.log_summary["bytes"])),
         "log_complete": bool(outcome.log_summary["complete"]),
-        "picture": str(drawn) if drawn else None,
+        "picture": str(drawn_picture) if drawn_picture else None,
         "truth": str(truth_file) if truth_file else None,
         "priority": str(outcome.priority) if outcome.priority else "lockstep",
         "failure": outcome.state.failure or lift_failure(result),
@@ -99,17 +99,17 @@ def _copy_truth(
         times_ns: first and last time of the run on the simulator's clock [ns].
         show_notice: function that shows a notice to the operator.
     """
-    beside = truth_path_of(log)
-    if truth == beside:
-        return beside
+    truth_path = truth_path_of(log)
+    if truth == truth_path:
+        return truth_path
     start_ns, end_ns = times_ns[0] - TRUTH_MARGIN_NS, times_ns[1] + TRUTH_MARGIN_NS
     try:
-        if not copy_truth(truth, beside, start_ns, end_ns):
+        if not copy_truth(truth, truth_path, start_ns, end_ns):
             return None
     except OSError as error:
-        _delete_incomplete_file(beside, error, show_notice)
+        _delete_incomplete_file(truth_path, error, show_notice)
         return truth
-    return beside
+    return truth_path
 
 
 def _draw_picture(

@@ -102,12 +102,12 @@ class GainsStore:
                 Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
                 for n in itertools.count()
             )
-            aside = next(path for path in numbers if not path.exists())
+            aside_number = next(path for path in numbers if not path.exists())
             try:
-                return self.path.rename(aside)
+                return self.path.rename(aside_number)
             except OSError as error:
                 raise ConfigError(
-                    f"cannot be moved: {error.strerror}", str(self.path), f"{aside}"
+                    f"cannot be moved: {error.strerror}", str(self.path), f"{aside_number}"
                 ) from None
         return None
 
@@ -134,14 +134,14 @@ class GainsStore:
         """
         self._store_edited_gains()
         entries = {entry.number: entry for entry in self.history_entries()}
-        present = self.present_gains()
-        if to is None and (present is None or present.provenance.number not in entries):
+        present_gains = self.present_gains()
+        if to is None and (present_gains is None or present_gains.provenance.number not in entries):
             raise ConfigError(
                 "nothing was applied before", str(self.history_folder), "handctl gains apply first"
             )
         number = (
-            _number_of_previous_gains(entries, present)
-            if to is None and present is not None
+            _number_of_previous_gains(entries, present_gains)
+            if to is None and present_gains is not None
             else to or 0
         )
         if number and number not in entries:
@@ -150,21 +150,22 @@ class GainsStore:
                 f"no gains number {number}", str(self.history_folder), f"one of {numbers}"
             )
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
-        old = entries[number].file.gains if number else packaged_gains(self.hand)
+        old_gains = entries[number].file.gains if number else packaged_gains(self.hand)
         provenance = entries[number].file.provenance if number else GainsProvenance()
         return self._write_gains(
-            old, provenance.model_copy(update={"note": note}), restored_number=number
+            old_gains, provenance.model_copy(update={"note": note}), restored_number=number
         )
 
     def _store_edited_gains(self) -> None:
         """Add the present gains to the history, unless the history already contains them."""
-        present = self.present_gains()
-        if present is None:
+        present_gains = self.present_gains()
+        if present_gains is None:
             return
         gains_by_number = {entry.number: entry.file.gains for entry in self.history_entries()}
-        if gains_by_number.get(present.provenance.number) != present.gains:
+        if gains_by_number.get(present_gains.provenance.number) != present_gains.gains:
             self._write_gains(
-                present.gains, present.provenance.model_copy(update={"note": MANUAL_EDIT_NOTE})
+                present_gains.gains,
+                present_gains.provenance.model_copy(update={"note": MANUAL_EDIT_NOTE}),
             )
 
     def _write_gains(
@@ -175,30 +176,32 @@ class GainsStore:
         If the history does not contain the present file, for example because a user has copied it,
         the new gains are recorded as the successor of the newest entry.
         """
-        present = self.present_gains()
+        present_gains = self.present_gains()
         entries = self.history_entries()
         numbers = [0, *(entry.number for entry in entries)]
-        replaced = present.provenance.number if present else 0
-        if present and (replaced not in numbers[1:]):
-            replaced = numbers[-1]
-        written = provenance.model_copy(
+        replaced_number = present_gains.provenance.number if present_gains else 0
+        if present_gains and (replaced_number not in numbers[1:]):
+            replaced_number = numbers[-1]
+        written_provenance = provenance.model_copy(
             update={
                 "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "version": version("handctl"),
                 "hand": self.hand,
                 "identity": provenance.identity or self.hand_identity,
                 "number": entries[-1].number + 1 if entries else 1,
-                "replaces": replaced,
+                "replaces": replaced_number,
                 "restores": restored_number,
             }
         )
-        text = gains_text(gains, written)
+        text = gains_text(gains, written_provenance)
         try:
             self.history_folder.mkdir(parents=True, exist_ok=True)
             # The history is written first. So if the program crashes between the two writes, the
             # present gains have not changed.
             write_text_atomically(
-                self.history_folder / f"{written.number:04d}.toml", text, must_be_new=True
+                self.history_folder / f"{written_provenance.number:04d}.toml",
+                text,
+                must_be_new=True,
             )
             write_text_atomically(self.path, text)
         except OSError as error:
@@ -208,7 +211,9 @@ class GainsStore:
         return load_gains_file(self.path)
 
 
-def _number_of_previous_gains(gains_by_number: dict[int, StoredGains], present: GainsFile) -> int:
+def _number_of_previous_gains(
+    gains_by_number: dict[int, StoredGains], present_gains: GainsFile
+) -> int:
     """Return the number of the gains in the history that the present gains have replaced.
 
     After a rollback, the restored gains count as the present gains.
@@ -217,7 +222,7 @@ def _number_of_previous_gains(gains_by_number: dict[int, StoredGains], present: 
         ConfigError: The present gains are restored packaged gains, or an entry of the history is
             missing.
     """
-    provenance = present.provenance
+    provenance = present_gains.provenance
     while provenance.restores:
         if provenance.restores not in gains_by_number:
             raise ConfigError(

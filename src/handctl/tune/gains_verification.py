@@ -175,38 +175,38 @@ class VerifyObserver:
         self._requests = []
         return requests
 
-    def on_tick(self, entry: TickIn, out: TickOut) -> None:
+    def on_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Observe a tick, see `RunObserver`."""
-        if out.phase == "settle" and self._last_phase != "settle":
+        if tick_output.phase == "settle" and self._last_phase != "settle":
             self._round_number += 1
             # The gains are changed in the phase `settle`, while the hand is at rest.
             if self._round_number == self.rounds_with_old_gains + 1:
                 self._request_gains(self.new_gains, self.old_gains)
-        self._last_phase = out.phase
-        if out.phase != "move":
+        self._last_phase = tick_output.phase
+        if tick_output.phase != "move":
             self._lag_start_ns = entry.t_ns
-        elif self.blocked is None and out.mode == HandMode.ACTIVE:
-            names = self._blocked_names(out)
+        elif self.blocked is None and tick_output.mode == HandMode.ACTIVE:
+            names = self._blocked_names(tick_output)
             self._lag_start_ns = self._lag_start_ns if names else entry.t_ns
             if entry.t_ns - self._lag_start_ns >= BLOCKED_DURATION_NS:
-                self.blocked = self._blocked_digit(out, names)
-        torque_rate = self._torque_rate(entry, out)
+                self.blocked = self._blocked_digit(tick_output, names)
+        torque_rate = self._torque_rate(entry, tick_output)
         if self._round_number <= self.rounds_with_old_gains:
             self._max_torque_rate = max(self._max_torque_rate, torque_rate)
-        elif self.rollback is None and (reason := self._violated_limit(out, torque_rate)):
+        elif self.rollback is None and (reason := self._violated_limit(tick_output, torque_rate)):
             amplitude = self.amplitudes[self._round_number - 1]
             self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old_gains, self.new_gains)
 
-    def _blocked_names(self, out: TickOut) -> tuple[str, ...]:
+    def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
         """Return the names of the digits in contact, if one of them lags behind its goal.
 
         The digit with the largest lag comes first.
         """
-        numbers = out.telemetry
-        lag = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
+        numbers = tick_output.telemetry
+        goal_deviation = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
         lag_by_digit = {
-            name: float(np.nanmax(lag[joints], initial=0.0))
+            name: float(np.nanmax(goal_deviation[joints], initial=0.0))
             for (name, joints), contact_seconds in zip(
                 self.hand.digit_joints.items(), numbers.contact, strict=True
             )
@@ -216,16 +216,16 @@ class VerifyObserver:
             return ()
         return tuple(sorted(lag_by_digit, key=lag_by_digit.__getitem__, reverse=True))
 
-    def _blocked_digit(self, out: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
+    def _blocked_digit(self, tick_output: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
-        digit, *others = digit_names
+        digit, *other_digits = digit_names
         units = self.hand.displayed_mean(digit)
         column = self.hand.digit_names.index(digit)
-        mean = float(mean_angles(self.hand, out.telemetry.q[None])[0, column])
+        mean = float(mean_angles(self.hand, tick_output.telemetry.q[None])[0, column])
         amplitude = PROPOSED_AMPLITUDE_FRACTION * move_amplitude(mean / float(units.scale[0]))
         return BlockedDigit(
             digit,
-            tuple(others),
+            tuple(other_digits),
             f"{units.factor[0] * mean:.0f} {units.names[0]}",
             self.amplitudes[self._round_number - 1],
             max(
@@ -253,17 +253,19 @@ class VerifyObserver:
         """Return the number of joints of each digit."""
         return [len(digit.joints) for digit in self.hand.digit]
 
-    def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
+    def _torque_rate(self, entry: TickIn, tick_output: TickOut) -> float:
         """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
-        torque = out.telemetry.motor_torque_goal
-        before = self._last_torque
+        torque = tick_output.telemetry.motor_torque_goal
+        torque_before = self._last_torque
         self._last_torque = torque
-        if before is None or out.mode != HandMode.ACTIVE:
+        if torque_before is None or tick_output.mode != HandMode.ACTIVE:
             return 0.0
         # The control rate is not known to the observer. Therefore the mean period of the ticks so
         # far is used.
         period = entry.t_ns / max(entry.k, 1) / 1e9
-        self._squared_torque_rates.append(float(np.square(torque - before).mean()) / period**2)
+        self._squared_torque_rates.append(
+            float(np.square(torque - torque_before).mean()) / period**2
+        )
         while len(self._squared_torque_rates) > RINGING_WINDOW_S / period:
             self._squared_torque_rates.popleft()
         return float(np.sqrt(sum(self._squared_torque_rates) / len(self._squared_torque_rates)))
@@ -272,24 +274,27 @@ class VerifyObserver:
         """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
         units = self.hand.display_units
         is_touching = np.repeat(telemetry.contact > 0.0, self._joint_counts)
-        lag = np.abs(telemetry.q_goal - telemetry.q) / units.scale
-        error = np.where(is_touching | np.isnan(lag), 0.0, lag)
+        goal_deviation = np.abs(telemetry.q_goal - telemetry.q) / units.scale
+        error = np.where(is_touching | np.isnan(goal_deviation), 0.0, goal_deviation)
         joint = int(error.argmax())
         if error[joint] <= self.limits.max_tracking_error_rad:
             return ""
-        shown = units.scale[joint] * units.factor[joint]
-        worst, limit = shown * error[joint], shown * self.limits.max_tracking_error_rad
-        return f"tracking error {worst:.1f} {units.names[joint]}, limit {limit:.1f}"
+        displayed_factor = units.scale[joint] * units.factor[joint]
+        largest_error, limit = (
+            displayed_factor * error[joint],
+            displayed_factor * self.limits.max_tracking_error_rad,
+        )
+        return f"tracking error {largest_error:.1f} {units.names[joint]}, limit {limit:.1f}"
 
-    def _violated_limit(self, out: TickOut, torque_rate_N: float) -> str:
+    def _violated_limit(self, tick_output: TickOut, torque_rate_N: float) -> str:
         """Return a text about the limit that a tick violates, or an empty text if it violates none."""
-        if out.action >= SafetyAction.HOLD:
-            return f"safety: {out.action.name}"
-        if out.mode != HandMode.ACTIVE:
+        if tick_output.action >= SafetyAction.HOLD:
+            return f"safety: {tick_output.action.name}"
+        if tick_output.mode != HandMode.ACTIVE:
             return ""
         limits = self.limits
-        numbers = out.telemetry
-        if out.phase == "move" and (text := self._tracking_violation(numbers)):
+        numbers = tick_output.telemetry
+        if tick_output.phase == "move" and (text := self._tracking_violation(numbers)):
             return text
         for tendon, tension in zip(self.hand.tendon, numbers.tension.tolist(), strict=True):
             if tension > limits.max_tension_fraction * tendon.tension_trip_N:
@@ -346,19 +351,23 @@ def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureCompariso
     """
     columns = []
     for key, (name, unit) in COMPARED_MEASURES.items():
-        old = np.array([getattr(rounds[ROUNDS_WITH_OLD_GAINS - 1], key) for rounds in round_scores])
-        new = np.array([getattr(rounds[-1], key) for rounds in round_scores])
+        old_scores = np.array(
+            [getattr(rounds[ROUNDS_WITH_OLD_GAINS - 1], key) for rounds in round_scores]
+        )
+        new_scores = np.array([getattr(rounds[-1], key) for rounds in round_scores])
         n = len(round_scores)
-        mean = float(old.mean())
-        change = float((new - old).mean())
+        mean = float(old_scores.mean())
+        change = float((new_scores - old_scores).mean())
         spread = (
             ASSUMED_SPREAD_FRACTION * mean
             if n == 1
-            else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
+            else float(student.ppf(0.975, n - 1) * (new_scores - old_scores).std(ddof=1) / n**0.5)
         )
         counts = abs(change) > max(spread, MAX_EQUAL_DIFFERENCE_FRACTION * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
-        columns.append(MeasureComparison(name, unit, mean, float(new.mean()), spread, verdict))
+        columns.append(
+            MeasureComparison(name, unit, mean, float(new_scores.mean()), spread, verdict)
+        )
     return columns
 
 
@@ -378,17 +387,17 @@ def scores_by_round(
             the controller are used instead.
         offset_ns: time on the clock of the simulator at which the time of the run was 0 [ns].
     """
-    starts = [change.k for change in log.phases if change.name == "settle"]
+    start_indices = [change.k for change in log.phases if change.name == "settle"]
     phase = phase_of_each_tick(log.phases, log.k)
     angle = np.where(log.field("contact") > 0.0, np.nan, digit_angles(hand, log.field("q_goal")))
     if truth is None:
-        real = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
+        measured_truth = GroundTruth(digit_angles(hand, log.field("q")), log.field("tension"))
     else:
-        real = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
+        measured_truth = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []
-    for start, end in zip(starts, [*starts[1:], int(log.k[-1]) + 1], strict=True):
+    for start, end in zip(start_indices, [*start_indices[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
-        truth_of_round = GroundTruth(real.angle[part], real.tension[part])
+        truth_of_round = GroundTruth(measured_truth.angle[part], measured_truth.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]
         results.append(

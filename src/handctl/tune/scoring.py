@@ -115,8 +115,10 @@ def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:
         np.mean([np.square(run.objectives) for run in runs], axis=0)
     ).tolist()
     peak = max(run.peak_tension_N for run in runs)
-    blocked = max((run.blocked for run in runs), key=len)
-    return _score_table(GainScore(tracking, tension, effort, peak, shortfall, blocked=blocked))
+    blocked_names = max((run.blocked for run in runs), key=len)
+    return _score_table(
+        GainScore(tracking, tension, effort, peak, shortfall, blocked=blocked_names)
+    )
 
 
 def _score_table(score: GainScore) -> dict[str, Any]:
@@ -181,7 +183,11 @@ def score_run(
         truth: true values of the plant.
         failure_text: reason why the run ended early, or an empty text.
     """
-    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
+    active = [
+        (entry.t_ns, tick_output)
+        for entry, tick_output in ticks
+        if tick_output.mode == HandMode.ACTIVE
+    ]
     tension = truth.values[
         :, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]
     ]
@@ -193,17 +199,17 @@ def score_run(
         np.array([getattr(out.telemetry, name) for _, out in active])
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
-    real = GroundTruth.from_record(truth, hand, t_ns)
+    ground_truth = GroundTruth.from_record(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in active])
     is_touching = _true_touch_mask(hand, truth, t_ns)
     angle = np.where(is_touching, np.nan, digit_angles(hand, goal))
-    score = score_ticks(t_ns, phase, angle, tension_goal, torque, real)
+    score = score_ticks(t_ns, phase, angle, tension_goal, torque, ground_truth)
     is_touching_in_move = is_touching[phase == "move"].any(axis=0).tolist()
-    blocked = ", ".join(compress(hand.digit_names, is_touching_in_move))
+    blocked_names = ", ".join(compress(hand.digit_names, is_touching_in_move))
     if np.isnan(score.tracking_deg):
-        reason = f"no move to score: {blocked} blocked in all moves"
-        return replace(_failed_score(peak, reason), blocked=blocked)
-    return replace(score, blocked=blocked)
+        reason = f"no move to score: {blocked_names} blocked in all moves"
+        return replace(_failed_score(peak, reason), blocked=blocked_names)
+    return replace(score, blocked=blocked_names)
 
 
 def _true_touch_mask(hand: Hand, truth: TruthRecord, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

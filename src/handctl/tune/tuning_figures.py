@@ -45,21 +45,21 @@ def _new_figure(width: float, height: float) -> Any:
     return figure
 
 
-def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> None:
+def draw_loops(path: Path, model_before: HandModel, model_after: HandModel, title: str) -> None:
     """Draw both loops of the first tendon with old and new gains: Bode plot, Nyquist plot and disturbance step.
 
     Args:
         path: PNG file to write.
-        before: model of the hand with the old gains.
-        after: model of the hand with the new gains.
+        model_before: model of the hand with the old gains.
+        model_after: model of the hand with the new gains.
         title: title of the figure.
     """
     figure = _new_figure(13, 8)
-    figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
+    figure.suptitle(f"{title}: {model_before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
         for model, colour, name in (
-            (before, OLD_GAINS_COLOR, "before"),
-            (after, NEW_GAINS_COLOR, "after"),
+            (model_before, OLD_GAINS_COLOR, "before"),
+            (model_after, NEW_GAINS_COLOR, "after"),
         ):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
@@ -119,11 +119,11 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     """
     figure = _new_figure(11, 4.8)
     figure.suptitle(title)
-    left, right = figure.subplots(1, 2)
+    left_axes, right_axes = figure.subplots(1, 2)
     feasible_trials = [trial for trial in result.trials if trial.is_feasible]
-    first = result.trials[0]
+    first_trial = result.trials[0]
     effort = [trial.score.effort_Nm_per_s for trial in feasible_trials]
-    trial_points = left.scatter(
+    trial_points = left_axes.scatter(
         [trial.score.tracking_deg for trial in feasible_trials],
         [trial.score.tension_N for trial in feasible_trials],
         c=effort,
@@ -131,9 +131,9 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         cmap="viridis",
     )
     if feasible_trials:
-        figure.colorbar(trial_points, ax=left, label="effort [N m/s]")
+        figure.colorbar(trial_points, ax=left_axes, label="effort [N m/s]")
     front_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
-    left.plot(
+    left_axes.plot(
         [trial.score.tracking_deg for trial in front_trials],
         [trial.score.tension_N for trial in front_trials],
         "o",
@@ -142,16 +142,16 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         ms=9,
         label="Pareto front",
     )
-    if not first.score.failure:
-        left.plot(
-            first.score.tracking_deg,
-            first.score.tension_N,
+    if not first_trial.score.failure:
+        left_axes.plot(
+            first_trial.score.tracking_deg,
+            first_trial.score.tension_N,
             "x",
             color="black",
             label="initial gains",
         )
     if result.best:
-        left.plot(
+        left_axes.plot(
             result.best.score.tracking_deg,
             result.best.score.tension_N,
             "*",
@@ -159,22 +159,24 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             ms=14,
             label="best",
         )
-    left.set(
+    left_axes.set(
         xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
     )
     # Beside the plots, the legend does not hide any trial.
-    figure.legend(*left.get_legend_handles_labels(), loc="outside lower left", ncols=3)
+    figure.legend(*left_axes.get_legend_handles_labels(), loc="outside lower left", ncols=3)
     costs = [
         result.relative_cost(trial) if trial.is_feasible else np.nan for trial in result.trials
     ]
-    right.plot(costs, ".", color=GREY_COLOR)
+    right_axes.plot(costs, ".", color=GREY_COLOR)
     if feasible_trials:
-        right.step(
+        right_axes.step(
             range(len(costs)), np.fmin.accumulate(costs), where="post", color=NEW_GAINS_COLOR
         )
-    right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
-    right.set(xlabel="trial", ylabel="cost relative to the first trial", title="best trial so far")
-    for axes in (left, right):
+    right_axes.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
+    right_axes.set(
+        xlabel="trial", ylabel="cost relative to the first trial", title="best trial so far"
+    )
+    for axes in (left_axes, right_axes):
         axes.grid(alpha=0.3)
     save_figure(figure, path)
 
@@ -238,15 +240,15 @@ def draw_verify(
     torque.plot(
         log.times, log.field("motor_torque_goal")[:, 0], color=NEW_GAINS_COLOR, linewidth=0.6
     )
-    starts = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
+    phase_start_times = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
     for axes, name in (
         (angle, "mean angle [deg]"),
         (tension, f"tension of {hand.tendon_names[0]} [N]"),
         (torque, "commanded torque [N m]"),
     ):
-        if len(starts) > ROUNDS_WITH_OLD_GAINS:
+        if len(phase_start_times) > ROUNDS_WITH_OLD_GAINS:
             axes.axvspan(
-                starts[ROUNDS_WITH_OLD_GAINS],
+                phase_start_times[ROUNDS_WITH_OLD_GAINS],
                 rollback.t_s if rollback else float(log.times[-1]),
                 color=NEW_GAINS_COLOR,
                 alpha=0.1,

@@ -59,10 +59,10 @@ def browse_log(
         )  # Rerun is imported while the viewer starts
 
         parts = chunks_of_run_by_part(path, run, FIRST_SLICE_NS, scan)
-        first = list(islice(parts, 2))
-        running = starting_viewer.wait_until_ready()
-        _send_chunks(running, run, chain.from_iterable(chain(first, parts)))
-        yield running
+        first_parts = list(islice(parts, 2))
+        viewer_process = starting_viewer.wait_until_ready()
+        _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, parts)))
+        yield viewer_process
 
 
 def _send_chunks(running_viewer: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> None:

@@ -24,12 +24,12 @@ UNCHANGED_TIMEOUT_S = 10.0
 """Longest wait until two screenshots are equal [s]."""
 
 
-def draw_recording(recording_path: Path, at_s: float, picture_path: Path) -> list[str]:
+def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Path) -> list[str]:
     """Draw the dashboard of a Rerun recording at one time as PNG.
 
     Args:
         recording_path: path of the Rerun recording, which also contains the layout of the dashboard.
-        at_s: time to show, since the start of the run [s].
+        picture_time_s: time to show, since the start of the run [s].
         picture_path: path of the PNG file to write.
 
     Returns:
@@ -42,11 +42,11 @@ def draw_recording(recording_path: Path, at_s: float, picture_path: Path) -> lis
     """
     with running_viewer(
         ["--headless", "--window-size", PICTURE_SIZE_PX, str(recording_path)], software_vulkan()
-    ) as running:
+    ) as viewer_process:
         clear = time.monotonic() + NOTICE_DURATION_S
-        client = connect_client(running)
-        wait_until_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
-        client.set_time(RUN_TIME_TIMELINE, duration=at_s, play_state="paused")
+        client = connect_client(viewer_process)
+        wait_until_loaded(client, RUN_TIME_TIMELINE, int(picture_time_s * 1e9))
+        client.set_time(RUN_TIME_TIMELINE, duration=picture_time_s, play_state="paused")
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
         reports = problem_reports_of_view(client)
@@ -61,13 +61,13 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
     On a busy machine, the viewer draws the views of the dashboard one after the other.
     """
     end = time.monotonic() + UNCHANGED_TIMEOUT_S
-    before = client.take_screenshot()
+    screenshot_before = client.take_screenshot()
     while True:
         time.sleep(SCREENSHOT_PAUSE_S)
-        now = client.take_screenshot()
-        if now == before or time.monotonic() > end:
-            return now
-        before = now
+        screenshot = client.take_screenshot()
+        if screenshot == screenshot_before or time.monotonic() > end:
+            return screenshot
+        screenshot_before = screenshot
 
 
 def connect_client(viewer: Viewer) -> "ViewerClient":

@@ -57,10 +57,10 @@ class LogFollower:
             LogError: the log is damaged.
         """
         part = Path(self._folder.name) / "part.mcap"
-        since = self._tail.write_new_chunks(part)
-        if since is None:
+        new_chunk_count = self._tail.write_new_chunks(part)
+        if new_chunk_count is None:
             return False
-        chunks = chunks_of_log(part, self._converters, self._run.name, since)
+        chunks = chunks_of_log(part, self._converters, self._run.name, new_chunk_count)
         rr.send_chunks(chunks, recording=self._stream)
         self._wait_until_viewer_has_data()
         return True
@@ -107,12 +107,12 @@ def follow_log(
     run = _wait_for_header(log, stop)
     if run is None:
         return
-    running = start_viewer(
+    viewer_process = start_viewer(
         ["--expect-data-soon", *viewer_arguments], software_vulkan() if headless else {}
     )
-    follower = LogFollower(log, run, running.url)
+    follower = LogFollower(log, run, viewer_process.url)
     try:
-        _follow_until_end(follower, running, stop)
+        _follow_until_end(follower, viewer_process, stop)
         follower.send_new_chunks()
     except KeyboardInterrupt:
         return
@@ -122,12 +122,12 @@ def follow_log(
 
 def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
     """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
-    news = time.monotonic()
+    last_chunk_time = time.monotonic()
     while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:
         start = time.monotonic()
         if follower.send_new_chunks():
-            news = start
-        elif start - news > NO_GROWTH_TIMEOUT_S:
+            last_chunk_time = start
+        elif start - last_chunk_time > NO_GROWTH_TIMEOUT_S:
             return
         # After a slow step, the pause before the next step is shorter. Even the shortest pause
         # leaves processor time to other programs.
@@ -142,8 +142,8 @@ def _wait_for_header(log: Path, stop: TerminationFlag) -> RunInfo | None:
     end = time.monotonic() + LOG_FILE_TIMEOUT_S
     while not stop.requested:
         try:
-            with RunLog(log) as opened:
-                return RunInfo.from_header(opened.header, log.stem)
+            with RunLog(log) as opened_log:
+                return RunInfo.from_header(opened_log.header, log.stem)
         except LogError:
             if time.monotonic() > end:
                 raise

@@ -32,12 +32,12 @@ def start_live_view(log_path: Path, *viewer_arguments: str) -> "subprocess.Popen
         viewer_arguments: further command-line arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live_view", str(log_path), *viewer_arguments]
-    quiet = os.environ | {"RUST_LOG": "off"}
+    quiet_environment = os.environ | {"RUST_LOG": "off"}
     return subprocess.Popen(
         command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
-        env=quiet,
+        env=quiet_environment,
         start_new_session=True,
     )
 

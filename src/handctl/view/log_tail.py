@@ -52,21 +52,21 @@ class LogTail:
             # If the message indexes after a chunk are incomplete, Rerun loses messages of this
             # chunk. So the reader passes on a chunk only when the record after the message indexes
             # exists.
-            ends = [
+            end_offsets = [
                 *(chunk.offset for chunk in scan.chunks[1:]),
                 *([scan.end] if scan.complete else []),
             ]
-            new = scan.chunks[self._sent_chunks : len(ends)]
-            if not new:
+            new_chunks = scan.chunks[self._sent_chunks : len(end_offsets)]
+            if not new_chunks:
                 return None
-            with path.open("wb") as out:
+            with path.open("wb") as output_file:
                 # The first chunk of the log contains the definitions of all topics. Therefore every
                 # written part begins with this chunk.
                 if self._sent_chunks:
-                    out.write(file.read_range(0, ends[0]))
-                start = new[0].offset if self._sent_chunks else 0
-                out.write(file.read_range(start, ends[-1] - start))
+                    output_file.write(file.read_range(0, end_offsets[0]))
+                start = new_chunks[0].offset if self._sent_chunks else 0
+                output_file.write(file.read_range(start, end_offsets[-1] - start))
         finally:
             file.close()
-        self._sent_chunks = len(ends)
-        return min(chunk.first_ns for chunk in new)
+        self._sent_chunks = len(end_offsets)
+        return min(chunk.first_ns for chunk in new_chunks)

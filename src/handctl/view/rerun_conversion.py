@@ -47,13 +47,13 @@ def rerun_errors(name: str) -> Iterator[None]:
         ) from error
 
 
-def chunks_of_run(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
+def chunks_of_run(path: Path, run: RunInfo, first_slice_ns: int = SLICE_NS) -> Iterator[Chunk]:
     """Return all chunks of a log one after another, see `chunks_of_run_by_part`."""
-    return chain.from_iterable(chunks_of_run_by_part(path, run, first_ns))
+    return chain.from_iterable(chunks_of_run_by_part(path, run, first_slice_ns))
 
 
 def chunks_of_run_by_part(
-    path: Path, run: RunInfo, first_ns: int = SLICE_NS, scan: RecordScan | None = None
+    path: Path, run: RunInfo, first_slice_ns: int = SLICE_NS, scan: RecordScan | None = None
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
@@ -62,7 +62,7 @@ def chunks_of_run_by_part(
     Args:
         path: path of the log. The log may be incomplete.
         run: data about the run and the hand of the log.
-        first_ns: duration of the first part of the run [ns].
+        first_slice_ns: duration of the first part of the run [ns].
         scan: list of the log's records, if the records have been scanned already.
 
     Raises:
@@ -71,8 +71,8 @@ def chunks_of_run_by_part(
     yield [*style_chunks(run), *mesh_chunks(run), *true_shape_chunks(run)]
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
-        complete, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
-        for part, since_ns in time_slices(complete, scan, Path(folder), first_ns):
+        complete_log, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
+        for part, since_ns in time_slices(complete_log, scan, Path(folder), first_slice_ns):
             yield list(chunks_of_log(part, converters, run.name, since_ns))
 
 
@@ -112,15 +112,19 @@ def chunks_of_log(
         reader = McapReader(
             path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
         )
-        first, last = reader.time_bounds()
+        start_ns, end_ns = reader.time_bounds()
         # The time range of the stream does not include its end, so 1 is added.
-        raw = (
-            reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1)
+        raw_chunks = (
+            reader.stream(start_time_ns=max(start_ns, since_ns), end_time_ns=end_ns + 1)
             .collect()
             .stream()
             .to_chunks()
         )
-    yield from (new for chunk in sorted(raw, key=_start_time_ns) for new in converters(chunk))
+    yield from (
+        new_chunk
+        for chunk in sorted(raw_chunks, key=_start_time_ns)
+        for new_chunk in converters(chunk)
+    )
 
 
 def _start_time_ns(chunk: Chunk) -> int:

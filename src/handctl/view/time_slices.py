@@ -17,7 +17,7 @@ A part of this length has few chunks. The small number of chunks limits the use 
 
 
 def time_slices(
-    path: Path, scan: RecordScan, folder: Path, first_ns: int
+    path: Path, scan: RecordScan, folder: Path, first_slice_ns: int
 ) -> Iterator[tuple[Path, int]]:
     """Divide a complete log into parts, and yield the parts in the order of time.
 
@@ -27,7 +27,7 @@ def time_slices(
         path: path of a complete log.
         scan: list of the records of the log.
         folder: folder for the parts.
-        first_ns: duration of the first part of the run [ns].
+        first_slice_ns: duration of the first part of the run [ns].
 
     Yields:
         the path of the part, and the first new log time [ns]. Each part starts with the definitions
@@ -38,35 +38,39 @@ def time_slices(
     """
     file = LogFile(path)
     try:
-        head = scan.chunks[0]
-        rest = scan.chunks[1:]
-        starts = [chunk.offset for chunk in rest] + [scan.end]
+        first_chunk = scan.chunks[0]
+        remaining_chunks = scan.chunks[1:]
+        start_offsets = [chunk.offset for chunk in remaining_chunks] + [scan.end]
         part = folder / "part.mcap"
-        for group in _group_chunks(head.first_ns, rest, first_ns) or [[]]:
-            first = rest.index(group[0]) if group else 0
+        for group in _group_chunks(first_chunk.first_ns, remaining_chunks, first_slice_ns) or [[]]:
+            first_chunk_index = remaining_chunks.index(group[0]) if group else 0
             for chunk in group:
                 # Checks the checksum, because Rerun would show damaged data.
                 file.chunk_content(chunk)
             # Every part begins with the head of the log file and the first chunk, which contain the
             # definitions of all topics.
-            with part.open("wb") as out:
-                out.write(file.read_range(0, starts[0]))
+            with part.open("wb") as output_file:
+                output_file.write(file.read_range(0, start_offsets[0]))
                 if group:
-                    out.write(
-                        file.read_range(starts[first], starts[first + len(group)] - starts[first])
+                    output_file.write(
+                        file.read_range(
+                            start_offsets[first_chunk_index],
+                            start_offsets[first_chunk_index + len(group)]
+                            - start_offsets[first_chunk_index],
+                        )
                     )
             yield (
                 part,
-                min((chunk.first_ns for chunk in group), default=head.first_ns)
-                if first
-                else head.first_ns,
+                min((chunk.first_ns for chunk in group), default=first_chunk.first_ns)
+                if first_chunk_index
+                else first_chunk.first_ns,
             )
     finally:
         file.close()
 
 
 def _group_chunks(
-    start_ns: int, chunks: list[ChunkLocation], first_ns: int
+    start_ns: int, chunks: list[ChunkLocation], first_slice_ns: int
 ) -> list[list[ChunkLocation]]:
     """Divide chunks into groups, one for each part of the run.
 
@@ -74,7 +78,7 @@ def _group_chunks(
     """
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
-        groups.setdefault(max(-1, (chunk.first_ns - start_ns - first_ns) // SLICE_NS), []).append(
-            chunk
-        )
+        groups.setdefault(
+            max(-1, (chunk.first_ns - start_ns - first_slice_ns) // SLICE_NS), []
+        ).append(chunk)
     return list(groups.values())

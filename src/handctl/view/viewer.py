@@ -258,13 +258,13 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", stderr_pipe: IO[bytes]) ->
             remaining -= 0.05
         stderr_pipe.seek(0)
         text = stderr_pipe.read()
-        listens = _ADDRESS_LINE_PATTERN.search(text)
-        if listens:
-            return listens.group().decode()
+        address_match = _ADDRESS_LINE_PATTERN.search(text)
+        if address_match:
+            return address_match.group().decode()
         if process.returncode is not None:
-            last = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
+            last_line = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
             raise HandctlError(
-                f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", ""
+                f"the viewer ended with code {process.returncode}: {last_line[0]}", "rerun", ""
             )
     raise HandctlError(
         f"the viewer has not opened its port within {VIEWER_START_TIMEOUT_S:g} s", "rerun", ""

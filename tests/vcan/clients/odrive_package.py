@@ -37,16 +37,18 @@ class FoundDevices(DeviceManagerDelegate):  # type: ignore[misc,unused-ignore]
 async def find_devices() -> dict[str, int]:
     """Return the node number of each device on the bus by its serial number."""
     manager = get_device_manager()
-    found = FoundDevices()
-    subscription = manager.subscribe(FilterSpec(interfaces=INTERFACES), found, debug_name="test")
+    found_devices = FoundDevices()
+    subscription = manager.subscribe(
+        FilterSpec(interfaces=INTERFACES), found_devices, debug_name="test"
+    )
     try:
         for _ in range(round(FIND_TIMEOUT_S / 0.1)):
             await asyncio.sleep(0.1)
-            if len(found.nodes) == len(NODE_NUMBERS):
+            if len(found_devices.nodes) == len(NODE_NUMBERS):
                 break
     finally:
         manager.unsubscribe(subscription)
-    return found.nodes
+    return found_devices.nodes
 
 
 async def connect(serial_number: str) -> str:

@@ -68,8 +68,8 @@ def check_registers(checks: CheckList) -> None:
     for number, value in expected.items():
         arm.query_param_all(number.value)
         arm.recv_all(REPLY_TIMEOUT_US)
-        seen = [motor.get_param(number.value) for motor in arm.get_arm().get_motors()]
-        checks.check(f"register {number.name}", seen == [value] * MOTOR_COUNT, seen)
+        parameters = [motor.get_param(number.value) for motor in arm.get_arm().get_motors()]
+        checks.check(f"register {number.name}", parameters == [value] * MOTOR_COUNT, parameters)
 
 
 def check_mit_mode(checks: CheckList) -> None:

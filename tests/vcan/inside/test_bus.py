@@ -21,16 +21,20 @@ BUS_INDEX = 1
 
 @pytest.fixture
 def bus() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int)
-    yield opened
-    opened.close()
+    opened_bus = open_bus(
+        "socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int
+    )
+    yield opened_bus
+    opened_bus.close()
 
 
 @pytest.fixture
 def other_bus() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int)
-    yield opened
-    opened.close()
+    opened_bus = open_bus(
+        "socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, convert_time=int
+    )
+    yield opened_bus
+    opened_bus.close()
 
 
 def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
@@ -55,9 +59,9 @@ def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, other_bus: B
     fd = [Frame(n | EXTENDED_FLAG, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
     batch = [frame for pair in zip(classical, fd, strict=True) for frame in pair]
     assert bus.send(batch) == len(batch)
-    received = drain_bus(other_bus, len(batch))
-    assert frame_contents(received) == frame_contents(batch)
-    assert {frame.bus for frame in received} == {BUS_INDEX}
+    received_frames = drain_bus(other_bus, len(batch))
+    assert frame_contents(received_frames) == frame_contents(batch)
+    assert {frame.bus for frame in received_frames} == {BUS_INDEX}
     assert other_bus.take_events() == []
 
 
@@ -69,7 +73,7 @@ def test_a_sender_does_not_receive_its_frames(bus: Bus, other_bus: Bus) -> None:
 
 
 def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
-    before = time.monotonic_ns()
+    time_ns_before = time.monotonic_ns()
     bus.send([Frame(1, b"", bus=BUS_INDEX)])
     send_time_ns = time.monotonic_ns()
     time.sleep(0.2)
@@ -77,7 +81,7 @@ def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
     time.sleep(0.2)
     first, second = drain_bus(other_bus, 2)
     slack = 100_000_000
-    assert before - slack <= first.t_ns <= send_time_ns + slack
+    assert time_ns_before - slack <= first.t_ns <= send_time_ns + slack
     assert second.t_ns - first.t_ns >= 150_000_000
 
 
@@ -156,8 +160,8 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
     assert sender.take_events() == [
         ("enobufs", f"socketcan:{slow_tunnel[0]}", len(batch) - accepted)
     ]
-    received = drain_bus(receiver, accepted)
-    assert [frame.can_id for frame in received] == list(range(accepted)), (
+    received_frames = drain_bus(receiver, accepted)
+    assert [frame.can_id for frame in received_frames] == list(range(accepted)), (
         "no refused frame is sent later"
     )
     assert sender.send(batch[:1]) == 1, "the queue has room again"

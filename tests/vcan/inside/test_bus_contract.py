@@ -10,6 +10,6 @@ from tests.runtime.bus_contract import BusUnderTest
 
 @pytest.fixture
 def bus_under_test() -> Iterator[BusUnderTest]:
-    made = BusUnderTest("socketcan:vcan0")
-    yield made
-    made.close()
+    bus = BusUnderTest("socketcan:vcan0")
+    yield bus
+    bus.close()

@@ -101,7 +101,7 @@ def run_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, Tr
     """
     path = hand_file(work_folder, ["mit"])
     hand = load_hand(str(path))
-    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
         HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
@@ -182,7 +182,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
     with RunLog(tmp_path / "run.mcap") as log:
         assert not log.warning
         assert (np.diff(log.t_ns) > 0).all()
-        assert not [one.event.text for one in log.events if one.event.level == "error"]
+        assert not [event.event.text for event in log.events if event.event.level == "error"]
 
 
 @pytest.mark.timeout(600)
@@ -194,9 +194,9 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
-    after = observer.modes[observer.modes.index(HandMode.ACTIVE) :]
+    modes_after = observer.modes[observer.modes.index(HandMode.ACTIVE) :]
     fault_tick = round(FAULT_AFTER_S * RATE_HZ)
-    assert after[: fault_tick + 3].count(HandMode.ACTIVE) <= fault_tick + 1, (
+    assert modes_after[: fault_tick + 3].count(HandMode.ACTIVE) <= fault_tick + 1, (
         "the next tick removes torque"
     )
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGIT_NAMES])

@@ -26,10 +26,10 @@ def raw_socket(interface: str) -> socket.socket:
 
 @pytest.mark.parametrize("interface", ["vcan0", "vcan1"])
 def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
-    shown = subprocess.run(
+    shown_links = subprocess.run(
         ["ip", "-json", "link", "show", interface], capture_output=True, check=True
     ).stdout
-    (state,) = json.loads(shown)
+    (state,) = json.loads(shown_links)
     assert state["mtu"] == FD_FRAME.size
     assert "UP" in state["flags"]
 
@@ -56,10 +56,10 @@ def test_frames_of_one_bus_do_not_reach_the_other() -> None:
     with (
         raw_socket("vcan0") as sender,
         raw_socket("vcan0") as same_bus_socket,
-        raw_socket("vcan1") as other,
+        raw_socket("vcan1") as other_socket,
     ):
         sender.send(CLASSICAL_FRAME.pack(1, 0, b""))
         assert len(same_bus_socket.recv(FD_FRAME.size)) == CLASSICAL_FRAME.size
-        other.setblocking(False)
+        other_socket.setblocking(False)
         with pytest.raises(BlockingIOError):
-            other.recv(FD_FRAME.size)
+            other_socket.recv(FD_FRAME.size)

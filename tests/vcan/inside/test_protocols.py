@@ -194,7 +194,7 @@ def run_pull(
     Return the outcome of the run, and the true values from the simulator.
     """
     hand, time_scale = load_hand(str(hand_path)), 0.1
-    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(bus_options), time_scale=time_scale)
     program = JogProgram(
         HoldTensionRequest(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S

@@ -29,8 +29,8 @@ def test_a_message_crosses_vcan(message: can.Message) -> None:
         can.Bus("vcan0", interface="socketcan", fd=True) as receiver,
     ):
         sender.send(message)
-        received = receiver.recv(timeout=20.0)
-    assert received is not None
-    assert received.equals(
+        received_message = receiver.recv(timeout=20.0)
+    assert received_message is not None
+    assert received_message.equals(
         message, timestamp_delta=None, check_channel=False, check_direction=False
     )

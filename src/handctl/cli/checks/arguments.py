@@ -60,20 +60,20 @@ def config(parser: VerbParser) -> None:
     )
 
     def add_kind(name: str, text: str) -> VerbParser:
-        one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
-        add_json_option(one)
+        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
+        add_json_option(subparser)
         if name not in ("init", "list", "schema", "convert"):
-            add_hand_option(one)
-        return one
+            add_hand_option(subparser)
+        return subparser
 
     _declare_init(
         add_kind("init", "write a new hand file from a few answers, or from a robot description")
     )
-    show = add_kind("show", "show a hand, and the source of each value")
+    show_parser = add_kind("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
-    show.add_argument("--graph", action="store_true", help=text)
-    add_output_option(show, "picture of --graph: a new .svg, .png or .pdf")
-    _declare_files(show)
+    show_parser.add_argument("--graph", action="store_true", help=text)
+    add_output_option(show_parser, "picture of --graph: a new .svg, .png or .pdf")
+    _declare_files(show_parser)
     check = add_kind("check", "check a hand with its files")
     _declare_files(check)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
@@ -87,12 +87,14 @@ def config(parser: VerbParser) -> None:
     convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
     add_output_option(convert, "a new file", required=True)
     export = add_kind("export", "write the buses or the links of a hand for other tools")
-    form = export.add_mutually_exclusive_group()
-    form.add_argument(
+    format_group = export.add_mutually_exclusive_group()
+    format_group.add_argument(
         "--dbc", action="store_true", help="the frames of each bus, as a CAN database"
     )
-    form.add_argument("--urdf", action="store_true", help="links and joints, for ROS and pinocchio")
-    form.add_argument(
+    format_group.add_argument(
+        "--urdf", action="store_true", help="links and joints, for ROS and pinocchio"
+    )
+    format_group.add_argument(
         "--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo"
     )
     add_output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
@@ -177,19 +179,19 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     text = "protocol of the drives (default: mit)"
     add("--protocol", choices=tuple(PROTOCOL_TRAITS), help=text)
     add_motor_type_option(parser)
-    todo = "with --urdf or --mjcf 'TODO'"
+    import_default_text = "with --urdf or --mjcf 'TODO'"
     add(
         "--cells",
         choices=("all", "none"),
-        help=f"tendons that have a load cell (default: all, {todo})",
+        help=f"tendons that have a load cell (default: all, {import_default_text})",
     )
     add(
         "--encoders",
         choices=("all", "none"),
-        help=f"joints that have an encoder (default: none, {todo})",
+        help=f"joints that have an encoder (default: none, {import_default_text})",
     )
     text = "joints that have a return spring; without springs, a further tendon opens each digit"
-    add("--springs", choices=("all", "none"), help=f"{text} (default: all, {todo})")
+    add("--springs", choices=("all", "none"), help=f"{text} (default: all, {import_default_text})")
     add(
         "--first-node",
         type=int,
@@ -233,19 +235,19 @@ def bus(parser: VerbParser) -> None:
         (up, "none"),
         (watch, "jamia on a simulated bus"),
     )
-    for one, default in defaults:
-        named = one.add_argument(
+    for subcommand, default in defaults:
+        bus_argument = subcommand.add_argument(
             "--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})"
         )
-        named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
-        add_bus_option(one, required=False)
-        add_json_option(one)
+        bus_argument.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
+        add_bus_option(subcommand, required=False)
+        add_json_option(subcommand)
     text = "control rate (default: the highest at which no bus is overloaded)"
     plan.add_argument("--rate", type=float, metavar="HZ", help=text)
     plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
-    for one in (doctor, up):
+    for subcommand in (doctor, up):
         add_bitrate_options(
-            one,
+            subcommand,
             "without a hand: bit rate of the bus",
             "without a hand: bit rate of CAN FD's data phase",
         )

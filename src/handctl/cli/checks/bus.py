@@ -10,5 +10,5 @@ import importlib
 
 def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``bus``, and return the exit code."""
-    done: int = importlib.import_module(f"handctl.cli.checks.bus_{args.what}").run(args)
-    return done
+    exit_code: int = importlib.import_module(f"handctl.cli.checks.bus_{args.what}").run(args)
+    return exit_code

@@ -54,10 +54,10 @@ def run(args: argparse.Namespace) -> int:
     results = [_examine_bus(spec, section, hand) for spec, section in _expected_buses(args, hand)]
     if args.json:
         print_json({"buses": results})
-    good = all(finding["good"] for bus in results for finding in bus["findings"])
+    is_good = all(finding["good"] for bus in results for finding in bus["findings"])
     if not args.json:
         _print_findings(results)
-    return ExitCode.DONE if good else ExitCode.FAILED
+    return ExitCode.DONE if is_good else ExitCode.FAILED
 
 
 def _expected_buses(
@@ -82,20 +82,20 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     print_note(f"{spec}: looking")
     kind, _, channel = spec.partition(":")
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
-    trips: list[tuple[DiscoveredNode, RoundTrip]] = []
+    round_trips: list[tuple[DiscoveredNode, RoundTrip]] = []
     if not any(finding.is_bus_unusable for finding in rows):
-        more, trips = _check_nodes(spec, expected, hand)
-        rows += more
+        node_findings, round_trips = _check_nodes(spec, expected, hand)
+        rows += node_findings
     return {
         "bus": spec,
         "name": expected.name,
         "findings": [
-            {"what": one.observation, "good": one.good, "fix": "" if one.good else one.fix}
-            for one in rows
+            {"what": row.observation, "good": row.is_good, "fix": "" if row.is_good else row.remedy}
+            for row in rows
         ],
         "nodes": [
             {"protocol": node.protocol, "node_id": node.node_id, **_trip_fields(trip)}
-            for node, trip in trips
+            for node, trip in round_trips
         ],
     }
 
@@ -115,9 +115,9 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
         return [missing_interface_finding(channel, expected.bitrate, expected.data_bitrate)]
     adapter = read_adapter(channel)
     other_names = [name for name in interface_names() if name != channel]
-    others = [name for name in other_names if (read_adapter(name) or NO_USB_ADAPTER).serial]
+    other_channels = [name for name in other_names if (read_adapter(name) or NO_USB_ADAPTER).serial]
     rows = interface_findings(channel, link, expected.bitrate, expected.data_bitrate)
-    return rows + adapter_findings(channel, adapter, link.kind, others)
+    return rows + adapter_findings(channel, adapter, link.kind, other_channels)
 
 
 def _check_nodes(
@@ -133,21 +133,21 @@ def _check_nodes(
         return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING_ADVICE)], []
     try:
         result = scan_bus(bus)
-        trips = [] if result.foreign_frames else _measure_round_trips(bus, result)
+        round_trips = [] if result.foreign_frames else _measure_round_trips(bus, result)
     finally:
         bus.close()
     rows = [
         LinkFinding("can be opened", True),
         *_event_findings(result),
-        *map(_answers_text, trips),
+        *map(_answers_text, round_trips),
     ]
     rows += [
         LinkFinding(f"{node.protocol} {node.node_id}: two drives answer", False, TWO_DRIVES_WARNING)
-        for node in _duplicate_nodes(result, trips)
+        for node in _duplicate_nodes(result, round_trips)
     ]
     if result.foreign_frames:
-        what = "another host controls this bus: nodes were not queried"
-        rows.append(LinkFinding(what, False, "stop it, and run the command again"))
+        problem_text = "another host controls this bus: nodes were not queried"
+        rows.append(LinkFinding(problem_text, False, "stop it, and run the command again"))
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
     elif not result.found_nodes:
@@ -158,15 +158,15 @@ def _check_nodes(
         )
     else:
         rows.append(LinkFinding(undiscoverable_protocols_text(), True))
-    return rows, trips
+    return rows, round_trips
 
 
 def _duplicate_nodes(
     result: BusScan, node_round_trips: list[tuple[DiscoveredNode, RoundTrip]]
 ) -> list[DiscoveredNode]:
     """Return the nodes whose node number more than one drive uses."""
-    twice = [node for node, trip in node_round_trips if trip.is_node_number_shared]
-    return [node for node in result.found_nodes if node.twins or node in twice]
+    shared_nodes = [node for node, trip in node_round_trips if trip.is_node_number_shared]
+    return [node for node in result.found_nodes if node.twins or node in shared_nodes]
 
 
 def _measure_round_trips(bus: Bus, result: BusScan) -> list[tuple[DiscoveredNode, RoundTrip]]:
@@ -195,18 +195,20 @@ def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFindin
     times = (
         f"{trip.shortest_s * 1e3:.2f} / {trip.median_s * 1e3:.2f} / {trip.longest_s * 1e3:.2f} ms"
     )
-    what = f"{name} answers {trip.answers} of {trip.requests}, shortest / median / longest {times}"
-    good = trip.answers == trip.requests and trip.median_s < SLOW_ROUND_TRIP_S
-    return LinkFinding(what, good, BUSY_HINT)
+    problem_text = (
+        f"{name} answers {trip.answers} of {trip.requests}, shortest / median / longest {times}"
+    )
+    is_good = trip.answers == trip.requests and trip.median_s < SLOW_ROUND_TRIP_S
+    return LinkFinding(problem_text, is_good, BUSY_HINT)
 
 
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
     """Return one finding for each motor of the hand file that did not answer on a bus."""
-    there = {(node.protocol, node.node_id) for node in result.found_nodes}
+    found_numbers = {(node.protocol, node.node_id) for node in result.found_nodes}
     motors = [
         motor
         for motor in hand.motor
-        if motor.bus == bus and (motor.protocol, motor.node_id) not in there
+        if motor.bus == bus and (motor.protocol, motor.node_id) not in found_numbers
     ]
     names = [
         (
@@ -237,10 +239,14 @@ def _trip_fields(trip: RoundTrip) -> dict[str, Any]:
 
 def _print_findings(buses: list[dict[str, Any]]) -> None:
     for bus in buses:
-        findings_shown = [one for one in bus["findings"] if not (one["good"] and is_quiet())]
-        if findings_shown or not is_quiet():
+        shown_findings = [
+            finding_row
+            for finding_row in bus["findings"]
+            if not (finding_row["good"] and is_quiet())
+        ]
+        if shown_findings or not is_quiet():
             print(f"{bus['name']} ({bus['bus']}):")
-        for finding in findings_shown:
+        for finding in shown_findings:
             print(f"  {'ok ' if finding['good'] else '-- '} {finding['what']}")
             if not finding["good"]:
                 print(f"        {finding['fix']}")

@@ -34,13 +34,13 @@ def run(args: argparse.Namespace) -> int:
     rate = highest_rate_of_buses(loads) if args.rate is None else args.rate
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
-    wrong = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []
-    result = bus_plan_report(hand, loads, rate) | {"wrong_bit_rates": wrong}
+    wrong_bit_rates = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []
+    result = bus_plan_report(hand, loads, rate) | {"wrong_bit_rates": wrong_bit_rates}
     if args.json:
         print_json(result)
     else:
         _print_loads(result, is_verbose())
-    return ExitCode.DONE if result["fits"] and not wrong else ExitCode.FAILED
+    return ExitCode.DONE if result["fits"] and not wrong_bit_rates else ExitCode.FAILED
 
 
 def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> dict[str, Any]:
@@ -53,10 +53,10 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> d
         loads: worst-case load of each bus, in the order of the hand file.
         rate_hz: control rate [Hz].
     """
-    fits = all(load.load_at(rate_hz) <= MAX_BUS_LOAD for load in loads)
+    is_within_load = all(load.load_at(rate_hz) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate_hz) for load in loads]
-    return {"hand": hand.name, "rate_hz": rate_hz, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
-            "split": [] if fits else split_motors_over_buses(hand, rate_hz)}  # fmt: skip
+    return {"hand": hand.name, "rate_hz": rate_hz, "most": MAX_BUS_LOAD, "fits": is_within_load, "buses": buses,
+            "split": [] if is_within_load else split_motors_over_buses(hand, rate_hz)}  # fmt: skip
 
 
 def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
@@ -80,7 +80,7 @@ def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
-        "by_time": load.timed_fraction,
+        "by_time": load.periodic_load_fraction,
         "load": load.load_at(rate_hz),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
@@ -88,8 +88,8 @@ def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
 
 
 def _row_fields(row: BusLoadRow) -> dict[str, Any]:
-    return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
-            "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
+    return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.frames_per_tick,
+            "per_second": row.frames_per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 
 
 def _print_loads(bus_plan: dict[str, Any], with_details: bool) -> None:

@@ -51,8 +51,8 @@ def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
         hand = load_hand(args.hand)
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
-    named = named_buses(args.bus)
-    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named.items())
+    bus_specs_by_name = named_buses(args.bus)
+    return tuple((spec, BusSection(name=name, **rates)) for name, spec in bus_specs_by_name.items())
 
 
 def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]:
@@ -64,8 +64,8 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]
     """
     kind, _, channel = spec.partition(":")
     if kind != "socketcan":
-        right = "socketcan:NAME; others are set up when opened"
-        raise BusError("has no interface to set up", spec, right)
+        expected = "socketcan:NAME; others are set up when opened"
+        raise BusError("has no interface to set up", spec, expected)
     exists = channel in interface_names()
     if not exists and not channel.startswith("vcan"):
         raise BusError(
@@ -99,10 +99,12 @@ def _run_command(command: CommandWords) -> None:
     """
     text = shlex.join(command)
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_TIMEOUT_S)
+        process_result = subprocess.run(
+            command, capture_output=True, text=True, timeout=COMMAND_TIMEOUT_S
+        )
     except (FileNotFoundError, subprocess.TimeoutExpired) as error:
         raise BusError(f"does not run: {error}", text, "sudo apt-get install iproute2") from None
-    if done.returncode:
-        reason = " ".join((done.stderr or done.stdout).split())
-        right = "an interface of the kernel, and its driver's bit rates"
-        raise BusError(f"failed: {reason}", text, right)
+    if process_result.returncode:
+        reason = " ".join((process_result.stderr or process_result.stdout).split())
+        expected = "an interface of the kernel, and its driver's bit rates"
+        raise BusError(f"failed: {reason}", text, expected)

@@ -48,33 +48,33 @@ def run(args: argparse.Namespace) -> int:
     clock = RealClock(round(1e9 / min(MAX_POLL_RATE_HZ, default_control_rate(hand))), time_scale)
     for spec in specs:
         if is_running(spec):
-            right = (
+            expected = (
                 "no running controller: its own display and handctl run --view show the readings"
             )
-            raise BusError("a controller runs here", f"bus {spec}", right)
+            raise BusError("a controller runs here", f"bus {spec}", expected)
     with ExitStack() as stack:
         for spec in specs:
             stack.enter_context(bus_lock(spec))
-        opened = []
+        opened_buses = []
         for index, (spec, section) in enumerate(zip(specs, hand.bus, strict=True)):
             bus = open_bus(spec, index, section.bitrate, section.data_bitrate, clock.run_time_of)
             stack.callback(bus.close)
-            opened.append(bus)
-        watch = BusWatch(drives, make_sensors(hand), opened, clock, clock.period_ns)
+            opened_buses.append(bus)
+        watch = BusWatch(drives, make_sensors(hand), opened_buses, clock, clock.period_ns)
         print_note(
             f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."
         )
-        if foreign := watch.find_other_host():
-            problem = f"another host controls this bus (received: {foreign})"
+        if other_host_ids := watch.find_other_host():
+            problem = f"another host controls this bus (received: {other_host_ids})"
             raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
-        ended = TerminationFlag()
-        stack.enter_context(installed_handler(ended, signal.SIGINT, signal.SIGTERM))
+        termination_flag = TerminationFlag()
+        stack.enter_context(installed_handler(termination_flag, signal.SIGINT, signal.SIGTERM))
         stack.callback(watch.send_release)
         clock.start()
-        _show_readings(args, hand, watch, ended)
-    if silent := watch.silent_motors():
-        print(f"handctl: without a reply at the end: {', '.join(silent)}", file=sys.stderr)
-    return ExitCode.FAILED if silent else ExitCode.DONE
+        _show_readings(args, hand, watch, termination_flag)
+    if silent_motors := watch.silent_motors():
+        print(f"handctl: without a reply at the end: {', '.join(silent_motors)}", file=sys.stderr)
+    return ExitCode.FAILED if silent_motors else ExitCode.DONE
 
 
 def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand, float]:
@@ -101,25 +101,25 @@ def _show_readings(
 
     Show the readings of the drives at intervals and at the end.
     """
-    begin = time.monotonic()
-    end = begin + (math.inf if args.duration is None else args.duration)
-    in_place = sys.stdout.isatty() and not args.json
-    every = REFRESH_PERIOD_S if args.json or in_place else LINE_PERIOD_S
-    due = begin + every
+    start_time_s = time.monotonic()
+    end = start_time_s + (math.inf if args.duration is None else args.duration)
+    redraws_in_place = sys.stdout.isatty() and not args.json
+    print_period_s = REFRESH_PERIOD_S if args.json or redraws_in_place else LINE_PERIOD_S
+    next_print_time = start_time_s + print_period_s
     with ExitStack() as stack:
-        live = None
-        if in_place:
+        live_display = None
+        if redraws_in_place:
             from rich.live import Live
 
-            live = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
+            live_display = stack.enter_context(Live(console=rich_console(), auto_refresh=False))
         while not termination.requested and (now := time.monotonic()) < end:
             watch.run_tick()
-            if now < due:
+            if now < next_print_time:
                 continue
-            due = max(due + every, now)
+            next_print_time = max(next_print_time + print_period_s, now)
             readings = readings_of(hand, watch)
-            if live is not None:
-                live.update(_readings_table(readings), refresh=True)
+            if live_display is not None:
+                live_display.update(_readings_table(readings), refresh=True)
             elif args.json:
                 print_json_line(readings)
             else:
@@ -174,11 +174,11 @@ def _drive_fields(
     """
     motor = hand.motor_of(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)
-    shown = values if age_s <= STALE_AFTER_S else (math.nan,) * len(values)
+    shown_values = values if age_s <= STALE_AFTER_S else (math.nan,) * len(values)
     names = ("angle_rad", "velocity_rad_s", "torque_N_m", "temperature_degC")
     return {
         "motor": drive.name, "tendon": tendon, "protocol": motor.protocol, "node_id": motor.node_id,
-        "phase": state.phase.name.lower(), **dict(zip(names, shown, strict=True)), "age_s": age_s,
+        "phase": state.phase.name.lower(), **dict(zip(names, shown_values, strict=True)), "age_s": age_s,
         "error": state.error_text,
     }  # fmt: skip
 
@@ -189,7 +189,7 @@ def _readings_table(reading_fields: dict[str, Any]) -> Any:
 
     cells = {row["tendon"]: row for row in reading_fields["load_cells"]}
     table = Table(box=None, pad_edge=False)
-    titles = (
+    column_titles = (
         "motor",
         "node",
         "phase",
@@ -199,7 +199,7 @@ def _readings_table(reading_fields: dict[str, Any]) -> Any:
         "temp. [C]",
         "load cell [N]",
     )
-    for title in titles:
+    for title in column_titles:
         table.add_column(title, justify="left" if title in ("motor", "phase") else "right")
     for row in reading_fields["drives"]:
         cell = cells.get(row["tendon"], {"tension_N": math.nan, "saturated": False})
@@ -210,12 +210,12 @@ def _readings_table(reading_fields: dict[str, Any]) -> Any:
             _number_text(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
         )  # fmt: skip
     for row in reading_fields["joint_encoders"]:
-        shown = (
+        value_text = (
             f"{_number_text(1e3 * row['position_m'], 2)} mm"
             if "position_m" in row
             else _number_text(math.degrees(row["angle_rad"]), 1)
         )
-        table.add_row(row["joint"], "", "joint encoder", shown)
+        table.add_row(row["joint"], "", "joint encoder", value_text)
     return table
 
 

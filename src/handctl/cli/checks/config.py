@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         return _export_hand(args, hand)
     if args.what == "show" and (args.graph or args.output):
         return _show_graph(args, hand)
-    return _show_or_check(args, hand)
+    return _show_or_check_hand(args, hand)
 
 
 def _all_errors(args: argparse.Namespace) -> list[str]:
@@ -102,22 +102,22 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
         if args.task:
             checks.append(lambda: load_task(task_path(args.task)))
     else:
-        checks = _checks_of_files(args, hand)
+        checks = _file_checks(args, hand)
     for check in checks:
         try:
             check()
         except ConfigError as error:
-            in_hand = SECTION_PATTERN.fullmatch(error.where)
-            placed = with_paths_in_hand_file(
+            hand_section_match = SECTION_PATTERN.fullmatch(error.where)
+            located_mistake = with_paths_in_hand_file(
                 [FileMistake(error.what, error.where, error.right)], origins
             )
-            errors.append(placed[0].error(str(path)) if in_hand else error)
-    places = [error.where for error in errors]
+            errors.append(located_mistake[0].error(str(path)) if hand_section_match else error)
+    key_paths = [error.where for error in errors]
     # If an error at a key causes another error at the same key, only the first of them is reported.
-    return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
+    return [str(error) for i, error in enumerate(errors) if error.where not in key_paths[:i]]
 
 
-def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
+def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
     """Return functions that check a valid hand and the other files of the hand.
 
     Each function raises a ConfigError if it finds an error.
@@ -196,7 +196,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
     return 0
 
 
-def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
+def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     """Show a hand with its derived values and files, or check the hand."""
     layers = layered_gains(args, hand)
     if args.task:
@@ -206,7 +206,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_rate_of_buses(loads)
-    load = {one.name: one.load_at(rate) for one in loads}
+    load = {bus_load.name: bus_load.load_at(rate) for bus_load in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":
@@ -305,10 +305,11 @@ def _calibration_lines(calibration_fields: dict[str, Any]) -> list[str]:
     if calibration_fields["problem"]:
         return [f"calibration: {calibration_fields['problem']}"]
     return [f"calibration: {calibration_fields['file']}, made {calibration_fields['made']}"] + [
-        f"{tendon}.{name} = {one['value']:.5g} +- {one['half_width']:.2g} {one['unit']}"
-        f"  ({calibration_fields['file']}, identified {one['made']})"
+        f"{tendon}.{name} = {calibrated_value['value']:.5g} +- {calibrated_value['half_width']:.2g} "
+        f"{calibrated_value['unit']}"
+        f"  ({calibration_fields['file']}, identified {calibrated_value['made']})"
         for tendon, values in calibration_fields["identified"].items()
-        for name, one in values.items()
+        for name, calibrated_value in values.items()
     ]
 
 
@@ -339,18 +340,18 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     drives = make_drives(hand)
     sensors = make_sensors(hand)
     buses = hand.bus_names
-    written = []
+    written_paths = []
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
         write_text_atomically(
             path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), must_be_new=True
         )
-        written.append({"bus": name, "output": str(path)})
+        written_paths.append({"bus": name, "output": str(path)})
     if args.json:
-        print_json({"hand": hand.name, "files": written})
+        print_json({"hand": hand.name, "files": written_paths})
     else:
-        for one in written:
-            print_escaped(f"{one['output']}: bus {one['bus']}")
+        for written_path in written_paths:
+            print_escaped(f"{written_path['output']}: bus {written_path['bus']}")
     return 0
 
 
@@ -380,16 +381,16 @@ def _convert_file(args: argparse.Namespace) -> int:
         raise ConfigError(
             "schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED_SCHEMA}"
         )
-    new = convert_to_schema_2(text, str(args.old))
-    again = hand_from_content(parse_toml(new, str(args.output)), str(args.output))
-    if again.identity != hand.identity:
+    new_text = convert_to_schema_2(text, str(args.old))
+    repeated_hand = hand_from_content(parse_toml(new_text, str(args.output)), str(args.output))
+    if repeated_hand.identity != hand.identity:
         raise ConfigError(
             "describes another hand after its conversion",
             str(args.old),
             "a report of this as a bug",
         )
-    write_text_atomically(args.output, new, must_be_new=True)
-    lines = len(text.splitlines()), len(new.splitlines())
+    write_text_atomically(args.output, new_text, must_be_new=True)
+    lines = len(text.splitlines()), len(new_text.splitlines())
     if args.json:
         print_json({"output": str(args.output), "lines": lines, "identity": hand.identity})
     else:

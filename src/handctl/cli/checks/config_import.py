@@ -63,39 +63,51 @@ def run(args: argparse.Namespace) -> int:
         if getattr(args, option) is not None:
             name = option.removesuffix("_mm")
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
-    described, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
-    tendons, unread = usable_tendons(described)
-    answers = ImportAnswers(**{name: getattr(args, name) for name in IMPORT_ANSWER_NAMES})
+    described_hand, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
+    tendons, unread = usable_tendons(described_hand)
+    tendon_answers = ImportAnswers(**{name: getattr(args, name) for name in IMPORT_ANSWER_NAMES})
     if not args.yes:
-        answers = _ask_questions(answers, {"tendons", "pulley_mm"} if tendons else set())
-    _check_answers(answers)
+        tendon_answers = _ask_questions(
+            tendon_answers, {"tendons", "pulley_mm"} if tendons else set()
+        )
+    _check_answers(tendon_answers)
     if not tendons:
-        check_springs(answers.tendons, answers.springs)
-    check_protocol_given(answers.protocol, answers.motor_type)
-    traits = PROTOCOL_TRAITS[answers.protocol] if answers.protocol else None
+        check_springs(tendon_answers.tendons, tendon_answers.springs)
+    check_protocol_given(tendon_answers.protocol, tendon_answers.motor_type)
+    protocol_traits = PROTOCOL_TRAITS[tendon_answers.protocol] if tendon_answers.protocol else None
     options = ""
-    if answers.protocol:
-        drive_options = options_with_motor_type(answers.protocol, answers.motor_type)
-        options = options_line(answers.protocol, drive_options)
-    text = imported_hand_text(described, answers, options, traits is not None and traits.can_fd)
+    if tendon_answers.protocol:
+        drive_options = options_with_motor_type(tendon_answers.protocol, tendon_answers.motor_type)
+        options = options_line(tendon_answers.protocol, drive_options)
+    text = imported_hand_text(
+        described_hand,
+        tendon_answers,
+        options,
+        protocol_traits is not None and protocol_traits.can_fd,
+    )
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
-    missing = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
+    missing_values = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
     schema = write_with_schema(args.output, text)
-    warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing, args.output)]
-    joints = sum(len(digit.joints) for digit in described.digits)
+    warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing_values, args.output)]
+    joints = sum(len(digit.joints) for digit in described_hand.digits)
     if args.json:
-        found = {
-            "digits": len(described.digits),
+        importable_values = {
+            "digits": len(described_hand.digits),
             "joints": joints,
-            "missing": [one.where for one in missing],
+            "missing": [missing_value.where for missing_value in missing_values],
         }
         print_json(
-            {"output": str(args.output), "schema": str(schema), **found, "warnings": warnings}
+            {
+                "output": str(args.output),
+                "schema": str(schema),
+                **importable_values,
+                "warnings": warnings,
+            }
         )
         return 0
     print_escaped(
-        f"{args.output}: {len(described.digits)} digits, {joints} joints; "
-        f"{len(missing)} values are still {UNMEASURED_PLACEHOLDER}"
+        f"{args.output}: {len(described_hand.digits)} digits, {joints} joints; "
+        f"{len(missing_values)} values are still {UNMEASURED_PLACEHOLDER}"
     )
     for warning in warnings:
         print_escaped(f"warning: {warning}")
@@ -133,7 +145,7 @@ def read_hand_description(
     palm_mesh = _mesh_of_link("the palm", model["palm_meshes"], output_path, notes)
     gravity = model["gravity"]
     name = re.sub(r"\W+", "_", model["name"])
-    described = DescribedHand(
+    described_hand = DescribedHand(
         source=path.name,
         name=name if NAME_PATTERN.fullmatch(name) and name != UNMEASURED_PLACEHOLDER else "mine",
         gravity=None if gravity is None else (palm.T @ np.array(gravity)).tolist(),
@@ -142,7 +154,7 @@ def read_hand_description(
         tendons=model["tendons"],
         palm_mesh=palm_mesh and palm_mesh.seen_from_frame(palm, origin),
     )
-    return described, notes
+    return described_hand, notes
 
 
 def _mesh_of_link(
@@ -166,28 +178,31 @@ def _mesh_of_link(
         notes.append(
             f"mesh {Path(meshes[i]['file']).name} of {link_name} is left out: a link can have only one mesh"
         )
-    chosen = ModelMesh.from_plain_values(meshes[largest])
-    return replace(chosen, file=relative_path(Path(chosen.file), output_path))
+    chosen_mesh = ModelMesh.from_plain_values(meshes[largest])
+    return replace(chosen_mesh, file=relative_path(Path(chosen_mesh.file), output_path))
 
 
-def _ask_questions(answers: ImportAnswers, known_keys: set[str]) -> ImportAnswers:
+def _ask_questions(tendon_answers: ImportAnswers, known_keys: set[str]) -> ImportAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
-        if question.answer_field == SPRING_FIELD and answers.tendons == "one":
+        if question.answer_field == SPRING_FIELD and tendon_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         if (
-            getattr(answers, question.answer_field) is None
+            getattr(tendon_answers, question.answer_field) is None
             and question.answer_field not in known_keys
         ):
-            answers = replace(
-                answers,
+            tendon_answers = replace(
+                tendon_answers,
                 **{question.answer_field: ask_question(question, UNMEASURED_PLACEHOLDER, None)},
             )
-    return replace(answers, motor_type=ask_motor_type(answers.protocol, answers.motor_type))
+    return replace(
+        tendon_answers,
+        motor_type=ask_motor_type(tendon_answers.protocol, tendon_answers.motor_type),
+    )
 
 
-def _check_answers(answers: ImportAnswers) -> None:
+def _check_answers(tendon_answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
     All other mistakes are found when the new hand file is checked.
@@ -195,11 +210,13 @@ def _check_answers(answers: ImportAnswers) -> None:
     Raises:
         ConfigError: a name or a node number is wrong.
     """
-    if answers.name is not None:
-        check_name(answers.name)
-    if answers.first_node is not None and answers.first_node not in NODE_NUMBERS:
+    if tendon_answers.name is not None:
+        check_name(tendon_answers.name)
+    if tendon_answers.first_node is not None and tendon_answers.first_node not in NODE_NUMBERS:
         raise ConfigError(
-            f"{answers.first_node}", "--first-node", f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}"
+            f"{tendon_answers.first_node}",
+            "--first-node",
+            f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}",
         )
 
 

@@ -56,7 +56,7 @@ If an option already answers a question, the question is skipped.
 """
 OPTIONS_WITH_DESCRIPTION = ("first_node",)
 """Options that are valid only for a hand imported from a robot description."""
-PROPORTIONAL_DEFAULT = {"palm_mm": "palm", "pulley_mm": "pulley"}
+SCALED_DEFAULT_BY_KEY = {"palm_mm": "palm", "pulley_mm": "pulley"}
 """Attribute of the answers that computes the default of each of these fields.
 
 The default is proportional to other answers.
@@ -76,38 +76,39 @@ def run(args: argparse.Namespace) -> int:
                 f"--{option.replace('_', '-')}",
                 "--urdf or --mjcf with it",
             )
-    given = {one.name: getattr(args, one.name) for one in fields(NewHandAnswers)}
-    answers = replace(
-        NewHandAnswers(), **{name: value for name, value in given.items() if value is not None}
+    answer_by_field = {field.name: getattr(args, field.name) for field in fields(NewHandAnswers)}
+    hand_answers = replace(
+        NewHandAnswers(),
+        **{name: value for name, value in answer_by_field.items() if value is not None},
     )
     if not args.yes:
-        answers = _ask_questions(args, answers)
-    check_answers(answers)
-    options = options_with_motor_type(answers.protocol, answers.motor_type)
-    can_fd = PROTOCOL_TRAITS[answers.protocol].can_fd
-    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, options, can_fd)
-    found = inspect_content(parse_toml(text, str(args.output)))
-    if found.mistakes or found.hand is None:
-        raise found.mistakes[0].error("the answers")
+        hand_answers = _ask_questions(args, hand_answers)
+    check_answers(hand_answers)
+    options = options_with_motor_type(hand_answers.protocol, hand_answers.motor_type)
+    can_fd = PROTOCOL_TRAITS[hand_answers.protocol].can_fd
+    text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(hand_answers, options, can_fd)
+    inspected = inspect_content(parse_toml(text, str(args.output)))
+    if inspected.mistakes or inspected.hand is None:
+        raise inspected.mistakes[0].error("the answers")
     warnings = [
-        *opposition_warnings(answers),
-        *palm_warnings(answers),
-        *grasp_warnings(found.hand),
+        *opposition_warnings(hand_answers),
+        *palm_warnings(hand_answers),
+        *grasp_warnings(inspected.hand),
     ]
     schema = write_with_schema(args.output, text)
-    assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
+    assumed_count = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
         print_json(
             {
                 "output": str(args.output),
                 "schema": str(schema),
-                "assumed": assumed,
+                "assumed": assumed_count,
                 "warnings": warnings,
             }
         )
         return 0
     print_escaped(
-        f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED"
+        f"{args.output}: {hand_answers.fingers + hand_answers.opposed} digits; {assumed_count} lines are marked ASSUMED"
     )
     for text in warnings:
         print_escaped(f"warning: {text}")
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _ask_questions(args: argparse.Namespace, answers: NewHandAnswers) -> NewHandAnswers:
+def _ask_questions(args: argparse.Namespace, hand_answers: NewHandAnswers) -> NewHandAnswers:
     """Ask the questions that no option answers. An empty answer selects the default.
 
     Raises:
@@ -127,16 +128,20 @@ def _ask_questions(args: argparse.Namespace, answers: NewHandAnswers) -> NewHand
     for question in HAND_QUESTIONS:
         if getattr(args, question.answer_field) is not None:
             continue
-        if question.answer_field == SPRING_FIELD and answers.tendons == "one":
+        if question.answer_field == SPRING_FIELD and hand_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         default = getattr(
-            answers, PROPORTIONAL_DEFAULT.get(question.answer_field, question.answer_field)
+            hand_answers, SCALED_DEFAULT_BY_KEY.get(question.answer_field, question.answer_field)
         )
-        shown = (
-            ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
+        default_text = (
+            ",".join(f"{default_value:g}" for default_value in default)
+            if isinstance(default, tuple)
+            else str(default)
         )
-        shown = f"{default:.3g}" if isinstance(default, float) else shown
-        answers = replace(
-            answers, **{question.answer_field: ask_question(question, shown, default)}
+        default_text = f"{default:.3g}" if isinstance(default, float) else default_text
+        hand_answers = replace(
+            hand_answers, **{question.answer_field: ask_question(question, default_text, default)}
         )
-    return replace(answers, motor_type=ask_motor_type(answers.protocol, answers.motor_type))
+    return replace(
+        hand_answers, motor_type=ask_motor_type(hand_answers.protocol, hand_answers.motor_type)
+    )

@@ -10,11 +10,11 @@ from collections import Counter
 from typing import Any
 
 from handctl.cli.console.bench_drive import (
-    NOT_OFF_WARNING,
+    DRIVE_STILL_ON_WARNING,
     WATCHDOG_MS,
     describe_drive,
     find_drive,
-    open_rig,
+    open_drive_rig,
     parse_options,
     with_torque_range,
 )
@@ -51,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     """
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and MIN_TORQUE_LIMIT_N_M <= args.limit <= MAX_TORQUE_N_M):
-        right = f"{MIN_TORQUE_LIMIT_N_M:g} to {MAX_TORQUE_N_M:g}"
-        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", right)
+        expected = f"{MIN_TORQUE_LIMIT_N_M:g} to {MAX_TORQUE_N_M:g}"
+        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", expected)
     check_bus_spec(args.bus)
     describe_drive(args, options, None)
     if args.dry_run:
@@ -63,15 +63,15 @@ def run(args: argparse.Namespace) -> int:
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = describe_drive(args, options, node)
-        results, off = _run_checks(args, drive, with_torque_range(drive, node))
+        results, is_off = _run_checks(args, drive, with_torque_range(drive, node))
     counts = Counter(check.verdict for check in results)
     if args.json:
-        print_json(_result_fields(args, node, results, off))
+        print_json(_result_fields(args, node, results, is_off))
     else:
         print("the drive keeps the watchdog and limits of this check until it is switched off")
         print(", ".join(f"{counts[verdict]} {verdict.value}" for verdict in CheckVerdict))
-    if not off:
-        _print_error(NOT_OFF_WARNING)
+    if not is_off:
+        _print_error(DRIVE_STILL_ON_WARNING)
         return ExitCode.REMOVE_POWER
     if counts[CheckVerdict.FAILED]:
         return ExitCode.FAILED
@@ -94,7 +94,7 @@ def _dry_run(args: argparse.Namespace) -> int:
 
 
 def _run_checks(
-    args: argparse.Namespace, drive: Drive, restoring_drive: Drive
+    args: argparse.Namespace, drive: Drive, original_drive: Drive
 ) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks of a drive, disable the drive, and restore the drive's torque range.
 
@@ -102,7 +102,7 @@ def _run_checks(
     that it is disabled.
     """
     results: list[ConformanceCheck] = []
-    with open_rig(args, drive) as (rig, bus):
+    with open_drive_rig(args, drive) as (rig, bus):
         try:
             for check in run_checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
@@ -112,15 +112,15 @@ def _run_checks(
                     )
         finally:
             if len(results) < len(CHECKED_REQUIREMENTS):
-                bus.send(drive.cut_frames())
-            off = release_drive(
-                rig, WATCHDOG_MS / 1e3, restoring_drive if restoring_drive is not drive else None
+                bus.send(drive.torque_cut_frames())
+            is_off = release_drive(
+                rig, WATCHDOG_MS / 1e3, original_drive if original_drive is not drive else None
             )
-            if not off and len(results) < len(
+            if not is_off and len(results) < len(
                 CHECKED_REQUIREMENTS
             ):  # Ctrl-C or a bug has ended the checks, and this is reported here
-                raise PowerError(NOT_OFF_WARNING)
-    return results, off
+                raise PowerError(DRIVE_STILL_ON_WARNING)
+    return results, is_off
 
 
 def _result_fields(

@@ -50,7 +50,10 @@ def run(args: argparse.Namespace) -> int:
         _check_space(),
     ]
     if args.json:
-        rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
+        rows = [
+            {"what": subject, "good": is_good, "fix": remedy}
+            for subject, is_good, remedy in findings
+        ]
         print_json({"findings": rows} | _version_fields())
     else:
         _print_findings(findings)
@@ -63,9 +66,12 @@ def _print_findings(findings: Sequence["DoctorFinding"]) -> None:
     With ``--quiet``, good findings are left out. With ``--verbose``, the versions of the software
     are added.
     """
-    for what, good, fix in findings:
-        if not (good and is_quiet()):
-            print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
+    for subject, is_good, remedy in findings:
+        if not (is_good and is_quiet()):
+            print(
+                f"{'ok ' if is_good else '-- '} {subject}"
+                + ("" if is_good else f"\n      {remedy}")
+            )
     if is_verbose():
         for name, value in _version_fields().items():
             print_detail(f"{name}: {value}")
@@ -85,9 +91,9 @@ def _version_fields() -> dict[str, object]:
 
 
 def _extras_finding() -> DoctorFinding:
-    missing = [extra for extra, installed in extras_installed().items() if not installed]
+    missing_names = [extra for extra, installed in extras_installed().items() if not installed]
     return (
-        f"optional packages; not installed: {', '.join(missing) or 'none'}",
+        f"optional packages; not installed: {', '.join(missing_names) or 'none'}",
         True,
         "",
     )  # the controller itself needs no optional packages
@@ -95,44 +101,47 @@ def _extras_finding() -> DoctorFinding:
 
 def _granted_priority() -> GrantedPriority:
     """Request and release real-time priority, and return the priority that the system granted."""
-    granted = request_priority()
+    granted_priority = request_priority()
     restore_priority()
-    return granted
+    return granted_priority
 
 
 def _check_priority() -> DoctorFinding:
-    granted = _granted_priority().is_realtime
+    has_realtime = _granted_priority().is_realtime
     return (
         "real-time priority (SCHED_FIFO)",
-        granted,
+        has_realtime,
         "allow it: ulimit -r 60, or a line 'USER - rtprio 60' in limits.conf",
     )
 
 
 def _check_memory() -> DoctorFinding:
-    granted = _granted_priority().memory_locked
+    is_memory_locked = _granted_priority().memory_locked
     return (
         "locked memory",
-        granted,
+        is_memory_locked,
         "allow it: ulimit -l unlimited, or a line 'USER - memlock unlimited' in limits.conf",
     )
 
 
 def _check_wakeups() -> DoctorFinding:
     """Measure how late the system wakes a process, and whether a hypervisor has taken processor time away."""
-    begin, ticks = time.monotonic(), _processor_ticks()
-    latest = 0.0
+    start_time_s, ticks = time.monotonic(), _processor_ticks()
+    max_lateness_s = 0.0
     with realtime_priority():
-        while (sleep := time.monotonic()) < begin + WAKEUP_TEST_S:
+        while (sleep := time.monotonic()) < start_time_s + WAKEUP_TEST_S:
             time.sleep(WAKEUP_SLEEP_S)
-            latest = max(latest, time.monotonic() - sleep - WAKEUP_SLEEP_S)
+            max_lateness_s = max(max_lateness_s, time.monotonic() - sleep - WAKEUP_SLEEP_S)
     total, stolen = (
-        after - before for before, after in zip(ticks, _processor_ticks(), strict=True)
+        ticks_after - ticks_before
+        for ticks_before, ticks_after in zip(ticks, _processor_ticks(), strict=True)
     )
-    taken = f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
+    stolen_text = (
+        f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
+    )
     return (
-        f"wake-ups at most {1e3 * latest:.1f} ms late in {WAKEUP_TEST_S:g} s{taken}",
-        latest < MAX_WAKEUP_LATENESS_S,
+        f"wake-ups at most {1e3 * max_lateness_s:.1f} ms late in {WAKEUP_TEST_S:g} s{stolen_text}",
+        max_lateness_s < MAX_WAKEUP_LATENESS_S,
         "end other programs, or use a computer that is no virtual machine; slow a simulated hand: "
         "handctl sim --time-scale 0.3",
     )
@@ -153,13 +162,13 @@ def _processor_ticks() -> tuple[int, int]:
 
 
 def _check_socketcan() -> DoctorFinding:
-    fix = "the kernel has no CAN: use local:NAME, or load it with 'modprobe can can_raw vcan'"
+    remedy = "the kernel has no CAN: use local:NAME, or load it with 'modprobe can can_raw vcan'"
     if not hasattr(socket, "AF_CAN"):
         return "SocketCAN", False, "only Linux has it: use local:NAME or a python-can interface"
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError:
-        return "SocketCAN", False, fix
+        return "SocketCAN", False, remedy
     return "SocketCAN", True, ""
 
 
@@ -170,8 +179,8 @@ def _check_interfaces() -> DoctorFinding:
         for path in net.glob("*")
         if (path / "type").exists() and (path / "type").read_text().strip() == "280"
     ]
-    fix = "plug one in, or: ip link add vcan0 type vcan && ip link set vcan0 up"
-    return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), fix
+    remedy = "plug one in, or: ip link add vcan0 type vcan && ip link set vcan0 up"
+    return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), remedy
 
 
 def _check_vulkan() -> DoctorFinding:
@@ -190,9 +199,9 @@ def _check_space() -> DoctorFinding:
         folder = run_dir()
     except BusError as error:
         return "sockets out of other users' reach", False, str(error)
-    free = shutil.disk_usage(Path.cwd()).free
+    free_bytes = shutil.disk_usage(Path.cwd()).free
     return (
-        f"{free / 1e9:.1f} GB free for logs, sockets in {folder}",
-        free > 1e9,
+        f"{free_bytes / 1e9:.1f} GB free for logs, sockets in {folder}",
+        free_bytes > 1e9,
         "make room: a run takes about 1 MB a second",
     )

@@ -13,8 +13,8 @@ from handctl.hand.file.sections import CIA404_PROTOCOL
 
 SnippetEntry = tuple[str, object, str]
 """Key, value and comment of one line of the hand file."""
-TO_FILL_IN_COMMENT = "yours: "
-BEGIN_SMALL_HINT = "begin small, drive_limit_N x spool_radius_m"
+USER_VALUE_COMMENT = "yours: "
+DRIVE_LIMIT_HINT = "begin small, drive_limit_N x spool_radius_m"
 DEFAULT_RATED_TORQUE_N_M = 0.1
 ENCODER_COUNTS = 65536
 
@@ -55,40 +55,40 @@ def _amplifier_section(bus: str, amplifiers: Sequence[DiscoveredNode]) -> list[s
         ("protocol", CIA404_PROTOCOL, ""),
         ("bus", bus, ""),
         ("channels_per_node", channels, "reported by the amplifier"),
-        ("range_N", 300.0, TO_FILL_IN_COMMENT + "rated load of the load cells"),
-        ("tension_noise_N", 0.5, TO_FILL_IN_COMMENT + "measure"),
-        ("tension_bias_drift_N", 1.0, TO_FILL_IN_COMMENT + "data sheet, in 100 s"),
+        ("range_N", 300.0, USER_VALUE_COMMENT + "rated load of the load cells"),
+        ("tension_noise_N", 0.5, USER_VALUE_COMMENT + "measure"),
+        ("tension_bias_drift_N", 1.0, USER_VALUE_COMMENT + "data sheet, in 100 s"),
     ]
     numbers = ", ".join(f"0x{node.node_id:02X}" for node in amplifiers)
     return [
         "[sensor_node]",
         *map(_toml_line, entries),
         f"node_ids = [{numbers}]",
-        f"tendons = []    # {TO_FILL_IN_COMMENT}the tendon of each channel, in this order",
+        f"tendons = []    # {USER_VALUE_COMMENT}the tendon of each channel, in this order",
     ]
 
 
 def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
-    reported = "reported by the drive"
+    source_text = "reported by the drive"
     settings = drive.settings
     torque = min(settings.get("torque_max_N_m", 0.1), MAX_TORQUE_N_M)
     entries: list[SnippetEntry] = [
-        ("name", f"{bus}_{drive.protocol}_{drive.node_id}", TO_FILL_IN_COMMENT + "a name"),
+        ("name", f"{bus}_{drive.protocol}_{drive.node_id}", USER_VALUE_COMMENT + "a name"),
         ("protocol", drive.protocol, ""),
         ("bus", bus, ""),
-        ("node_id", drive.node_id, reported),
-        ("spool_radius_m", 0.005, TO_FILL_IN_COMMENT + "measure"),
-        ("inertia_kg_m2", 1.3e-4, TO_FILL_IN_COMMENT + "of rotor and gear, at the spool"),
-        ("viscous_N_m_s_per_rad", 1e-3, TO_FILL_IN_COMMENT + "measure"),
-        ("coulomb_N_m", 0.015, TO_FILL_IN_COMMENT + "measure"),
-        ("torque_constant_N_m_per_A", 0.26, TO_FILL_IN_COMMENT + "data sheet, at the spool"),
+        ("node_id", drive.node_id, source_text),
+        ("spool_radius_m", 0.005, USER_VALUE_COMMENT + "measure"),
+        ("inertia_kg_m2", 1.3e-4, USER_VALUE_COMMENT + "of rotor and gear, at the spool"),
+        ("viscous_N_m_s_per_rad", 1e-3, USER_VALUE_COMMENT + "measure"),
+        ("coulomb_N_m", 0.015, USER_VALUE_COMMENT + "measure"),
+        ("torque_constant_N_m_per_A", 0.26, USER_VALUE_COMMENT + "data sheet, at the spool"),
         ("torque_max_N_m", torque, _torque_source(settings)),
-        ("torque_peak_N_m", torque, TO_FILL_IN_COMMENT + "what the motor itself can do"),
+        ("torque_peak_N_m", torque, USER_VALUE_COMMENT + "what the motor itself can do"),
         ("position_range_rad", settings.get("position_range_rad", 12.5),
          _source_comment("position_range_rad", settings, "")),
         ("velocity_range_rad_s", settings.get("velocity_range_rad_s", 30.0),
          _source_comment("velocity_range_rad_s", settings, "limit of the drive")),
-        ("direction", 1, TO_FILL_IN_COMMENT + "-1 if positive torque unwinds"),
+        ("direction", 1, USER_VALUE_COMMENT + "-1 if positive torque unwinds"),
         ("zero_rad", 0.0, ""),
         ("watchdog_ms", 50, ""),
     ]  # fmt: skip
@@ -103,7 +103,7 @@ def _motor_section(bus: str, drive: DiscoveredNode) -> list[str]:
 
 
 def _source_comment(key: str, settings: Mapping[str, float], hint: str) -> str:
-    return "reported by the drive" if key in settings else TO_FILL_IN_COMMENT + hint if hint else ""
+    return "reported by the drive" if key in settings else USER_VALUE_COMMENT + hint if hint else ""
 
 
 def _torque_source(settings: Mapping[str, float]) -> str:
@@ -112,13 +112,13 @@ def _torque_source(settings: Mapping[str, float]) -> str:
     The torque that a drive reports is the full scale of its torque values, and not a suitable first
     limit.
     """
-    reported = settings.get("torque_max_N_m", 0.0)
-    if not reported:
-        return TO_FILL_IN_COMMENT + BEGIN_SMALL_HINT
+    reported_torque = settings.get("torque_max_N_m", 0.0)
+    if not reported_torque:
+        return USER_VALUE_COMMENT + DRIVE_LIMIT_HINT
     source = "full scale reported by the drive"
-    if reported > MAX_TORQUE_N_M:
-        source = f"the drive reports the full scale {reported:g}, a hand file takes at most {MAX_TORQUE_N_M:g}"
-    return f"{source}; {TO_FILL_IN_COMMENT}{BEGIN_SMALL_HINT}"
+    if reported_torque > MAX_TORQUE_N_M:
+        source = f"the drive reports the full scale {reported_torque:g}, a hand file takes at most {MAX_TORQUE_N_M:g}"
+    return f"{source}; {USER_VALUE_COMMENT}{DRIVE_LIMIT_HINT}"
 
 
 def _option_lines(drive: DiscoveredNode) -> list[SnippetEntry]:
@@ -127,12 +127,12 @@ def _option_lines(drive: DiscoveredNode) -> list[SnippetEntry]:
         for key, value in drive.options.items()
     ]
     if drive.protocol == "cia402":
-        for key, value, where in (
+        for key, value, location in (
             ("rated_torque_N_m", DEFAULT_RATED_TORQUE_N_M, "0x6076"),
             ("counts_per_turn", ENCODER_COUNTS, "0x608F"),
         ):
             if key not in drive.options:
-                entries.append((key, value, f"{TO_FILL_IN_COMMENT}{where} and the data sheet"))
+                entries.append((key, value, f"{USER_VALUE_COMMENT}{location} and the data sheet"))
     return entries
 
 

@@ -7,18 +7,18 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
-LOWEST_UNCHECKED_RATE_HZ = 250.0
+MIN_RATE_WITHOUT_CHECK_HZ = 250.0
 """Control rate at and above which the loops of a hand are not checked [Hz].
 
 All packaged hands and the hands of ``config init`` run at this rate.
 """
-LOWEST_UNCHECKED_WITHOUT_CELLS_HZ = 500.0
+MIN_RATE_WITHOUT_CHECK_OR_CELLS_HZ = 500.0
 """The same rate for a hand with tendons that have neither load cells nor springs to act against [Hz].
 
 Such tendons hold each other, and the filter without load cells has a larger phase lag. At 250 Hz, their tensions
 oscillated in simulation, and the freely closing digits were taken for torn tendons (fault T01).
 """
-FORCE_STEP = 0.95
+FORCE_REDUCTION_FACTOR = 0.95
 """Factor between two values of ``motion.force_N`` that are tried until the gain margin is large enough."""
 MIN_TRIED_FORCE_FRACTION = 0.05
 """Smallest fraction of ``motion.force_N`` that is tried."""
@@ -36,8 +36,8 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         gains: gains of a run.
         rate_hz: control rate of the run [Hz].
     """
-    unchecked_hz = _lowest_unchecked_rate(hand)
-    if rate_hz >= unchecked_hz:
+    min_unchecked_rate = _min_rate_without_check(hand)
+    if rate_hz >= min_unchecked_rate:
         return []
     # The compiled core computes the control loops, and is imported only here. The other checks of a
     # hand do not need the compiled core.
@@ -46,13 +46,13 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     name, margin_db = _smallest_gain_margin(hand, gains, rate_hz)
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
-    buses = split_motors_over_buses(hand, unchecked_hz)
+    buses = split_motors_over_buses(hand, min_unchecked_rate)
     remedy = (
-        f"{len(buses)} buses allow {unchecked_hz:g} Hz (bus plan --rate {unchecked_hz:g})"
+        f"{len(buses)} buses allow {min_unchecked_rate:g} Hz (bus plan --rate {min_unchecked_rate:g})"
         if buses
         else "a faster bus"
     )
-    faults = "N14b or T03" if unchecked_hz == LOWEST_UNCHECKED_RATE_HZ else "T01"
+    faults = "N14b or T03" if min_unchecked_rate == MIN_RATE_WITHOUT_CHECK_HZ else "T01"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
         f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
@@ -72,7 +72,7 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         rate_hz: control rate of a run [Hz].
     """
     # At a lower rate, ``rate_warnings`` checks the loops of all tendons.
-    if rate_hz < _lowest_unchecked_rate(hand) or not _has_springs_without_cells(hand):
+    if rate_hz < _min_rate_without_check(hand) or not _has_springs_without_cells(hand):
         return []
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
@@ -80,9 +80,9 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     if margin_db >= MIN_GAIN_MARGIN_DB:
         return []
     force = gains.force_weights_of_tendon(name)[0]
-    own = force != gains.motion.force_N
-    key = f"tendon.{name}.motion_force_N" if own else "motion.force_N"
-    right = None if own else _largest_force_with_margin(hand, gains, rate_hz)
+    is_own_force = force != gains.motion.force_N
+    key = f"tendon.{name}.motion_force_N" if is_own_force else "motion.force_N"
+    right = None if is_own_force else _largest_force_with_margin(hand, gains, rate_hz)
     expected = "gains from tune design" if right is None else f"at most {right:g} N"
     return [
         f"{key}: {force:g} N leave the motion loop of {name}, which has no load cell, a gain margin of "
@@ -100,12 +100,12 @@ def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> floa
     force = gains.motion.force_N
     while force > MIN_TRIED_FORCE_FRACTION * gains.motion.force_N:
         unit = 10.0 ** (math.floor(math.log10(force)) - 1)
-        rounded = float(f"{math.floor(force / unit) * unit:.2g}")
-        motion = gains.motion.model_copy(update={"force_N": rounded})
-        tried = gains.model_copy(update={"motion": motion})
-        if _smallest_gain_margin(hand, tried, rate_hz)[1] >= MIN_GAIN_MARGIN_DB:
-            return rounded
-        force *= FORCE_STEP
+        rounded_force = float(f"{math.floor(force / unit) * unit:.2g}")
+        motion = gains.motion.model_copy(update={"force_N": rounded_force})
+        tried_gains = gains.model_copy(update={"motion": motion})
+        if _smallest_gain_margin(hand, tried_gains, rate_hz)[1] >= MIN_GAIN_MARGIN_DB:
+            return rounded_force
+        force *= FORCE_REDUCTION_FACTOR
     return None
 
 
@@ -115,30 +115,34 @@ def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str
     from handctl.tune.loops.margins import margins_of_loop
 
     model = HandModel.from_hand(hand, gains, rate_hz)
-    found = {
+    margin_by_digit = {
         name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)).gain_db
         for i, name in enumerate(hand.tendon_names)
     }
-    return min(found.items(), key=lambda item: item[1])
+    return min(margin_by_digit.items(), key=lambda item: item[1])
 
 
-def _lacks_a_cell(hand: Hand, digit: str) -> bool:
+def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:
     """Return True if a digit has a tendon without load cell, other than a spool pair."""
-    without_cell = ~hand.has_cell & ~hand.is_pair
-    return bool(without_cell[hand.digit_tendons[digit]].any())
+    has_no_cell = ~hand.has_cell & ~hand.is_pair
+    return bool(has_no_cell[hand.digit_tendons[digit]].any())
 
 
 def _has_springs_without_cells(hand: Hand) -> bool:
     """Return True if a digit with springs has a tendon without load cell, other than a spool pair."""
-    return any(digit.has_springs and _lacks_a_cell(hand, digit.name) for digit in hand.digit)
+    return any(
+        digit.has_springs and _has_tendon_without_cell(hand, digit.name) for digit in hand.digit
+    )
 
 
-def _lowest_unchecked_rate(hand: Hand) -> float:
+def _min_rate_without_check(hand: Hand) -> float:
     """Return the lowest control rate at which the loops of a hand need not be checked [Hz]."""
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
         # A digit with more tendons than coordinates has antagonists instead of springs.
-        if tendons.stop - tendons.start > coordinates and _lacks_a_cell(hand, digit.name):
-            return LOWEST_UNCHECKED_WITHOUT_CELLS_HZ
-    return LOWEST_UNCHECKED_RATE_HZ
+        if tendons.stop - tendons.start > coordinates and _has_tendon_without_cell(
+            hand, digit.name
+        ):
+            return MIN_RATE_WITHOUT_CHECK_OR_CELLS_HZ
+    return MIN_RATE_WITHOUT_CHECK_HZ

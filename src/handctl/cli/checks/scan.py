@@ -20,7 +20,7 @@ from handctl.session.exit_codes import ExitCode
 
 MAX_FOREIGN_FRAMES = 8
 """Largest number of frames from another host that the output shows."""
-MILLI = 1e-3
+MILLI_FACTOR = 1e-3
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,31 +30,31 @@ def run(args: argparse.Namespace) -> int:
         return _print_requests(args.json)
     scans: dict[str, BusScan] = {}
     for name, spec in buses.items():
-        opened = open_bus(spec, 0, args.bitrate)
+        opened_bus = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan_bus(opened, args.force, partial(_print_note_of_bus, spec))
+            scans[name] = scan_bus(opened_bus, args.force, partial(_print_note_of_bus, spec))
         finally:
-            opened.close()
+            opened_bus.close()
         if not scans[name].foreign_frames:
             scans[name] = scans[name]._replace(
                 found_nodes=add_identities(scans[name].found_nodes, spec, args.bitrate)
             )
-    piece = hand_file_snippet(
+    snippet = hand_file_snippet(
         {name: result.found_nodes for name, result in scans.items()},
         args.bitrate,
         args.data_bitrate,
     )
     if args.json:
-        listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
+        bus_fields = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
         print_json(
             {
-                "buses": listed,
-                "fragment": piece,
+                "buses": bus_fields,
+                "fragment": snippet,
                 "not_looked_for": list(PROTOCOLS_WITHOUT_DISCOVERY),
             }
         )
     else:
-        _print_scans(buses, scans, piece)
+        _print_scans(buses, scans, snippet)
     return (
         ExitCode.DONE if any(result.found_nodes for result in scans.values()) else ExitCode.FAILED
     )
@@ -98,7 +98,7 @@ def _add_identity(
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
     if rated_torque := identity_numbers.get("rated_torque"):
-        options["rated_torque_N_m"] = rated_torque * MILLI
+        options["rated_torque_N_m"] = rated_torque * MILLI_FACTOR
         origins["rated_torque_N_m"] = (
             f"from {rated_torque} in 0x6076, if that is in mN m; EPOS4: uN m"
         )

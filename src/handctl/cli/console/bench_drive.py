@@ -32,7 +32,7 @@ from handctl.runtime.clocks.realtime_priority import request_priority, restore_p
 from handctl.runtime.diagnostics.bus_scan import BusScan, collect_frames, scan_bus
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
-NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
+DRIVE_STILL_ON_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
 """Message about a drive that may still produce torque."""
 WATCHDOG_MS = 100
 """Time without commands after which the watchdog stops the drive [ms].
@@ -87,11 +87,11 @@ def _option_from_word(word: str) -> dict[str, Any]:
             UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
         ):  # TOML refuses a number that has too many digits
             return parse_toml(quoted, "--option")
-        right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
-        raise ConfigError(f"{word}: {error.what}", "--option", right) from None
+        expected = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
+        raise ConfigError(f"{word}: {error.what}", "--option", expected) from None
 
 
-def _torque_drive(motor: Motor) -> Drive:
+def _drive_in_torque_mode(motor: Motor) -> Drive:
     """Return the drive of a motor, in torque mode."""
     return make_drive(motor, 0)
 
@@ -100,7 +100,7 @@ def describe_drive(
     args: argparse.Namespace,
     options: dict[str, Any],
     node: DiscoveredNode | None,
-    make_drive: Callable[[Motor], Drive] = _torque_drive,
+    make_drive: Callable[[Motor], Drive] = _drive_in_torque_mode,
 ) -> Drive:
     """Return the drive, described by the values that it reports.
 
@@ -115,11 +115,11 @@ def describe_drive(
     Raises:
         ConfigError: the protocol does not have the option, or does not allow the node number.
     """
-    reported: dict[str, Any] = dict(node.options) if node else {}
+    reported_options: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
-        reported = ASSUMED_OPTIONS | reported
-    reported = _bench_options(args.protocol, reported | options) | reported
-    _check_motor_type(args.protocol, reported | options)
+        reported_options = ASSUMED_OPTIONS | reported_options
+    reported_options = _bench_options(args.protocol, reported_options | options) | reported_options
+    _check_motor_type(args.protocol, reported_options | options)
     settings = {
         "position_range_rad": 12.5,
         "velocity_range_rad_s": 30.0,
@@ -129,21 +129,21 @@ def describe_drive(
         "name": f"{args.protocol}_{args.node}", "protocol": args.protocol, "bus": "bench", "node_id": args.node,
         "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
         "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
-        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported | options,
+        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": reported_options | options,
     }  # fmt: skip
     try:
         return make_drive(Motor.model_validate(motor))
     except ValidationError as error:
-        wrong = error.errors(include_url=False)[-1]
-        key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
-        right = (
-            wrong["msg"]
+        error_detail = error.errors(include_url=False)[-1]
+        key = str(error_detail["loc"][-1]) if error_detail["loc"] else args.protocol
+        expected = (
+            error_detail["msg"]
             .removeprefix("Value error, ")
             .removeprefix("Input should be ")
             .removeprefix("expected ")
         )
         raise ConfigError(
-            toml_spelling(wrong["input"]), "--node" if key == "node_id" else key, right
+            toml_spelling(error_detail["input"]), "--node" if key == "node_id" else key, expected
         ) from None
     except ValueError as error:
         text = str(error).splitlines()[-1]
@@ -157,10 +157,10 @@ def _check_motor_type(protocol: str, options: dict[str, Any]) -> None:
         ConfigError: the option is missing or unknown.
     """
     types = PROTOCOL_TRAITS[protocol].motor_types
-    given = options.get("motor_type")
-    if types and given not in types:
-        what = "missing" if given is None else toml_spelling(given)
-        raise ConfigError(what, "--option motor_type=TYPE", f"one of {', '.join(types)}")
+    motor_type = options.get("motor_type")
+    if types and motor_type not in types:
+        problem_text = "missing" if motor_type is None else toml_spelling(motor_type)
+        raise ConfigError(problem_text, "--option motor_type=TYPE", f"one of {', '.join(types)}")
 
 
 def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
@@ -199,9 +199,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
                     "a different node number for each drive",
                 )
             return node
-    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found_nodes) or "nothing"
-    right = "a drive with power and the given bit rate and node number"
-    raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
+    found_text = (
+        ", ".join(f"{node.protocol} {node.node_id}" for node in result.found_nodes) or "nothing"
+    )
+    expected = "a drive with power and the given bit rate and node number"
+    raise DriveError(f"no {args.protocol} {args.node}; found: {found_text}", args.bus, expected)
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
@@ -211,10 +213,12 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
     arrives, another host must be sending commands to the drive. The first check after this scan
     shows whether the drive is present.
     """
-    seen: list[Frame] = []
-    collect_frames(bus, SCAN_LISTEN_S, seen)
-    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
-    return BusScan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
+    seen_frames: list[Frame] = []
+    collect_frames(bus, SCAN_LISTEN_S, seen_frames)
+    foreign_frames = tuple(frame for frame in seen_frames if frame.can_id == args.node)
+    return BusScan(
+        (DiscoveredNode(args.protocol, args.node),), foreign_frames, (), (), len(seen_frames)
+    )
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
@@ -229,7 +233,7 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 
 
 @contextmanager
-def open_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
+def open_drive_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
     """Open the bus of a drive.
 
     Yield the test rig that operates the drive, and the bus. If the system allows it, the test rig

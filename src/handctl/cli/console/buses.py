@@ -13,8 +13,12 @@ def controller_bus(args: argparse.Namespace) -> str:
 
 def simulator_command(args: argparse.Namespace) -> str:
     """Return the command that starts a simulator on the buses of a command line, for the hand or the drive."""
-    named = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
-    buses = [f"{name}={spec}" for name, spec in named.items()] if len(named) > 1 else named.values()
+    bus_names = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
+    buses = (
+        [f"{name}={spec}" for name, spec in bus_names.items()]
+        if len(bus_names) > 1
+        else bus_names.values()
+    )
     if (node := getattr(args, "node", None)) is not None:
         words = ["python", "-m", "firmware_sim", "drive", args.protocol, "--ids", str(node)]
     else:

@@ -58,7 +58,12 @@ class DisplayProcess:
             bus_load: worst-case load of the bus, from 0 to 1.
         """
         self.ticks_per_line = max(1, round(REFRESH_PERIOD_S * rate_hz))
-        head = {"names": names, "ceiling": tension_limits, "rate_hz": rate_hz, "load": bus_load}
+        display_setup = {
+            "names": names,
+            "ceiling": tension_limits,
+            "rate_hz": rate_hz,
+            "load": bus_load,
+        }
         self.child = subprocess.Popen(
             [sys.executable, "-m", "handctl.cli.console.display"],
             stdin=subprocess.PIPE,
@@ -70,7 +75,7 @@ class DisplayProcess:
         self.worst_late_ns = 0
         self.last_warning_ns: dict[str, int] = {}
         self.shown: set[str] = set()
-        self._write_line(head)
+        self._write_line(display_setup)
         os.set_blocking(self.pipe, False)
 
     @staticmethod
@@ -83,26 +88,28 @@ class DisplayProcess:
             bus_load,
         )
 
-    def show_tick(self, entry: TickIn, out: TickOut) -> None:
+    def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Send a line about the tick to the display process.
 
         Only ticks with an event, and one tick in each period of ``REFRESH_PERIOD_S``, are sent.
         """
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
-        if entry.k % self.ticks_per_line and not out.events:
+        if entry.k % self.ticks_per_line and not tick_output.events:
             return
         line = {
             "k": entry.k,
             "t": entry.t_ns / 1e9,
-            "mode": HandMode(out.mode).name,
-            "phase": out.phase,
+            "mode": HandMode(tick_output.mode).name,
+            "phase": tick_output.phase,
             "late_us": self.worst_late_ns / 1e3,
-            "tension": [round(float(f), 2) for f in out.telemetry.tension],
-            "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
-            "contact": [bool(c) for c in out.telemetry.contact],
+            "tension": [round(float(f), 2) for f in tick_output.telemetry.tension],
+            "goal": [
+                None if f != f else round(float(f), 2) for f in tick_output.telemetry.tension_goal
+            ],
+            "contact": [bool(c) for c in tick_output.telemetry.contact],
             "events": [
                 [event.level, self._event_text(event)]
-                for event in out.events
+                for event in tick_output.events
                 if self._is_due(entry.t_ns, event)
             ],
         }
@@ -117,10 +124,10 @@ class DisplayProcess:
         if event.level == "error" or event.name != "fault":
             return True
         fault_id = event.text[:3]
-        news = t_ns - self.last_warning_ns.get(fault_id, -ONE_SECOND_NS) >= ONE_SECOND_NS
-        if news:
+        is_new_warning = t_ns - self.last_warning_ns.get(fault_id, -ONE_SECOND_NS) >= ONE_SECOND_NS
+        if is_new_warning:
             self.last_warning_ns[fault_id] = t_ns
-        return news
+        return is_new_warning
 
     def _event_text(self, event: TickEvent) -> str:
         """Return the text that the display prints for an event.
@@ -130,11 +137,11 @@ class DisplayProcess:
         """
         if event.name == GAIN_EVENT:
             return f"{event.where} = {event.text}"
-        advice = remedy_for(event.text) if event.name == "fault" else ""
-        if not advice or advice in self.shown:
+        remedy_text = remedy_for(event.text) if event.name == "fault" else ""
+        if not remedy_text or remedy_text in self.shown:
             return event.text
-        self.shown.add(advice)
-        return f"{event.text}\n{'':19}what to do: {advice}"
+        self.shown.add(remedy_text)
+        return f"{event.text}\n{'':19}what to do: {remedy_text}"
 
     def _write_line(self, status_fields: dict[str, Any]) -> None:
         try:
@@ -162,13 +169,13 @@ def short_names(names: Sequence[str]) -> list[str]:
 
 def _print_lines(run_fields: dict[str, Any]) -> None:
     """Print each event, and once per second a line about the state of the hand."""
-    last = -1.0
+    last_time_s = -1.0
     for text in sys.stdin:
         line = json.loads(text)
         for level, event in line["events"]:
             print(f"{line['t']:8.3f} s  {level:<5}  {event}", flush=True)
-        if line["t"] - last >= 1.0:
-            last = line["t"]
+        if line["t"] - last_time_s >= 1.0:
+            last_time_s = line["t"]
             print(_tension_lines(run_fields["names"], line), flush=True)
 
 
@@ -192,12 +199,12 @@ def _draw_panel_in_place(run_fields: dict[str, Any]) -> None:
     from rich.live import Live
 
     console = rich_console()
-    with Live(console=console, refresh_per_second=10, transient=True) as live:
+    with Live(console=console, refresh_per_second=10, transient=True) as live_display:
         for text in sys.stdin:
             line = json.loads(text)
             for level, event in line["events"]:
-                live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
-            live.update(_state_panel(run_fields, line))
+                live_display.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
+            live_display.update(_state_panel(run_fields, line))
 
 
 def _state_panel(run_fields: dict[str, Any], status_fields: dict[str, Any]) -> Any:
@@ -218,23 +225,23 @@ def _state_panel(run_fields: dict[str, Any], status_fields: dict[str, Any]) -> A
     ):
         bar = ProgressBar(total=limit, completed=min(f, limit), width=40)
         table.add_row(name, f"{f:.1f} N", "-" if goal is None else f"{goal:.1f} N", bar)
-    headline = Text(
+    header_line = Text(
         f"{status_fields['mode']}  {status_fields['phase']}  {status_fields['t']:.1f} s",
         style="bold",
     )
-    foot = (
+    footer = (
         f"{run_fields['rate_hz']:g} Hz, worst lateness {status_fields['late_us']:.0f} us, "
         f"bus load {100 * run_fields['load']:.0f} %"
     )
-    return Group(headline, table, Text(foot, style="dim"))
+    return Group(header_line, table, Text(footer, style="dim"))
 
 
 def main() -> None:
     """Run the display process until the controller closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    head = json.loads(sys.stdin.readline())
+    display_setup = json.loads(sys.stdin.readline())
     with escaped_streams():
-        (_draw_panel_in_place if sys.stdout.isatty() else _print_lines)(head)
+        (_draw_panel_in_place if sys.stdout.isatty() else _print_lines)(display_setup)
 
 
 if __name__ == "__main__":

@@ -52,23 +52,23 @@ def announce_motion(
             f"handctl: caution: {path} {text}; handctl commission writes a file that names them",
             error=True,
         )
-    if real := real_buses(plan.buses):
+    if hardware_buses := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
         confirm_motion(
-            f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes
+            f"{plan.hand.name} on {', '.join(hardware_buses)} is armed and moves {joints}", args.yes
         )
 
 
-def _file_text(file_kind: str, path: Path, made_at: str) -> str:
+def _file_text(file_kind: str, path: Path, creation_date: str) -> str:
     """Return the kind, the path and the age of a file as one text.
 
     If a date is written in the file, the age is counted from this date. Otherwise the age is
     counted from the last modification of the file.
     """
-    then = path.stat().st_mtime
+    modified_s = path.stat().st_mtime
     with suppress(ValueError):
-        then = datetime.datetime.fromisoformat(made_at).timestamp()
-    return f"{file_kind} {os.path.abspath(path)}, {age_text(time.time() - then)} old"
+        modified_s = datetime.datetime.fromisoformat(creation_date).timestamp()
+    return f"{file_kind} {os.path.abspath(path)}, {age_text(time.time() - modified_s)} old"
 
 
 def age_text(seconds: float) -> str:

@@ -28,10 +28,10 @@ class _StoreNamedHand(argparse.Action):
 def add_hand_option(parser: argparse.ArgumentParser) -> None:
     """Declare --hand: name of a packaged hand, or path of a hand file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
-    named = parser.add_argument(
+    hand_argument = parser.add_argument(
         "--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text
     )
-    named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
+    hand_argument.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
     parser.set_defaults(is_hand_named=False)
 
 

@@ -138,9 +138,11 @@ def find_calibration(
         ConfigError: a named file exists but cannot be used, or the file cannot be written.
     """
     path = calibration_path(args, hand)
-    loaded, reason = calibration.find_calibration(path, hand, bool(args.calibration), buses)
+    loaded_calibration, reason = calibration.find_calibration(
+        path, hand, bool(args.calibration), buses
+    )
     print_detail(f"calibration: {path}" + (f" is not used: {reason}" if reason else ""))
-    return path, loaded, reason
+    return path, loaded_calibration, reason
 
 
 def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, float]:

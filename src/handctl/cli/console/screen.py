@@ -31,8 +31,12 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
             The control codes that rich itself writes are not escaped.
             """
             for segment in super().render(renderable, options):
-                done = segment.control or segment.text.isprintable()
-                yield segment if done else Segment(escape_text(segment.text, "\n\t"), segment.style)
+                is_printable = segment.control or segment.text.isprintable()
+                yield (
+                    segment
+                    if is_printable
+                    else Segment(escape_text(segment.text, "\n\t"), segment.style)
+                )
 
         def render_str(self, text: str, **keywords: Any) -> Any:
             """Escape a string before rich measures the width of the string."""

@@ -35,12 +35,12 @@ def terminate_on_signals() -> Iterator[None]:
 
     If the command was started with ``nohup``, SIGHUP stays ignored.
     """
-    ending = [
+    termination_signals = [
         number
         for number in (signal.SIGTERM, signal.SIGHUP)
         if signal.getsignal(number) == signal.SIG_DFL
     ]
-    with installed_handler(_raise_terminated, *ending):
+    with installed_handler(_raise_terminated, *termination_signals):
         yield
 
 
@@ -53,15 +53,15 @@ def install_excepthook() -> None:
     bugs: list[BaseException] = []
 
     def print_traceback(
-        error_type: type[BaseException], bug: BaseException, trace: TracebackType | None
+        error_type: type[BaseException], exception: BaseException, trace: TracebackType | None
     ) -> None:
         with escaped_streams():
-            sys.__excepthook__(error_type, bug, trace)
+            sys.__excepthook__(error_type, exception, trace)
             print(
                 "handctl: this is a bug in handctl; the traceback above shows the place",
                 file=sys.stderr,
             )
-        bugs.append(bug)
+        bugs.append(exception)
 
     def end_process() -> None:
         if bugs:

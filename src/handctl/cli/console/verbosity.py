@@ -47,12 +47,12 @@ def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
 
 def is_first_caution(text: str) -> bool:
     """Return True if the running command has not printed this caution yet, and store that it is printed now."""
-    printed = _printed_cautions.get()
-    if printed is None:
+    printed_cautions = _printed_cautions.get()
+    if printed_cautions is None:
         return True
-    is_first = text not in printed
-    printed.add(text)
-    return is_first
+    is_first_time = text not in printed_cautions
+    printed_cautions.add(text)
+    return is_first_time
 
 
 def is_quiet() -> bool:

@@ -11,7 +11,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
     """Print the table of results of a finished run."""
     from rich.table import Table
 
-    late = run_result["late_us"]
+    lateness_us = run_result["late_us"]
     rows = [
         (
             "ticks",
@@ -21,7 +21,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
         *_clock_text(run_result),
         (
             "lateness p50 / p99.9 / max",
-            f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us",
+            f"{lateness_us['p50']:.0f} / {lateness_us['p99_9']:.0f} / {lateness_us['max']:.0f} us",
         ),
         (
             "tracking error, free motion",
@@ -95,8 +95,8 @@ def _time_scale_text(scale: float) -> str:
     return "" if scale == 1 else f", at {scale:g} of real time"
 
 
-def _value_with_unit(value: float, unit_factor: float, unit: str, digits: int) -> str:
-    return "-" if value != value else f"{value * unit_factor:.{digits}f} {unit}"
+def _value_with_unit(value: float, display_factor: float, unit: str, digits: int) -> str:
+    return "-" if value != value else f"{value * display_factor:.{digits}f} {unit}"
 
 
 def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
@@ -104,14 +104,14 @@ def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
 
     If the table did not sink, return no row.
     """
-    sunk = run_result["table_sunk_mm"]
-    slid = run_result["object_slid_mm"]
-    if sunk != sunk:
+    table_sunk_mm = run_result["table_sunk_mm"]
+    object_slid_mm = run_result["object_slid_mm"]
+    if table_sunk_mm != table_sunk_mm:
         return []
     return [
         (
             "table sank / object moved then",
-            f"{sunk:.0f} mm / {_value_with_unit(slid, 1.0, 'mm', 3)}",
+            f"{table_sunk_mm:.0f} mm / {_value_with_unit(object_slid_mm, 1.0, 'mm', 3)}",
         )
     ]
 
@@ -119,10 +119,12 @@ def _lift_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
 def _forces_text(run_result: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a table row for each digit, with its estimated tip force and its simulated contact force."""
     estimated = run_result["tip_equivalent_force_n"]
-    real = run_result["contact_force_n"]
+    true_forces = run_result["contact_force_n"]
     rows = []
     for name, force in estimated.items():
         if force == force:
-            beside = f", plant's contacts {real[name]:.1f} N" if name in real else ""
-            rows.append((f"{name} tip-equivalent force", f"{force:.1f} N{beside}"))
+            truth_text = (
+                f", plant's contacts {true_forces[name]:.1f} N" if name in true_forces else ""
+            )
+            rows.append((f"{name} tip-equivalent force", f"{force:.1f} N{truth_text}"))
     return rows

@@ -136,42 +136,44 @@ def log(parser: VerbParser) -> None:
     kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
     def add_kind(name: str, text: str) -> VerbParser:
-        one = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
-        add_json_option(one)
-        one.add_argument("log", type=Path, help="the log")
-        return one
+        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
+        add_json_option(subparser)
+        subparser.add_argument("log", type=Path, help="the log")
+        return subparser
 
     add_kind(
         "info",
         "print events with times, the end of the run, phases, hand, versions and gaps; with -v also the gains",
     )
     add_kind("check", "check counters, gaps, clock, hashes, and every byte")
-    other = add_kind("diff", "compare the log with another run of the same hand, phase by phase")
-    other.add_argument("other", type=Path, help="the other log")
+    diff_parser = add_kind(
+        "diff", "compare the log with another run of the same hand, phase by phase"
+    )
+    diff_parser.add_argument("other", type=Path, help="the other log")
     rescue = add_kind("recover", "write a complete log from a damaged log")
     add_output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
-    out = add_kind("export", "write the log in a format that other tools read")
-    out.add_argument(
+    export_parser = add_kind("export", "write the log in a format that other tools read")
+    export_parser.add_argument(
         "more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot"
     )
-    group = out.add_mutually_exclusive_group(required=True)
+    group = export_parser.add_mutually_exclusive_group(required=True)
     for name, text in EXPORT_FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
-    out.add_argument(
+    export_parser.add_argument(
         "--fps",
         type=int,
         metavar="HZ",
         help="frame rate of a LeRobot dataset (default: the control rate)",
     )
-    out.add_argument(
+    export_parser.add_argument(
         "--camera", nargs="+", action="append", default=[], metavar=("NAME", "VIDEO"),
         help="camera of a LeRobot dataset: its name, and one video for each log (needs ffmpeg)",
     )  # fmt: skip
-    out.add_argument(
+    export_parser.add_argument(
         "--camera-start", type=float, nargs="+", default=[0.0], metavar="SECONDS",
         help="time from the start of the run to the first video frame, for all logs or for each (default: 0)",
     )  # fmt: skip
-    add_output_option(out, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
+    add_output_option(export_parser, "a new file or folder (default: LOG.FORMAT)", "FILE|DIR")
 
 
 def report(parser: argparse.ArgumentParser) -> None:

@@ -23,14 +23,14 @@ In the other formats, it counts rows.
 
 def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``log``, and return the exit code."""
-    done: dict[str, Callable[[argparse.Namespace], int]] = {
+    run_function_by_kind: dict[str, Callable[[argparse.Namespace], int]] = {
         "info": _print_info,
         "check": _check_log,
         "diff": _compare_logs,
         "recover": _recover_log,
         "export": _export_log,
     }
-    return done[args.what](args)
+    return run_function_by_kind[args.what](args)
 
 
 def _print_info(args: argparse.Namespace) -> int:
@@ -66,13 +66,13 @@ def _print_info(args: argparse.Namespace) -> int:
         del result["gains"]
     for key, value in result.items():
         table = (
-            [f"{name}: {_value_text(one)}" for name, one in value.items()]
+            [f"{name}: {_value_text(element)}" for name, element in value.items()]
             if isinstance(value, dict)
             else [value]
         )
-        first, *more = (value if isinstance(value, list) else table) or [""]
-        print_escaped(f"{key:<12} {_value_text(first)}")
-        for line in more:
+        first_line, *other_lines = (value if isinstance(value, list) else table) or [""]
+        print_escaped(f"{key:<12} {_value_text(first_line)}")
+        for line in other_lines:
             print_escaped(f"{'':<12} {_value_text(line)}")
     return ExitCode.DONE if result["whole"] else ExitCode.LOSSY_LOG
 
@@ -93,13 +93,13 @@ def _lateness_us(log: RunLog) -> dict[str, float]:
     """Return the median, the 99.9th percentile and the maximum of the lateness of the ticks [us]."""
     import numpy as np
 
-    late = log.late_ns / 1e3
-    if not len(late):
+    lateness_us = log.late_ns / 1e3
+    if not len(lateness_us):
         return {}
     return {
-        "p50": float(np.percentile(late, 50)),
-        "p99_9": float(np.percentile(late, 99.9)),
-        "max": float(late.max()),
+        "p50": float(np.percentile(lateness_us, 50)),
+        "p99_9": float(np.percentile(lateness_us, 99.9)),
+        "max": float(lateness_us.max()),
     }
 
 
@@ -111,11 +111,11 @@ def _check_log(args: argparse.Namespace) -> int:
         with RunLog(args.log) as log, progress_bar("checking", quiet=args.json):
             problems = check_log(log)
             ticks = len(log)
-            lossy = bool(log.warning)
+            is_incomplete = bool(log.warning)
     except LogError as error:
         problems = [str(error), *filter(None, [describe_first_damage(args.log)])]
         ticks = 0
-        lossy = False
+        is_incomplete = False
     if args.json:
         print_json(
             {"log": str(args.log), "ticks": ticks, "sound": not problems, "findings": problems}
@@ -123,7 +123,7 @@ def _check_log(args: argparse.Namespace) -> int:
     else:
         for line in problems or [f"{args.log}: {ticks} ticks, nothing wrong"]:
             print_escaped(line)
-    return ExitCode.LOSSY_LOG if lossy else ExitCode.FAILED if problems else ExitCode.DONE
+    return ExitCode.LOSSY_LOG if is_incomplete else ExitCode.FAILED if problems else ExitCode.DONE
 
 
 def _compare_logs(args: argparse.Namespace) -> int:
@@ -136,16 +136,20 @@ def _compare_logs(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"logs": [str(args.log), str(args.other)], **result})
         return code
-    for name, (one, two) in result["gains"].items():
-        print_escaped(f"gain {name} differs: {one} in the first log, {two} in the second")
-    for which in ("only_in_first", "only_in_second"):
-        if result[which]:
-            print_escaped(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
+    for name, (first_value, second_value) in result["gains"].items():
+        print_escaped(
+            f"gain {name} differs: {first_value} in the first log, {second_value} in the second"
+        )
+    for list_name in ("only_in_first", "only_in_second"):
+        if result[list_name]:
+            print_escaped(f"phases {list_name.replace('_', ' ')}: {', '.join(result[list_name])}")
     for name, phase in result["phases"].items():
-        first, second = phase.pop("duration_s")
+        first_duration_s, second_duration_s = phase.pop("duration_s")
         lines = list(difference_lines(phase))
-        short = ", too short to compare" if phase and not lines else ""
-        print_escaped(f"{name}: {first:.3f} s and {second:.3f} s{short}")
+        too_short_text = ", too short to compare" if phase and not lines else ""
+        print_escaped(
+            f"{name}: {first_duration_s:.3f} s and {second_duration_s:.3f} s{too_short_text}"
+        )
         for line in lines:
             print_escaped(f"  {line}")
     return code
@@ -159,49 +163,57 @@ def _export_log(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot"
         )
-    for_dataset = args.fps is not None or args.camera or args.camera_start != [0.0]
-    if for_dataset and args.format != "lerobot":
+    has_dataset_options = args.fps is not None or args.camera or args.camera_start != [0.0]
+    if has_dataset_options and args.format != "lerobot":
         raise ConfigError("frame rate or camera", f"log export --{args.format}", "--lerobot")
     with ExitStack() as stack:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
-        out = args.output or path_with_suffix(args.log, f".{args.format}")
-        with atomic_path(out, must_be_new=True) as part, progress_bar("writing", quiet=args.json):
+        output_path = args.output or path_with_suffix(args.log, f".{args.format}")
+        with (
+            atomic_path(output_path, must_be_new=True) as part,
+            progress_bar("writing", quiet=args.json),
+        ):
             count = _write_export(args, logs, part)
         code = max(
             warn_if_lossy(path, log.warning)
             for path, log in zip((args.log, *args.more), logs, strict=True)
         )
     if args.json:
-        print_json({"log": str(args.log), "output": str(out), "count": count})
+        print_json({"log": str(args.log), "output": str(output_path), "count": count})
     else:
-        print_escaped(f"{out}: {count} {EXPORT_UNITS.get(args.format, 'rows')}")
+        print_escaped(f"{output_path}: {count} {EXPORT_UNITS.get(args.format, 'rows')}")
     return code
 
 
 def _write_export(args: argparse.Namespace, logs: list[RunLog], output_path: Path) -> int:
-    form = args.format
+    export_format = args.format
     log = logs[0]
-    if form == "rrd":
+    if export_format == "rrd":
         from handctl.view.rerun_conversion import write_rrd
         from handctl.view.scene.run_info import RunInfo
 
         return write_rrd(args.log, RunInfo.from_header(log.header, args.log.stem), output_path)
-    if form == "parquet":
+    if export_format == "parquet":
         from handctl.log.export.parquet import export_parquet
 
         return export_parquet(log, output_path)
-    if form == "lerobot":
+    if export_format == "lerobot":
         from handctl.log.export.camera_video import make_cameras
         from handctl.log.export.lerobot import export_lerobot
 
         names = [words[0] for words in args.camera]
-        videos = [[Path(word) for word in words[1:]] for words in args.camera]
+        paths_by_camera = [[Path(word) for word in words[1:]] for words in args.camera]
         return export_lerobot(
-            logs, output_path, args.fps, make_cameras(names, videos, args.camera_start, len(logs))
+            logs,
+            output_path,
+            args.fps,
+            make_cameras(names, paths_by_camera, args.camera_start, len(logs)),
         )
     from handctl.log.export.csv_and_candump import export_candump, export_csv
 
-    return export_csv(log, output_path) if form == "csv" else export_candump(log, output_path)
+    return (
+        export_csv(log, output_path) if export_format == "csv" else export_candump(log, output_path)
+    )
 
 
 def _recover_log(args: argparse.Namespace) -> int:
@@ -212,11 +224,11 @@ def _recover_log(args: argparse.Namespace) -> int:
         recovery = recover_log(args.log, output)
     status = recovery.status.name.lower()
     if args.json:
-        lost = [list(part) for part in recovery.lost_ranges]
+        lost_parts = [list(part) for part in recovery.lost_ranges]
         result = {
             "status": status,
             "messages": recovery.messages,
-            "lost": lost,
+            "lost": lost_parts,
             "problem": recovery.problem,
         }
         print_json(result | {"output": str(output)})

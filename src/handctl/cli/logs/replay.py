@@ -10,5 +10,5 @@ import importlib
 
 def run(args: argparse.Namespace) -> int:
     """Run the selected kind of replay, and return the exit code."""
-    done: int = importlib.import_module(f"handctl.cli.logs.replay_{args.kind}").run(args)
-    return done
+    exit_code: int = importlib.import_module(f"handctl.cli.logs.replay_{args.kind}").run(args)
+    return exit_code

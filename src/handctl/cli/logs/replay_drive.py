@@ -25,19 +25,20 @@ from handctl.session.run_plan import commissioning_log_path, default_log_path
 
 def run(args: argparse.Namespace) -> int:
     """Repeat the recorded motion, compare the new log with the recorded log, and return the exit code."""
-    with RunLog(args.recorded) as before:
+    with RunLog(args.recorded) as log_before:
         plan = make_plan(args)
-        check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
+        check_same_hand(log_before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
         # Refuse a log whose hand cannot be loaded, because the names of the columns come from the
         # hand.
-        logged_hand(before)
-        program = playback_program(before, plan.period_ns * 1e-9, args.raw)
+        logged_hand(log_before)
+        program = playback_program(log_before, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
-        start_s, end_s = active_interval(before)
-        lossy = warn_if_lossy(args.recorded, before.warning)
-        if missing := count_missing_ticks(before):
+        start_s, end_s = active_interval(log_before)
+        is_incomplete = warn_if_lossy(args.recorded, log_before.warning)
+        if missing_tick_count := count_missing_ticks(log_before):
             print_escaped(
-                f"handctl: caution: {args.recorded}: {missing} ticks are missing; the gap is bridged by interpolation",
+                f"handctl: caution: {args.recorded}: {missing_tick_count} ticks are missing; the gap is bridged by "
+                "interpolation",
                 error=True,
             )
         if args.dry_run:
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
             report_dry_run(
                 args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason
             )
-            return lossy
+            return is_incomplete
         announce_motion(args, plan, path, calibration)
         log = args.log or default_log_path(plan.hand, "replay")
         if calibration is None:
@@ -54,14 +55,14 @@ def run(args: argparse.Namespace) -> int:
             )
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
-        with RunLog(log) as after:
-            result = compare_replay(before, after)
-            seconds = followed_duration_s(before, after)
-    complete = outcome.state.progress.finished
+        with RunLog(log) as log_after:
+            result = compare_replay(log_before, log_after)
+            seconds = followed_duration_s(log_before, log_after)
+    is_complete = outcome.state.progress.finished
     fields = {
         "seconds": end_s - start_s,
         "driven_s": seconds,
-        "complete": complete,
+        "complete": is_complete,
         "failure": outcome.state.failure,
     }
     if args.json:
@@ -71,11 +72,11 @@ def run(args: argparse.Namespace) -> int:
     else:
         for line in (*difference_lines(result), f"new log: {log}"):
             print_escaped(line)
-    if not complete:
+    if not is_complete:
         reason = outcome.state.failure or "stopped"
         print_escaped(
             f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True
         )
     if outcome.exit_code != ExitCode.DONE:
         return outcome.exit_code
-    return lossy if complete else ExitCode.FAILED
+    return is_incomplete if is_complete else ExitCode.FAILED

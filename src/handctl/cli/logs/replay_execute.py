@@ -29,13 +29,13 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("together with --gains", "--within", "one of them")
 
     with RunLog(args.recorded) as log:
-        lossy = warn_if_lossy(args.recorded, log.warning)
-        passed = (
+        is_incomplete = warn_if_lossy(args.recorded, log.warning)
+        has_passed = (
             _compare_with_other_gains(args, log)
             if args.gains
             else _execute_with_logged_gains(args, log)
         )
-    return lossy if passed else ExitCode.FAILED
+    return is_incomplete if has_passed else ExitCode.FAILED
 
 
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
@@ -52,13 +52,13 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     workers = usable_cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, progress=update_progress, worker_count=workers)
-    passed = (
+    has_passed = (
         not execution.differing_ticks
         if args.within is None
         else is_within_tolerance(execution, args.within)
     )
-    here = (version("handctl"), code_identity())
-    logged_by = _writer_text(log)
+    present_version = (version("handctl"), code_identity())
+    writer_text = _writer_text(log)
     result = {
         "log": str(args.recorded),
         "ticks": execution.ticks,
@@ -71,11 +71,11 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
         if execution.first_state_difference
         else None,
         "largest": execution.largest_difference._asdict() if execution.largest_difference else None,
-        "same": passed,
-        "version": here[0],
-        "version_logged": logged_by[0],
-        "code": here[1],
-        "code_logged": logged_by[1],
+        "same": has_passed,
+        "version": present_version[0],
+        "version_logged": writer_text[0],
+        "code": present_version[1],
+        "code_logged": writer_text[1],
         "wall_s": execution.wall_s,
         "cpu_s": execution.cpu_s,
         "times_real_time": execution.real_time_factor,
@@ -83,15 +83,15 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     if args.json:
         print_json(result)
     else:
-        other = f"{execution.different_decisions} with other decisions"
-        print_escaped(f"{execution.ticks} ticks, {execution.differing_ticks} differ, {other}")
-        for word, one in (
+        other_text = f"{execution.different_decisions} with other decisions"
+        print_escaped(f"{execution.ticks} ticks, {execution.differing_ticks} differ, {other_text}")
+        for word, difference_row in (
             ("first", execution.first_difference),
             ("state", execution.first_state_difference),
             ("largest", execution.largest_difference),
         ):
-            if one:
-                print_escaped(f"{word}: {_difference_line(one)}")
+            if difference_row:
+                print_escaped(f"{word}: {_difference_line(difference_row)}")
         print_escaped(f"{execution.wall_s:.2f} s, {execution.real_time_factor:.1f} times real time")
         if execution.differing_ticks and log.gaps:
             gap = log.gaps[0]
@@ -99,18 +99,18 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
                 f"ticks {gap.last_tick_before + 1} to {gap.first_tick_after - 1} are missing in the log, "
                 "so the ticks after them differ"
             )
-        if execution.differing_ticks and logged_by != here:
+        if execution.differing_ticks and writer_text != present_version:
             print_escaped(
                 "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
-                    *logged_by, *here
+                    *writer_text, *present_version
                 )
             )
-        if not passed and not execution.different_decisions and args.within is None:
+        if not has_passed and not execution.different_decisions and args.within is None:
             print_escaped(
                 "all decisions are equal; if another machine wrote the log, "
                 "--within 1e-9 accepts differences by rounding"
             )
-    return passed
+    return has_passed
 
 
 def _writer_text(log: Any) -> tuple[str, str]:
@@ -125,15 +125,15 @@ def _writer_text(log: Any) -> tuple[str, str]:
 def _difference_line(difference: Any) -> str:
     """Return a difference from the log as one line: tick, time [s], field, value in the log, computed value."""
     place = f"{difference.field} of {difference.name}" if difference.name else difference.field
-    apart = ""
+    ulps_text = ""
     if difference.ulps is not None:
-        few = difference.ulps <= MAX_PRINTED_ULPS
-        apart = (
+        is_small = difference.ulps <= MAX_PRINTED_ULPS
+        ulps_text = (
             f", {difference.ulps} units in the last place"
-            if few
+            if is_small
             else f", {difference.computed - difference.logged:+.3g}"
         )
-    values = f"logged {difference.logged!r}, now {difference.computed!r}{apart}"
+    values = f"logged {difference.logged!r}, now {difference.computed!r}{ulps_text}"
     return f"tick {difference.k} ({difference.t_s:.3f} s), {place}: {values}"
 
 
@@ -154,24 +154,26 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         execution = execute_log(log, gains, commands.add_tick, update_progress)
     if not execution.ticks:
         raise LogError("contains no tick", str(args.recorded), "a run with motor commands")
-    compared = commands.comparable_ticks(log)
+    comparable_ticks = commands.comparable_ticks(log)
     draw_commands(
         picture,
         log,
         commands,
-        compared,
+        comparable_ticks,
         f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}",
     )
-    change = command_change(log, commands, compared)
-    faults = commands.texts_of_faults_in_tick(compared)
+    change = command_change(log, commands, comparable_ticks)
+    faults = commands.texts_of_faults_in_tick(comparable_ticks)
     if args.json:
-        first = execution.first_difference._asdict() if execution.first_difference else None
+        first_difference = (
+            execution.first_difference._asdict() if execution.first_difference else None
+        )
         counts = {
             "ticks": execution.ticks,
             "differing": execution.differing_ticks,
-            "compared": compared,
+            "compared": comparable_ticks,
             "faults": faults,
-            "first": first,
+            "first": first_difference,
         }
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
@@ -180,9 +182,9 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     )
     if execution.first_difference:
         print_escaped(f"first: {_difference_line(execution.first_difference)}")
-    if compared < execution.ticks:
+    if comparable_ticks < execution.ticks:
         reason = "; ".join(faults) or "another mode than in the log"
-        print_escaped(f"the comparison ends at {log.times[compared]:.3f} s: {reason}")
+        print_escaped(f"the comparison ends at {log.times[comparable_ticks]:.3f} s: {reason}")
         print_escaped(
             "(the recorded motion does not follow these commands, so this is no fault of a hand)"
         )

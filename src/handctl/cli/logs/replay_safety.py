@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
             judgement = judge_by_limits(log, args.limits, update_progress)
         code = warn_if_lossy(args.recorded, log.warning)
     if args.json:
-        stops = [_stop_fields(stop) for stop in judgement.stops]
+        stop_rows = [_stop_fields(stop) for stop in judgement.stops]
         counts = {
             "ticks": judgement.ticks,
             "stopped": judgement.stopped,
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
                 "log": str(args.recorded),
                 **counts,
                 "by_fault": judgement.stop_count_by_fault,
-                "stops": stops,
+                "stops": stop_rows,
             }
         )
         return code
@@ -46,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
         f"the limits of the run in {judgement.ticks_stopped_by_old_limits}"
     )
     for stop in judgement.stops:
-        also = "as in the run" if stop.occurs_in_logged_run else "new"
+        comparison_text = "as in the run" if stop.occurs_in_logged_run else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
-            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"
+            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {comparison_text}"
         )
     return code

@@ -14,16 +14,16 @@ def run(args: argparse.Namespace) -> int:
     from handctl.report.run_page import write_page
     from handctl.report.truth_record import find_truth, truth_path_of
 
-    out = args.output or path_with_suffix(args.log, ".html")
-    check_output(out, "--output", args.log, args.truth or truth_path_of(args.log))
+    output_path = args.output or path_with_suffix(args.log, ".html")
+    check_output(output_path, "--output", args.log, args.truth or truth_path_of(args.log))
     with RunLog(args.log) as log:
         truth = find_truth(args.truth, args.log, log)
         offset = log.header.truth_offset_ns
         with progress_bar("drawing", quiet=args.json):
-            size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
+            size = write_page(output_path, log, logged_hand(log), truth, offset, args.log.name)
         code = warn_if_lossy(args.log, log.warning)
     if args.json:
-        print_json({"log": str(args.log), "page": str(out), "bytes": size})
+        print_json({"log": str(args.log), "page": str(output_path), "bytes": size})
     else:
-        print_escaped(f"{out}: {size / 1e6:.1f} MB")
+        print_escaped(f"{output_path}: {size / 1e6:.1f} MB")
     return code

@@ -29,12 +29,12 @@ def run(args: argparse.Namespace) -> int:
     from handctl.report.truth_record import find_truth
     from handctl.view.scene.run_info import RunInfo
 
-    with RunLog(args.log, checked=False) as log:
+    with RunLog(args.log, verify_checksums=False) as log:
         run_info = replace(
             RunInfo.from_header(log.header, args.log.stem),
             truth=find_truth(args.truth, args.log, log),
         )
-        at_s = _picture_moment_s(args, log) if args.picture else 0.0
+        picture_time_s = _picture_moment_s(args, log) if args.picture else 0.0
         warning = log.warning
         scan = log.scan
     code = warn_if_lossy(args.log, warning)
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         print_escaped(f"handctl: caution: {args.log}: {run_info.missing_mesh_note}", error=True)
     if args.save or args.picture:
         with progress_bar("drawing" if args.picture else "writing", quiet=args.json):
-            result = _write_files(args, run_info, at_s)
+            result = _write_files(args, run_info, picture_time_s)
     else:
         result = {}
         _show_in_viewer(args.log, run_info, scan)
@@ -96,7 +96,7 @@ def _check_options(args: argparse.Namespace) -> None:
         check_screen_exists()
 
 
-def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[str, Any]:
+def _write_files(args: argparse.Namespace, run_info: Any, picture_time_s: float) -> dict[str, Any]:
     """Write the requested recording and picture. Return the fields of the JSON result."""
     from handctl.view.rerun_conversion import write_rrd
 
@@ -111,29 +111,31 @@ def _write_files(args: argparse.Namespace, run_info: Any, at_s: float) -> dict[s
     if not args.picture:
         return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
-        rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
+        rerun_file = args.save or Path(folder) / f"{args.log.stem}.rrd"
         if not args.save:
-            write_rrd(args.log, run_info, rrd)
-        return _draw_picture(args, rrd, at_s) | result
+            write_rrd(args.log, run_info, rerun_file)
+        return _draw_picture(args, rerun_file, picture_time_s) | result
 
 
-def _draw_picture(args: argparse.Namespace, recording_path: Path, at_s: float) -> dict[str, Any]:
+def _draw_picture(
+    args: argparse.Namespace, recording_path: Path, picture_time_s: float
+) -> dict[str, Any]:
     from handctl.view.dashboard_picture import draw_recording
 
-    reports = draw_recording(recording_path, at_s, args.picture)
+    reports = draw_recording(recording_path, picture_time_s, args.picture)
     for report in reports:
         print_escaped(f"handctl: {report}", error=True)
-    _print_note(args, f"wrote {args.picture}: the hand at {at_s:.3f} s")
-    return {"png": args.picture, "at_s": at_s, "reports": reports}
+    _print_note(args, f"wrote {args.picture}: the hand at {picture_time_s:.3f} s")
+    return {"png": args.picture, "at_s": picture_time_s, "reports": reports}
 
 
 def _show_in_viewer(log: Path, run_info: Any, record_scan: Any) -> None:
     """Open the viewer, send the log to it, and wait until the user closes the viewer."""
     from handctl.view.browse import browse_log
 
-    with browse_log(log, run_info, [], {}, record_scan) as running:
+    with browse_log(log, run_info, [], {}, record_scan) as viewer_process:
         try:
-            running.process.wait()
+            viewer_process.process.wait()
         except KeyboardInterrupt:
             return
 

@@ -23,7 +23,7 @@ INVALID_CHOICE = re.compile(
 """Pattern of the message that argparse gives for a word that is not among the allowed choices."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
-RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
+RUN_COMMAND_EXAMPLE = "handctl run --hand jamia --bus local:demo"
 
 
 class CommandExample(NamedTuple):
@@ -42,12 +42,12 @@ class CommandExample(NamedTuple):
 
         The last line of the example is the command line.
         """
-        beside = (
+        parallel_text = (
             ["in other terminals:", *(f"  {command}" for command in self.parallel_commands)]
             if self.parallel_commands
             else []
         )
-        return "\n".join([*beside, "example:", f"  {self.command_line}"])
+        return "\n".join([*parallel_text, "example:", f"  {self.command_line}"])
 
 
 class HelpFormatter(argparse.HelpFormatter):
@@ -80,8 +80,8 @@ class VerbParser(argparse.ArgumentParser):
         # The options ``--verbose`` and ``--quiet`` have no default value. With a default value, the
         # parser of a subcommand would reset an option that the user has written before the
         # subcommand.
-        volume = self.add_mutually_exclusive_group()
-        add = volume.add_argument
+        verbosity_group = self.add_mutually_exclusive_group()
+        add = verbosity_group.add_argument
         text = "print more detail on standard error"
         add("-v", "--verbose", action="store_true", default=argparse.SUPPRESS, help=text)
         add(
@@ -110,21 +110,21 @@ class VerbParser(argparse.ArgumentParser):
             ConfigError: an option is unknown or was renamed.
         """
         for word in _option_names(args or ()):
-            if new := new_spelling(self._verb_names(), word):
-                raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
+            if new_word := new_spelling(self._verb_names(), word):
+                raise ConfigError(f"{word} has been renamed", self._verb_names(), new_word)
             # This check comes before all others. Otherwise, when the user misspells the name of an
             # argument, argparse would report that the argument is missing.
             if not (
                 self._has_sub_verbs
                 or any(option.startswith(word) for option in self._option_string_actions)
             ):
-                self._refuse_word(word)
-        parsed, rest = super().parse_known_args(args, namespace)
-        if rest:
-            self._refuse_word(rest[0])
-        return parsed, rest
+                self._report_unknown_word(word)
+        parsed, unparsed_words = super().parse_known_args(args, namespace)
+        if unparsed_words:
+            self._report_unknown_word(unparsed_words[0])
+        return parsed, unparsed_words
 
-    def _refuse_word(self, word: str) -> NoReturn:
+    def _report_unknown_word(self, word: str) -> NoReturn:
         """Raise an error for a word of the command line that no argument accepts."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
@@ -144,11 +144,11 @@ class VerbParser(argparse.ArgumentParser):
         if match := INVALID_CHOICE.search(message):
             suggestion = did_you_mean(match["word"], re.findall(r"[\w.-]+", match["choices"]))
             raise ConfigError(message + suggestion, self._error_location())
-        complete = "expected" in message
+        names_expected = "expected" in message
         raise ConfigError(
             message,
             self._error_location(),
-            "" if complete else f"the arguments that {self.prog} --help lists",
+            "" if names_expected else f"the arguments that {self.prog} --help lists",
         )
 
     def _verb_names(self) -> str:
@@ -180,8 +180,8 @@ def did_you_mean(unknown_word: str, known_words: Iterable[str]) -> str:
 
     If no name is similar enough, the text is empty.
     """
-    near = similar_name(unknown_word, known_words)
-    return f", did you mean {near}?" if near else ""
+    similar_word = similar_name(unknown_word, known_words)
+    return f", did you mean {similar_word}?" if similar_word else ""
 
 
 def add_sub_verb(
@@ -213,8 +213,8 @@ def check_words(words: Sequence[str]) -> None:
     for mark, name in (("\0", "a NUL"), ("\n", "a line end")):
         for word in words:
             if mark in word:
-                what = f"a word with {name} in it: {printable_text(word)}"
-                raise ConfigError(what, "the command line", "words without it")
+                problem_text = f"a word with {name} in it: {printable_text(word)}"
+                raise ConfigError(problem_text, "the command line", "words without it")
     for word in words:
         if match := DOUBLE_DASH_AS_VALUE.fullmatch(word):
             raise ConfigError("-- is no value", match[1], "a value")

@@ -18,15 +18,17 @@ from handctl.cli.console.options import (
     add_time_scale_option,
     add_wire_option,
 )
-from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, CommandExample
+from handctl.cli.parsing.parser import RUN_COMMAND_EXAMPLE, SIMULATED_HAND, CommandExample
 from handctl.drives.drive_modes import DriveMode
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 
 EXAMPLES = {
     "demo": CommandExample("handctl demo --lockstep"),
     "run": CommandExample("handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"),
-    "stop": CommandExample("handctl stop --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
-    "clear": CommandExample("handctl clear --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "stop": CommandExample("handctl stop --bus local:demo", (SIMULATED_HAND, RUN_COMMAND_EXAMPLE)),
+    "clear": CommandExample(
+        "handctl clear --bus local:demo", (SIMULATED_HAND, RUN_COMMAND_EXAMPLE)
+    ),
     "commission": CommandExample("handctl commission --hand jamia --bus local:demo --dry-run"),
     "jog": CommandExample("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
     "sim": CommandExample("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
@@ -68,17 +70,17 @@ def demo(parser: argparse.ArgumentParser) -> None:
 def run(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``run``."""
     add_run_options(parser)
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument(
+    program_group = parser.add_mutually_exclusive_group()
+    program_group.add_argument(
         "--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time"
     )
-    what.add_argument(
+    program_group.add_argument(
         "--task",
         type=Path,
         metavar="FILE",
         help="task file; without one the hand waits for requests",
     )
-    what.add_argument(
+    program_group.add_argument(
         "--dataset", type=Path, metavar="DIR", help="LeRobot dataset (3.0): follow its joint angles"
     )
     parser.add_argument(

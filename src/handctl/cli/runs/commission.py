@@ -25,8 +25,10 @@ def run(args: argparse.Namespace) -> int:
     announce_motion(args, plan, path, None)
     log = args.log or default_log_path(plan.hand, "commission")
     calibration, outcome = run_commissioning(plan, log, run_live)
-    previous = previous_identified_parameters(path, plan.hand, calibration.drive, plan.show_notice)
-    calibration = calibration.model_copy(update={"identified": previous})
+    previous_parameters = previous_identified_parameters(
+        path, plan.hand, calibration.drive, plan.show_notice
+    )
+    calibration = calibration.model_copy(update={"identified": previous_parameters})
     write_calibration(path, calibration)
     if args.json:
         print_json(

@@ -85,20 +85,20 @@ def _run_demo(args: argparse.Namespace) -> int:
     log = args.log or default_log_path(plan.hand, "demo")
     _check_not_overwritten(_calibration_path(log), log)
     plan.attachments["task.toml"] = text
-    started = time.monotonic()
+    start_time_s = time.monotonic()
     if args.lockstep:
         outcome, truth = _run_in_lockstep(args, plan, TaskProgram(task), log, identified)
     else:
         outcome = _run_in_real_time(args, plan, TaskProgram(task), log, identified)
         truth = truth_path(plan.buses[0])
-    wall = time.monotonic() - started
+    wall_time_s = time.monotonic() - start_time_s
     # this module reads the log, so it is needed only after the run
     from handctl.session.verdict import judge_run
 
     result = judge_run(plan, outcome, log, truth, task=task)
     if result["truth"] != str(truth):  # a copy of the truth file lies next to the log
         truth.unlink(missing_ok=True)
-    result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
+    result |= _speed_ratio(outcome, plan, wall_time_s) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:
         print(
@@ -159,14 +159,14 @@ def _commission_and_run(
 
     In this run, the controller uses parameters of the hand that were identified in an earlier run.
     """
-    first, then = run_functions
+    first_function, second_function = run_functions
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
-    calibration, _ = run_commissioning(plan, commissioning_log_path(log), first)
+    calibration, _ = run_commissioning(plan, commissioning_log_path(log), first_function)
     calibration = calibration.model_copy(update={"identified": identified})
     path = _calibration_path(log)
     write_calibration(path, calibration)
     plan.attachments["calibration.toml"] = path.read_bytes()
-    return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+    return second_function(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
 
 
 def _run_in_lockstep(
@@ -194,12 +194,12 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str,
 
     Both times include the commissioning of the hand.
     """
-    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    simulated_s = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     return {
         "lockstep": True,
-        "simulated_s": simulated,
+        "simulated_s": simulated_s,
         "wall_s": wall_s,
-        "times_real_time": simulated / wall_s,
+        "times_real_time": simulated_s / wall_s,
     }
 
 

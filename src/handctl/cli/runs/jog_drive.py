@@ -6,11 +6,11 @@ import sys
 from typing import Any
 
 from handctl.cli.console.bench_drive import (
-    NOT_OFF_WARNING,
+    DRIVE_STILL_ON_WARNING,
     WATCHDOG_MS,
     describe_drive,
     find_drive,
-    open_rig,
+    open_drive_rig,
     parse_options,
     with_torque_range,
 )
@@ -70,10 +70,10 @@ def run(args: argparse.Namespace) -> int:
         torque_drive = _describe_motion(
             args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE)
         )
-        result, off = _move_drive(args, goal, drive, with_torque_range(torque_drive, node))
-    _print_result(args, goal, result, off)
-    if not off:
-        print(NOT_OFF_WARNING, file=sys.stderr, flush=True)
+        result, is_off = _move_drive(args, goal, drive, with_torque_range(torque_drive, node))
+    _print_result(args, goal, result, is_off)
+    if not is_off:
+        print(DRIVE_STILL_ON_WARNING, file=sys.stderr, flush=True)
         return ExitCode.REMOVE_POWER
     return ExitCode.FAILED if result.failure else ExitCode.DONE
 
@@ -85,16 +85,16 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
         ConfigError: an argument is missing or out of range.
     """
     if args.digit is not None:
-        right = "no digit, because --mode moves one drive: name it with --protocol and --node"
-        raise ConfigError(repr(args.digit), "digit", right)
+        expected = "no digit, because --mode moves one drive: name it with --protocol and --node"
+        raise ConfigError(repr(args.digit), "digit", expected)
     if len(args.bus) != 1:
         raise ConfigError(", ".join(args.bus), "--bus", "one bus")
     check_bus_spec(args.bus[0])
-    needed = {"--protocol": args.protocol, "--node": args.node, "--setpoint": args.setpoint,
+    required_options = {"--protocol": args.protocol, "--node": args.node, "--setpoint": args.setpoint,
               "--torque-limit-Nm": args.limit}  # fmt: skip
-    missing = [name for name, value in needed.items() if value is None]
-    if missing:
-        raise ConfigError("nothing", missing[0], "a value with --mode")
+    missing_names = [name for name, value in required_options.items() if value is None]
+    if missing_names:
+        raise ConfigError("nothing", missing_names[0], "a value with --mode")
     _check_number(args.limit, "--torque-limit-Nm", MIN_TORQUE_LIMIT_N_M, MAX_TORQUE_N_M)
     _check_number(args.speed_limit, "--speed-limit", 1e-2, MAX_SPEED_RANGE_RAD_S)
     _check_number(args.acceleration_limit, "--acceleration-limit", 1e-2, 1e5)
@@ -187,28 +187,28 @@ def _move_drive(
     of the motion. Otherwise the drive ends in torque mode.
     """
     result: JogResult | None = None
-    with open_rig(args, drive) as (rig, bus):
+    with open_drive_rig(args, drive) as (rig, bus):
         try:
             if args.clear:
                 rig.clear_faults()
             result = jog_drive(rig, goal)
         finally:
             if result is None:
-                bus.send(drive.cut_frames())
+                bus.send(drive.torque_cut_frames())
             rig.idle_command = lambda state: 0.0
-            complete = (
+            is_complete = (
                 result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT
             )
             watchdog_s = WATCHDOG_MS / 1e3
-            off = (
+            is_off = (
                 release_drive(rig, watchdog_s, torque_drive)
-                if complete
+                if is_complete
                 else rig.confirm_disabled(watchdog_s)
             )
             # Ctrl-C or a bug has ended the motion, and this is reported here
-            if not off and result is None:
-                raise PowerError(NOT_OFF_WARNING)
-    return result, off
+            if not is_off and result is None:
+                raise PowerError(DRIVE_STILL_ON_WARNING)
+    return result, is_off
 
 
 def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, is_off: bool) -> None:
@@ -218,22 +218,31 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, is
             "moved_rad": result.moved_rad, "fastest_rad_s": result.max_speed_rad_s,
             "strongest_N_m": result.max_torque_N_m, "final_rad_s": result.final_speed_rad_s,
         }  # fmt: skip
-        finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
-        done = {
+        finite_values = {
+            key: value if math.isfinite(value) else None for key, value in values.items()
+        }
+        result_text_by_kind = {
             "drive": args.protocol,
             "node": args.node,
             "mode": goal.mode.value,
             "setpoint": goal.target,
         }
-        print_json({**done, **finite, "confirmed_off": is_off, "failure": result.failure})
+        print_json(
+            {
+                **result_text_by_kind,
+                **finite_values,
+                "confirmed_off": is_off,
+                "failure": result.failure,
+            }
+        )
         return
-    strongest = (
+    max_command_text = (
         "no torque reported"
         if math.isnan(result.max_torque_N_m)
         else f"{result.max_torque_N_m:.3g} N m"
     )
     print(
-        f"moved {result.moved_rad:+.3f} rad, at most {result.max_speed_rad_s:.2f} rad/s, {strongest}"
+        f"moved {result.moved_rad:+.3f} rad, at most {result.max_speed_rad_s:.2f} rad/s, {max_command_text}"
     )
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)

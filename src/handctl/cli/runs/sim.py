@@ -47,13 +47,13 @@ def _check_and_print(args: argparse.Namespace) -> int:
     command = _simulator_command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
     with hand_in_protocol(args):
         bus_specs(load_hand(args.hand), args.bus)
-        checked = subprocess.run(
+        process_result = subprocess.run(
             [*_simulator_command(args, args.hand), "--dry-run"],
             stdin=subprocess.DEVNULL,
             check=False,
         )
-    if checked.returncode:
-        return checked.returncode
+    if process_result.returncode:
+        return process_result.returncode
     if args.json:
         print_json({"command": ["python", *command[1:]]})
     else:

@@ -28,7 +28,7 @@ EXAMPLES = {
     "paper": CommandExample("handctl paper --quick"),
 }
 """Example command line that the help of each command and subcommand prints."""
-FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
+FAULT_SYNTAX_HELP = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all faults that a running simulator can inject"""
 
@@ -43,14 +43,14 @@ def fault(parser: VerbParser) -> None:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
 
     inject = add_action("inject", "start a fault in a running simulator")
-    inject.description = FAULT_SYNTAX
+    inject.description = FAULT_SYNTAX_HELP
     text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
     inject.add_argument("text", metavar="FAULT", help=text)
-    listed = add_action(
+    list_parser = add_action(
         "list", "list the faults of a running simulator, and how often each took effect"
     )
     kinds = add_action("kinds", "list the faults that a running simulator can inject")
-    for sub in (inject, listed, kinds):
+    for sub in (inject, list_parser, kinds):
         text = "bus of the simulator (default: that of the only running simulator)"
         sub.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(sub)
@@ -126,8 +126,8 @@ def _declare_sequences(parser: argparse.ArgumentParser) -> None:
         choices=VERIFIABLE_PROTOCOLS,
         help="protocol of the drives (default: mit)",
     )
-    count = "number of random fault sequences (default: 30)"
-    parser.add_argument("--count", type=int, default=30, metavar="N", help=count)
+    count_help = "number of random fault sequences (default: 30)"
+    parser.add_argument("--count", type=int, default=30, metavar="N", help=count_help)
     text = "random seed of the first sequence, each further one adds 1 (default: 1)"
     parser.add_argument("--seed", type=int, default=1, help=text)
     add_jobs_option(parser, 2, "number of sequences at a time")

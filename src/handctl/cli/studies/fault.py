@@ -49,8 +49,8 @@ def _print_kinds(args: argparse.Namespace) -> int:
     print()
     names = {component: names for kind in kinds for component, names in kind["on"].items()}
     for component, instances in names.items():
-        shown = ", ".join(instances[:MAX_PRINTED_INSTANCES]) + (
+        instances_text = ", ".join(instances[:MAX_PRINTED_INSTANCES]) + (
             ", ..." if len(instances) > MAX_PRINTED_INSTANCES else ""
         )
-        print(f"{component:10} {shown or 'none'}")
+        print(f"{component:10} {instances_text or 'none'}")
     return 0

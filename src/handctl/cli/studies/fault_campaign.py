@@ -47,12 +47,12 @@ def run(args: argparse.Namespace) -> int:
     if args.calm is not None and not 0 <= args.calm <= MAX_FAULT_FREE_S:
         raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {MAX_FAULT_FREE_S:g} s")
     protocols = ALL_PROTOCOLS if args.protocol == "all" else (args.protocol,)
-    tried = {
-        one.row.id
+    campaign_fields = {
+        scenario.row.id
         for name in protocols
-        for one in scenarios_of_hand(hand_with_protocol(args.hand, name), name, 1.0)
+        for scenario in scenarios_of_hand(hand_with_protocol(args.hand, name), name, 1.0)
     }
-    for id_ in sorted(set(args.row) - tried):
+    for id_ in sorted(set(args.row) - campaign_fields):
         raise ConfigError(
             repr(id_), "--row", f"a fault that can occur in this hand with {args.protocol} drives"
         )
@@ -109,8 +109,8 @@ def failure_log_writer(folder: Path) -> Callable[[SimulatedRun, ScenarioResult],
         recorder = Recorder.start(
             path, run_header(plan, simulation.controller, None, lockstep=True)
         )
-        for entry, out in simulation.recorded_ticks:
-            recorder.send_record(pack_tick_record(entry, out))
+        for entry, tick_output in simulation.recorded_ticks:
+            recorder.send_record(pack_tick_record(entry, tick_output))
         recorder.close(result.problem)
 
     return write_log

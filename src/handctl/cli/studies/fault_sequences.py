@@ -45,26 +45,26 @@ def run(args: argparse.Namespace) -> int:
             on_progress=lambda done: update_progress(done, args.count, args.protocol),
             on_failure=failure_log_writer(folder),
         )
-    broken = [result for result in results if not result.ok]
+    broken_results = [result for result in results if not result.ok]
     figures: dict[str, Any] = {
         "hand": args.hand,
         "protocol": args.protocol,
         "rate_hz": default_control_rate(hand),
         "first_seed": args.seed,
         "sequences": len(results),
-        "broken": len(broken),
+        "broken": len(broken_results),
         "felt": sum(result.effects for result in results),
         "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:
-        print_json(figures | {"results": [result.as_json() for result in broken]})
+        print_json(figures | {"results": [result.as_json() for result in broken_results]})
     else:
         print(
-            f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule"
+            f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken_results)} violated a rule"
         )
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
-        for result in broken:
+        for result in broken_results:
             print(f"{result.scenario}: {result.problem}")
-        if broken:
+        if broken_results:
             print(f"logs: {folder}; to repeat one sequence: --seed SEED --count 1")
-    return ExitCode.FAILED if broken else ExitCode.DONE
+    return ExitCode.FAILED if broken_results else ExitCode.DONE

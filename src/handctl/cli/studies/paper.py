@@ -117,13 +117,13 @@ def _print_items(args: argparse.Namespace, shown_sections: tuple[PageSection, ..
 
 def _measure_all_results(jobs: int) -> dict[str, Any]:
     """Run all experiments, show the progress, and return the results."""
-    done = 0
+    finished_count = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
 
-        def show_job(job: ExperimentJob, finished: bool) -> None:
-            nonlocal done
-            done += finished
-            update_progress(done, label=None if finished else job_description(job))
+        def show_job(job: ExperimentJob, is_finished: bool) -> None:
+            nonlocal finished_count
+            finished_count += is_finished
+            update_progress(finished_count, label=None if is_finished else job_description(job))
 
         with worker_pool(jobs, show_job) as workers:
             return run_experiments(workers)

@@ -22,7 +22,7 @@ from handctl.cli.console.options import (
     add_yes_option,
 )
 from handctl.cli.parsing.parser import (
-    RUNNING_HAND,
+    RUN_COMMAND_EXAMPLE,
     SIMULATED_HAND,
     CommandExample,
     VerbParser,
@@ -45,7 +45,8 @@ EXAMPLES = {
     "gains rollback": CommandExample("handctl gains rollback --to 0 --hand jamia"),
     "gains log": CommandExample("handctl gains log --hand jamia"),
     "gains set": CommandExample(
-        "handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)
+        "handctl gains set motion.force_N=12 --bus local:demo",
+        (SIMULATED_HAND, RUN_COMMAND_EXAMPLE),
     ),
     "tune": CommandExample("handctl tune design --hand jamia --plants 2 --output designed.toml"),
     "tune design": CommandExample(
@@ -91,37 +92,39 @@ def gains(parser: VerbParser) -> None:
     )
 
     def add_kind(name: str, text: str) -> VerbParser:
-        one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
-        add_json_option(one)
+        subparser = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
+        add_json_option(subparser)
         # The subcommand "set" needs no --hand, because the running controller knows its hand.
         if name != "set":
-            add_hand_option(one)
-        return one
+            add_hand_option(subparser)
+        return subparser
 
     add_gains_options(add_kind("show", "show every gain: value, source, meaning, unit and bounds"))
-    diff = add_kind("diff", "compare two sets of gains")
+    diff_parser = add_kind("diff", "compare two sets of gains")
     text = "one or two of: a file, a log, a number of the history, present, packaged (default: packaged present)"
-    diff.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
-    apply = add_kind("apply", "use the gains of a file in all later runs")
-    apply.add_argument("file", type=Path, metavar="FILE", help="gains file")
-    for option, name, meaning in (
+    diff_parser.add_argument("sides", nargs="*", default=[], metavar="GAINS", help=text)
+    apply_parser = add_kind("apply", "use the gains of a file in all later runs")
+    apply_parser.add_argument("file", type=Path, metavar="FILE", help="gains file")
+    for option, name, option_help in (
         ("--calibration", "fit", "calibration with the identified parameters, for the history"),
         ("--study", "study", "search that found these gains, for the history"),
         ("--note", "note", "reason, for the history"),
     ):
-        apply.add_argument(option, dest=name, default="", help=meaning)
+        apply_parser.add_argument(option, dest=name, default="", help=option_help)
     text = "recorded run from which the gains were found, for the history; may be repeated"
-    apply.add_argument(
+    apply_parser.add_argument(
         "--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text
     )
-    back = add_kind("rollback", "use earlier gains again")
-    back.add_argument(
+    rollback_parser = add_kind("rollback", "use earlier gains again")
+    rollback_parser.add_argument(
         "--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains"
     )
     add_kind("log", "list all gains that were applied")
-    live = add_kind("set", "change gains of a running controller, without a step in torque")
-    live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
-    add_bus_option(live)
+    set_parser = add_kind("set", "change gains of a running controller, without a step in torque")
+    set_parser.add_argument(
+        "values", nargs="+", metavar="KEY=VALUE", help="gains and their new values"
+    )
+    add_bus_option(set_parser)
 
 
 def tune(parser: VerbParser) -> None:

@@ -56,7 +56,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
                 "value": value,
                 "origin": layers.origins[key],
                 "bounds": str(gain_bounds[key]),
-                "live": gain_bounds[key].live,
+                "live": gain_bounds[key].is_live_changeable,
                 "meaning": gain_meaning(gain_bounds[key]),
             }
             for key, value in values.items()
@@ -67,7 +67,11 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
         f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance)
     )
     for key, value in values.items():
-        when = "changes at any time" if gain_bounds[key].live else "changes before arming"
+        when = (
+            "changes at any time"
+            if gain_bounds[key].is_live_changeable
+            else "changes before arming"
+        )
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
             print_escaped(

@@ -20,7 +20,7 @@ from handctl.cli.console.plan import (
     refuse_bus_options,
 )
 from handctl.cli.console.verbosity import is_verbose, print_note
-from handctl.cli.tuning.tune_files import same_hand_words
+from handctl.cli.tuning.tune_files import hand_option_words
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -66,10 +66,10 @@ def run(args: argparse.Namespace) -> int:
 
     Return the exit code.
     """
-    given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
-    if given != 1:
+    source_count = sum(map(bool, (args.bus, args.lockstep, args.logs)))
+    if source_count != 1:
         raise ConfigError(
-            f"{given or 'none'} given", "--bus, --lockstep, --from-log", "one of them"
+            f"{source_count or 'none'} given", "--bus, --lockstep, --from-log", "one of them"
         )
     check_perturb(args, args.lockstep)
     if args.logs and args.digits:
@@ -95,19 +95,19 @@ def run(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
         return report_dry_run(args, plan, line, digits=digits, seconds=total, commissioning=reason)
     log = args.log or default_log_path(plan.hand, "identify")
-    about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
+    announcement = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
-        calibration, outcome = _identify_in_lockstep(args, plan, program, log, about)
+        calibration, outcome = _identify_in_lockstep(args, plan, program, log, announcement)
     else:
         announce_motion(args, plan, path, calibration)
-        print_note(about)
+        print_note(announcement)
         calibration = calibration or ensure_calibration(
             plan, path, reason, run_live, commissioning_log_path(log)
         )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
-        held = HoldLimit()
-        outcome = run_live(plan, controller, log, observer=held)
-        held.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
+        hold_limit = HoldLimit()
+        outcome = run_live(plan, controller, log, observer=hold_limit)
+        hold_limit.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.raise_if_not_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)
@@ -138,11 +138,13 @@ def _commission_and_excite(
     plan: RunPlan, program: ExciteProgram, log: Path, runner: RunFunction
 ) -> tuple[Calibration, RunOutcome]:
     """Commission and then excite a hand. Return the calibration and the outcome of the run."""
-    started = time.monotonic()
+    start_time_s = time.monotonic()
     calibration, _ = run_commissioning(plan, commissioning_log_path(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
-    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
-    print_note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
+    simulated_s = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    print_note(
+        f"{simulated_s:.0f} s of the simulated hand in {time.monotonic() - start_time_s:.0f} s"
+    )
     return calibration, outcome
 
 
@@ -160,15 +162,19 @@ def _identify_from_logs(args: argparse.Namespace) -> int:
     hand = load_hand(args.hand)
     path = calibration_path(args, hand)
     headers = {log: _log_header(log) for log in args.logs}
-    simulated = _are_simulated(headers)
+    is_simulated = _are_simulated(headers)
     if all(header.deterministic for header in headers.values()) and not args.calibration:
         path = _simulated_calibration_path(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
-    named = args.calibration or args.no_write
-    if calibration is not None and calibration.simulated != simulated and not named:
-        kinds = ["a simulated hand", "a real hand"][:: 1 if simulated else -1]
-        right = f"--calibration FILE, because {path} is of {kinds[1]}"
-        raise ConfigError(f"is of {kinds[0]}", str(args.logs[0]), right)
+    has_explicit_output = args.calibration or args.no_write
+    if (
+        calibration is not None
+        and calibration.simulated != is_simulated
+        and not has_explicit_output
+    ):
+        kinds = ["a simulated hand", "a real hand"][:: 1 if is_simulated else -1]
+        expected = f"--calibration FILE, because {path} is of {kinds[1]}"
+        raise ConfigError(f"is of {kinds[0]}", str(args.logs[0]), expected)
     results: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
         print_note(f"reading {log}")
@@ -231,60 +237,66 @@ def _report_results(
     calibration: Calibration | None,
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
-    made = utc_now_text()
+    date_text = utc_now_text()
     identified = previous_identified_parameters(
         path, hand, calibration.drive if calibration else {}, print_notice
     )
-    every = [one for tendons in results_of_log.values() for one in tendons.values()]
-    spoilt = {one.data.digit: one.blocked_event for one in every if one.blocked_event}
-    met = {
+    all_results = [tendon for tendons in results_of_log.values() for tendon in tendons.values()]
+    blocked_events = {
+        tendon_result.data.digit: tendon_result.blocked_event
+        for tendon_result in all_results
+        if tendon_result.blocked_event
+    }
+    blocked_results = {
         one.data.digit: one.contact_text
-        for one in every
+        for one in all_results
         if one.contact_text and not one.blocked_event
     }
-    incoherent = [one.data.tendon for one in every if one.is_incoherent]
+    incoherent_names = [one.data.tendon for one in all_results if one.is_incoherent]
     any_identified = False
     for log, tendons in results_of_log.items():
-        new = {name: one.calibration_entry(log, made) for name, one in tendons.items()}
-        any_identified = any_identified or any(one is not None for one in new.values())
+        new_entries = {name: one.calibration_entry(log, date_text) for name, one in tendons.items()}
+        any_identified = any_identified or any(one is not None for one in new_entries.values())
         identified |= {
             name: one.merged_with_older(identified.get(name))
-            for name, one in new.items()
+            for name, one in new_entries.items()
             if one is not None
         }
-    written = (
-        calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
+    written_path = (
+        calibration is not None
+        and not args.no_write
+        and (any_identified or not (blocked_events or blocked_results))
     )
-    if calibration is not None and written:
+    if calibration is not None and written_path:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
     pictures = _draw_pictures(
         hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails
-    _print_refusals(spoilt, met, incoherent)
-    ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
+    _print_refusals(blocked_events, blocked_results, incoherent_names)
+    exit_code = ExitCode.FAILED if blocked_events or blocked_results else ExitCode.DONE
     if args.json:
         print_json(
-            _result_fields(results_of_log, pictures, path if written else None)
-            | {"blocked": spoilt, "met": met, "incoherent": incoherent}
+            _result_fields(results_of_log, pictures, path if written_path else None)
+            | {"blocked": blocked_events, "met": blocked_results, "incoherent": incoherent_names}
         )
-        return ended
+        return exit_code
     for log, tendons in results_of_log.items():
         print("\n".join([f"from {log}:", *result_table(tendons, is_verbose())]))
     print("pictures: " + ", ".join(map(str, pictures)))
-    if written:
+    if written_path:
         print(f"calibration written to {path}")
-        if not incoherent:
+        if not incoherent_names:
             print(f"next: {_search_command(args, path)}")
-        return ended
+        return exit_code
     if args.no_write:
         reason = "as asked"
     elif calibration is None:
         reason = f"there is no {path}: handctl commission first"
     else:
-        blocked = set(spoilt) == {one.data.digit for one in every}
-        reason = "every digit was blocked" if blocked else "no parameter was identified"
+        all_blocked = set(blocked_events) == {one.data.digit for one in all_results}
+        reason = "every digit was blocked" if all_blocked else "no parameter was identified"
     print_escaped(f"no calibration written: {reason}")
-    return ended
+    return exit_code
 
 
 def _print_refusals(
@@ -321,7 +333,7 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     The options of this command line select the same hand.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
-    return shlex.join(words + same_hand_words(args))
+    return shlex.join(words + hand_option_words(args))
 
 
 def _draw_pictures(
@@ -331,10 +343,10 @@ def _draw_pictures(
 ) -> list[Path]:
     pictures = []
     for log, tendons in results_of_log.items():
-        for name, one in tendons.items():
+        for name, tendon_result in tendons.items():
             picture = log.with_suffix(f".identify-{name}.png")
             print_line(f"drawing {picture}")
-            draw_identification(picture, one, f"{hand.name} {name}: {log.name}")
+            draw_identification(picture, tendon_result, f"{hand.name} {name}: {log.name}")
             pictures.append(picture)
     return pictures
 
@@ -345,7 +357,7 @@ def _result_fields(
     path: Path | None,
 ) -> dict[str, Any]:
     logs = {
-        str(log): {name: one.as_json() for name, one in tendons.items()}
+        str(log): {name: tendon_result.as_json() for name, tendon_result in tendons.items()}
         for log, tendons in results_of_log.items()
     }
     return {"logs": logs, "pictures": picture_paths, "calibration": path}

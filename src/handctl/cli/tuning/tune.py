@@ -14,5 +14,5 @@ from handctl.cli.console.options import (
 def run(args: argparse.Namespace) -> int:
     """Run the selected kind of tuning, and return the exit code."""
     check_seed(args.seed)
-    done: int = importlib.import_module(f"handctl.cli.tuning.tune_{args.kind}").run(args)
-    return done
+    exit_code: int = importlib.import_module(f"handctl.cli.tuning.tune_{args.kind}").run(args)
+    return exit_code

@@ -47,15 +47,15 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(
             f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps"
         )
-    hand, twin, spread = load_tuned_hand(args.hand, args.fit)
+    hand, identified_hand, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
-    out, picture = output_files(args, hand.name, "design")
+    output_path, picture = output_files(args, hand.name, "design")
     factors = ensemble_of_tuned_hand(args, spread, 1024)
-    plants = tuple(linear_factors(one) for one in factors)
-    model = HandModel.from_hand(twin, gains, rate)
-    proof = RestTest(twin, factors, plants, args.seed)
-    strict_proof = proof.with_limit_fraction(DESIGN_LIMIT_FRACTION)
+    plants = tuple(linear_factors(factor) for factor in factors)
+    model = HandModel.from_hand(identified_hand, gains, rate)
+    rest_test = RestTest(identified_hand, factors, plants, args.seed)
+    strict_proof = rest_test.with_limit_fraction(DESIGN_LIMIT_FRACTION)
     console = rich_console(error=True)
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
@@ -67,25 +67,29 @@ def run(args: argparse.Namespace) -> int:
             )
         except ValueError as error:
             return _report_failure(args, f"{error}{strict_proof.reason}")
-        is_proven = args.poles is None or proof(model_with_gains(model, result.gains))
+        is_proven = args.poles is None or rest_test(model_with_gains(model, result.gains))
         if not result.worst_margins_after.stable or not is_proven:
-            return _report_failure(args, f"these poles are not stable on every plant{proof.reason}")
+            return _report_failure(
+                args, f"these poles are not stable on every plant{rest_test.reason}"
+            )
         result = (
             result
-            if proof(model)
-            else result.with_unproven_old_gains(proof.reason.removeprefix(": "))
+            if rest_test(model)
+            else result.with_unproven_old_gains(rest_test.reason.removeprefix(": "))
         )
-    after = HandModel.from_hand(twin, result.gains, rate)
+    model_after = HandModel.from_hand(identified_hand, result.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
-    write_gains(out, result.gains, hand, note, fit=args.fit)
-    draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
-    good = result.worst_margins_after.are_sufficient
+    write_gains(output_path, result.gains, hand, note, fit=args.fit)
+    draw_loops(picture, model, model_after, f"{hand.name} at {rate:g} Hz")
+    is_sufficient = result.worst_margins_after.are_sufficient
     if args.json:
-        print_json(_result_fields(result, out, picture, rate, len(plants)))
+        print_json(_result_fields(result, output_path, picture, rate, len(plants)))
     else:
         _print_design(result, rate, len(plants))
-        print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
-    return ExitCode.DONE if good else ExitCode.FAILED
+        print(
+            f"gains: {output_path}\npicture: {picture}\nnext: {verify_command(args, output_path)}"
+        )
+    return ExitCode.DONE if is_sufficient else ExitCode.FAILED
 
 
 def _report_failure(args: argparse.Namespace, failure_reason: str) -> int:
@@ -126,8 +130,8 @@ def _result_fields(
         "rate_hz": rate_hz,
         "plants": plant_count,
         "before": {
-            f"{name}/{kind}": asdict(one)
-            for (name, kind), one in gain_design.margins_before.items()
+            f"{name}/{kind}": asdict(margins)
+            for (name, kind), margins in gain_design.margins_before.items()
         },
         "after": {
             f"{name}/{kind}": asdict(one) for (name, kind), one in gain_design.margins_after.items()
@@ -147,20 +151,28 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
-    unproven = "not at rest" if gain_design.old_gains_unrest_reason else "unstable"
+    unproven_text = "not at rest" if gain_design.old_gains_unrest_reason else "unstable"
     alike: dict[tuple[str, ...], list[str]] = {}
-    for (name, kind), after in gain_design.margins_after.items():
+    for (name, kind), margins_after in gain_design.margins_after.items():
         alike.setdefault(
-            (str(kind), *_margin_cells(gain_design.margins_before[name, kind], after, unproven)), []
+            (
+                str(kind),
+                *_margin_cells(
+                    gain_design.margins_before[name, kind], margins_after, unproven_text
+                ),
+            ),
+            [],
         ).append(name)
     for (kind, *cells), names in alike.items():
-        more = f" + {len(names) - 1}" if len(names) > 1 else ""
-        table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
+        more_text = f" + {len(names) - 1}" if len(names) > 1 else ""
+        table.add_row(names[0].removesuffix("_tendon") + more_text, kind, *cells)
     table.add_section()
     table.add_row(
         "worst",
         "",
-        *_margin_cells(gain_design.worst_margins_before, gain_design.worst_margins_after, unproven),
+        *_margin_cells(
+            gain_design.worst_margins_before, gain_design.worst_margins_after, unproven_text
+        ),
     )
     rich_console(min_width=TABLE_WIDTH).print(table)
     if gain_design.old_gains_unrest_reason:

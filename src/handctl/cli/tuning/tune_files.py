@@ -24,17 +24,21 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         ConfigError: a folder is missing, both paths are equal, or a path belongs to another file of
             this hand.
     """
-    out: Path = args.output or Path(f"{hand}.{kind}.toml")
-    hand_files = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
+    output_path: Path = args.output or Path(f"{hand}.{kind}.toml")
+    hand_files = [
+        Path(f"{hand}.{suffix}") for suffix in ("calibration.toml", "gains.toml", "study")
+    ]
     read = (*hand_files, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
-    check_output(out, "--output", *read)
-    picture: Path = args.picture or path_with_suffix(out, ".png")
+    check_output(output_path, "--output", *read)
+    picture: Path = args.picture or path_with_suffix(output_path, ".png")
     check_output(picture, "--picture", *read)
-    if picture.resolve() == out.resolve():
+    if picture.resolve() == output_path.resolve():
         raise ConfigError(
-            "is the name of the picture, too", f"--output {out}", "another --output or --picture"
+            "is the name of the picture, too",
+            f"--output {output_path}",
+            "another --output or --picture",
         )
-    return out, picture
+    return output_path, picture
 
 
 def ensemble_of_tuned_hand(
@@ -57,7 +61,8 @@ def ensemble_of_tuned_hand(
     if args.fit:
         return plants
     return tuple(
-        one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants
+        plant | {key: plant.get(key, 1.0) * factor for key, factor in perturb.items()}
+        for plant in plants
     )
 
 
@@ -68,10 +73,10 @@ def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
     """
     words = ["handctl", "tune", "verify", str(gains_path), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
-    return shlex.join(words + same_hand_words(args))
+    return shlex.join(words + hand_option_words(args))
 
 
-def same_hand_words(args: argparse.Namespace) -> list[str]:
+def hand_option_words(args: argparse.Namespace) -> list[str]:
     """Return the options that give a later command the same gains, control rate and simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]

@@ -38,31 +38,31 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.search.workers import make_workers
     from handctl.tune.tuning_figures import draw_search
 
-    hand, twin, spread = load_tuned_hand(args.hand, args.fit)
+    hand, identified_hand, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
-    out, picture = output_files(args, hand.name, "search")
+    output_path, picture = output_files(args, hand.name, "search")
     plants = ensemble_of_tuned_hand(args, spread, 256)
     trials = checked_count(args.trials, "--trials", 100_000)
-    crew_size = checked_count(args.jobs, "--jobs", 64)
+    worker_count = checked_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
     with _SearchProgress(trials, args.json or is_quiet()) as progress:
         plan = SearchPlan(
-            twin.to_toml(),
+            identified_hand.to_toml(),
             rate,
             gains,
             plants,
             args.seed,
             trials,
-            _designed_gains(twin, gains, rate, plants),
+            _designed_gains(identified_hand, gains, rate, plants),
         )
-        crew = make_workers(crew_size, args.scheduler)
+        worker_pool = make_workers(worker_count, args.scheduler)
         try:
-            result = run_search(plan, storage, crew, progress.show_result)
+            result = run_search(plan, storage, worker_pool, progress.show_result)
         except KeyboardInterrupt as error:
             raise type(error)(f"interrupted; the same command continues with {storage}") from None
         finally:
-            crew.close()
+            worker_pool.close()
     draw_search(
         picture,
         result,
@@ -72,13 +72,13 @@ def run(args: argparse.Namespace) -> int:
         return _report_infeasible(args, result, storage, picture, trials)
     best = plan.gains_of(result.best.number, result.best.values)
     note = f"tune search, trial {result.best.number} of {len(result.trials)} on {len(plants)} plants, seed {args.seed}"
-    write_gains(out, best, hand, note, fit=args.fit, study=str(storage))
-    report = _report_fields(result, storage, out, picture)
+    write_gains(output_path, best, hand, note, fit=args.fit, study=str(storage))
+    report = _report_fields(result, storage, output_path, picture)
     if args.json:
         print_json(report)
     else:
         _print_search(result, report)
-        print(f"next: {verify_command(args, out)}")
+        print(f"next: {verify_command(args, output_path)}")
     return ExitCode.DONE
 
 
@@ -110,7 +110,8 @@ def _designed_gains(
 
     try:
         result = design_gains(
-            HandModel.from_hand(hand, gains, rate_hz), tuple(linear_factors(one) for one in plants)
+            HandModel.from_hand(hand, gains, rate_hz),
+            tuple(linear_factors(plant) for plant in plants),
         )
     except (ValueError, ConfigError):
         return ()
@@ -173,7 +174,7 @@ def _report_fields(
     search_result: Any, storage_path: Path, gains_path: Path | None, picture_path: Path
 ) -> dict[str, Any]:
     best = search_result.best
-    first = search_result.trials[0]
+    first_trial = search_result.trials[0]
     best_fields = best and {
         "trial": best.number,
         "values": best.values,
@@ -181,9 +182,9 @@ def _report_fields(
     }
     return {
         "trials": len(search_result.trials),
-        "good": sum(one.is_feasible for one in search_result.trials),
+        "good": sum(trial.is_feasible for trial in search_result.trials),
         "best": best_fields and best_fields | {"cost": search_result.relative_cost(best)},
-        "first": asdict(first.score),
+        "first": asdict(first_trial.score),
         "front": list(search_result.pareto_front),
         "study": str(storage_path),
         "gains": gains_path,
@@ -210,13 +211,15 @@ def _print_search(search_result: Any, report: dict[str, Any]) -> None:
         table.add_row(
             name,
             *(
-                f"{getattr(one.score, key):.{digits}f}"
-                for one in (search_result.trials[0], search_result.best)
+                f"{getattr(trial.score, key):.{digits}f}"
+                for trial in (search_result.trials[0], search_result.best)
             ),
         )
     rich_console().print(table)
-    if blocked := search_result.best.score.blocked:
-        text = f"{blocked}: blocked in some moves, for example by each other; not scored there"
+    if blocked_names := search_result.best.score.blocked:
+        text = (
+            f"{blocked_names}: blocked in some moves, for example by each other; not scored there"
+        )
         rich_console().print(text, soft_wrap=True)
     rich_console().print(
         f"gains: {report['gains']}\npicture: {report['picture']}\nstudy: {report['study']}",

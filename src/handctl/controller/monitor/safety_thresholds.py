@@ -83,7 +83,7 @@ def compiled_constants(
     period = model.period
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
-    mute = tick_count_for_time(MAX_SILENCE_S, joint_period, MIN_SILENT_TICKS) * joint_period
+    silent_ticks = tick_count_for_time(MAX_SILENCE_S, joint_period, MIN_SILENT_TICKS) * joint_period
     rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
     return HandConstants(model, {
         "tare": tare_tensions,
@@ -108,7 +108,7 @@ def compiled_constants(
         "answers_once": [drive.sends_one_reply_per_command for drive in drives],
         "cell_group": [sensors.group_of_tendon(n) for n in range(model.tendon_count)],
         "joint_group": [sensors.group_of_joint(j) for j in range(len(hand.joints))],
-        "mute_ns": round(mute * 1e9),
+        "mute_ns": round(silent_ticks * 1e9),
         "silent_ticks": limits.silent_ticks,
         "one_silent_ticks": limits.one_silent_ticks,
         "stalled_ticks": limits.stalled_ticks,
@@ -139,7 +139,9 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
         for signal in drive.cyclic_messages.position.signals:
             if signal.quantity in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING):
                 steps[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.step * gain[n]
-                largest[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.ends[1] * gain[n]
+                largest[signal.quantity - SignalQuantity.STIFFNESS, n] = (
+                    signal.value_limits[1] * gain[n]
+                )
         for signal in (
             signal for message in drive.cyclic_messages.feedback for signal in message.signals
         ):
@@ -201,7 +203,7 @@ def _noise_limit(model: HandModel) -> float:
     # radius is a force. This force divided by the mass is an acceleration along the tendon. This
     # acceleration divided by the spool radius is the angular acceleration of the rotor.
     acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
-    rounding = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
+    rounding_noise = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * (
-        (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding
+        (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
     )

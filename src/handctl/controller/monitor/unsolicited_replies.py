@@ -47,9 +47,9 @@ def detect_unsolicited_replies(
         One phrase for each motor that has replied without a request.
     """
     duplicates = state.view("twice")
-    surplus = state.view("surplus").tolist()
+    surplus_counts = state.view("surplus").tolist()
     signs = []
-    for n, count in enumerate(surplus):
+    for n, count in enumerate(surplus_counts):
         # This field contains the number of requests without a reply, plus 1. So if a reply arrives
         # while the value is 1, there was no request for it.
         if count == 1:
@@ -70,24 +70,24 @@ def _detect_duplicate_answers(
 ) -> None:
     """Write the load cells' duplicate answers to ``DUPLICATE_REPLIES``, and count late ones in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
-    excused = not sensors.has_counter and (
+    is_excused = not sensors.has_counter and (
         state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
-    answered = last_state.view("group_answered").tolist()
+    group_answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
-        if count > 1 and (excused or not (sensors.has_counter or answered[group])):
+        if count > 1 and (is_excused or not (sensors.has_counter or group_answered[group])):
             state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
             state.set_run_integer(s.STALE_FRAME_NOW, max(state.run_integer(s.STALE_FRAME_NOW), 1))
         elif count > 1:
             counter = last_state.run_integer(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
-            fresh = [
+            fresh_payloads = [
                 frame.data
                 for frame in frames
                 if (frame.bus, frame.can_id) == (sensors.bus, can_id)
                 and sensors.answers(frame.data, counter)
             ]
-            duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
+            duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh_payloads, 1))
 
 
 def _has_lost_answers(last_state: ControllerState) -> bool:
@@ -114,7 +114,7 @@ def _accepted_payloads(
     drive_state = last_state.drive(n)
     payloads = []
     for frame in frames:
-        after = drive.receive(drive_state, frame)
-        payloads += [frame.data] if after.feedback_count > drive_state.feedback_count else []
-        drive_state = after
+        state_after = drive.receive(drive_state, frame)
+        payloads += [frame.data] if state_after.feedback_count > drive_state.feedback_count else []
+        drive_state = state_after
     return payloads

@@ -93,7 +93,7 @@ The margin is about the error of the estimated tension.
 """
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
-TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
+SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 """Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
 
 With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the
@@ -102,12 +102,12 @@ spool so fast that it counts as the spool of a torn tendon.
 INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
 """Tendon speed above which a stream does not integrate the tension error [m/s], and time constant of the decay [s]."""
-TAKE_UP_SPEED_M_S = 0.02
+SLACK_TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
 At this low speed, the fault detectors do not take the slack tendon for a snapped one.
 """
-RELAX_FLOOR_N = 5.0
+MIN_RELAXED_TENSION_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
 
 
@@ -146,10 +146,10 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
     """
     if hold and not x.run_int[s.SAFETY_HOLD_ACTIVE]:
         for n in range(x.tendon.shape[1]):
-            held = max(x.tendon[s.TENSION, n], c.tendon[h.TENSION_FLOOR, n])
+            held_tension = max(x.tendon[s.TENSION, n], c.tendon[h.TENSION_FLOOR, n])
             if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-                held = abs(x.tendon[s.TENSION, n])
-            x.tendon[s.HOLD_TENSION_LIMIT, n] = held + HOLD_MARGIN_N
+                held_tension = abs(x.tendon[s.TENSION, n])
+            x.tendon[s.HOLD_TENSION_LIMIT, n] = held_tension + HOLD_MARGIN_N
     x.run_int[s.SAFETY_HOLD_ACTIVE] = hold
 
 
@@ -164,17 +164,17 @@ def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
     net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
-    warm = False
+    is_any_drive_warm = False
     for n in range(len(limit)):
-        warm |= x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]
+        is_any_drive_warm |= x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]
     for n in range(len(limit)):
-        if warm:
+        if is_any_drive_warm:
             limit[n] = _derated_tension(x, c, n)
-        planned = x.tendon[s.PLANNED_TENSION, n]
+        planned_tension = x.tendon[s.PLANNED_TENSION, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            planned = abs(planned)
-        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned > 0.0:
-            limit[n] = min(limit[n], planned + MAX_BLOCKED_EXTRA_TENSION_N)
+            planned_tension = abs(planned_tension)
+        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned_tension > 0.0:
+            limit[n] = min(limit[n], planned_tension + MAX_BLOCKED_EXTRA_TENSION_N)
         if x.run_int[s.SAFETY_HOLD_ACTIVE]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_TENSION_LIMIT, n])
     return limit
@@ -186,8 +186,8 @@ def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
     A drive that reports no temperature counts as cool.
     """
-    soft_limit = c.run[h.TEMPERATURE_SOFT]
-    hard_limit = c.run[h.TEMPERATURE_HARD]
+    soft_limit = c.run[h.DERATING_START_TEMPERATURE]
+    hard_limit = c.run[h.TEMPERATURE_AT_FLOOR]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
         temperature = soft_limit
@@ -222,7 +222,7 @@ def write_motor_torques(
     limit = temporary_tension_limits(x, c)
     count = x.tendon.shape[1]
     load = np.zeros(count)
-    winding, motion_terms, null_space_terms = _motion_force_terms(x, c, trajectory, limit)
+    winding_direction, motion_terms, null_space_terms = _motion_force_terms(x, c, trajectory, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
         _, own_rate, acceleration = _tendon_motion_on_trajectory(c, n, trajectory)
@@ -238,7 +238,7 @@ def write_motor_torques(
             force = _motion_force(
                 x, c, n, motion_terms[0, n], motion_terms[1, n], rate, acceleration
             )
-            if c.tendon_int[h.HAS_SURPLUS, n]:
+            if c.tendon_int[h.IS_REDUNDANT_DIGIT, n]:
                 integral = null_space_terms[1, n]
                 force += null_space_terms[0, n] + integral
             load[n] = x.tendon[s.REQUIRED_TENSION, n]
@@ -263,8 +263,8 @@ def write_motor_torques(
         x.tendon[s.SETPOINT, n] = setpoint
         x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
-            predict_tension_of_moving_tendon(x, c, n, rate, winding[n])
-            update_friction_state(x, c, n, winding[n])
+            predict_tension_of_moving_tendon(x, c, n, rate, winding_direction[n])
+            update_friction_state(x, c, n, winding_direction[n])
         else:
             x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = x.tendon[s.FRICTION_SLIDER, n] = math.nan
@@ -333,7 +333,7 @@ def _write_joint_torques(
         x.joint[s.Q_GOAL, j] = x.joint[s.DQ_GOAL, j] = math.nan
     for n in range(len(load)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
             if (
                 x.tendon_int[s.GOAL_KIND, n] == MOTION
@@ -363,8 +363,8 @@ def _force_during_relaxation(
         open_loop: True to return the envelope itself.
     """
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        last = x.tendon[s.COMMANDED_FORCE, n]
-        sign = -1.0 if last < 0.0 else 1.0
+        last_force = x.tendon[s.COMMANDED_FORCE, n]
+        sign = -1.0 if last_force < 0.0 else 1.0
         return sign * ceiling if open_loop else sign * min(max(sign * force, 0.0), ceiling)
     return ceiling if open_loop else min(max(force, 0.0), ceiling)
 
@@ -389,20 +389,20 @@ def _motion_force_terms(
     efficiency = np.ones(count)
     motion_terms = np.zeros((2, count))
     null_space_terms = np.zeros((2, count))
-    surplus = False
+    has_surplus = False
     for n in range(count):
         if x.tendon_int[s.GOAL_KIND, n] != MOTION:
             continue
         efficiency[n] = winding_efficiency(c, n, trajectory[0])
         excursion, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
         place = x.tendon[s.EXCURSION, n]
-        if c.tendon_int[h.HAS_SURPLUS, n]:
-            surplus = True
+        if c.tendon_int[h.IS_REDUNDANT_DIGIT, n]:
+            has_surplus = True
             # If a part of the excursions cannot come from any motion of the digit, it is an error
             # of the tendon lengths. The feedback ignores this part.
             place = (
                 part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
-                + c.tendon[h.EXPLAINED_OFFSET, n]
+                + c.tendon[h.EXCURSION_MODEL_OFFSET, n]
             )
         feedback = (
             x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
@@ -412,27 +412,30 @@ def _motion_force_terms(
             * c.tendon[h.SPEED_GAIN, n]
             * (rate - x.tendon[s.SPEED, n])
         )
-        counted = c.run[h.FRICTION_FRACTION]
+        friction_fraction = c.run[h.FRICTION_FRACTION]
         # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
         # the tendon is wound up, and 1 / efficiency while the tendon is paid out.
-        winding = math.tanh(
+        winding_direction = math.tanh(
             (rate + _tendon_motion_by_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
-        passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
+        passed_ratio = (1.0 - friction_fraction) + friction_fraction * math.pow(
+            efficiency[n], winding_direction
+        )
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             required = net_tension_at_spool(
-                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed
+                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed_ratio
             )
             motion_terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
             motion_terms[0, n] = min(
-                max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling
+                max(x.tendon[s.REQUIRED_TENSION, n] / passed_ratio, c.tendon[h.TENSION_FLOOR, n]),
+                ceiling,
             )
         motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
         if _is_position_controlled_by_drive(x, c, n):
             motion_terms[1, n] = servo_force(x, c, n, excursion, rate, motion_terms[0, n])
-    if surplus:
+    if has_surplus:
         raise_goals_to_tension_floor(x, c, limit, motion_terms, null_space_terms)
     _take_up_slack(x, c, trajectory, motion_terms, null_space_terms)
     return efficiency, motion_terms, null_space_terms
@@ -461,7 +464,7 @@ def _is_position_controlled_by_drive(x: StateTables, c: ConstantTables, n: int) 
 @kernel_helper
 def _slack_take_up_speed(rate: float) -> float:
     """Return the speed at which a spool takes up slack [m/s], given the tendon's rate on the trajectory [m/s]."""
-    return max(rate, 0.0) + TAKE_UP_SPEED_M_S
+    return max(rate, 0.0) + SLACK_TAKE_UP_SPEED_M_S
 
 
 @kernel_helper
@@ -492,7 +495,7 @@ def _take_up_slack(
     for n in range(x.tendon.shape[1]):
         if _would_pay_out_slack_tendon(x, c, n, motion_terms[1, n]):
             motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            motion_terms[1, n] *= TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
+            motion_terms[1, n] *= SLACK_TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
@@ -525,7 +528,7 @@ def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedb
         and x.tendon_int[s.GOAL_KIND, n] == MOTION
         and x.tendon_int[s.REGIME, n] == SLACK_REGIME
         and c.tendon_int[h.CELL_GROUP, n] < 0
-        and not c.tendon_int[h.HAS_SURPLUS, n]
+        and not c.tendon_int[h.IS_REDUNDANT_DIGIT, n]
         and not c.tendon_int[h.IS_SPOOL_PAIR, n]
         and not follows_streamed_angles(x, c, n)
     )
@@ -541,7 +544,7 @@ def _tendon_motion_on_trajectory(
     acceleration = 0.0
     has_varying_arm = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         arm = moment_arm(c, n, j, trajectory[0, j])
         excursion += joint_excursion(c, n, j, trajectory[0, j])
         rate += arm * trajectory[1, j]
@@ -607,7 +610,7 @@ def _motion_force(
         acceleration: acceleration of the tendon at its spool on the trajectory [m/s2].
     """
     speed = motor_speed(x, c, n)
-    counted = c.run[h.FRICTION_FRACTION]
+    friction_fraction = c.run[h.FRICTION_FRACTION]
     x.tendon[s.TENSION_GOAL, n] = tension
     if _takes_up_slack(x, c, n):
         rate = _slack_take_up_speed(rate)
@@ -622,8 +625,10 @@ def _motion_force(
         * c.run[h.DISTURBANCE_REJECTION]
         * x.tendon[s.DISTURBANCE, n]
         + inner_gain * (tension - x.tendon[s.TENSION, n])
-        + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
-        + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
+        + friction_fraction * c.tendon[h.MOTOR_DAMPING, n] * speed
+        + friction_fraction
+        * c.tendon[h.MOTOR_COULOMB, n]
+        * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     )
 
 
@@ -643,8 +648,8 @@ def _tension_force(
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         target = max(target, -limit)
     step = x.tendon[s.SETPOINT_STEP, n]
-    before = x.tendon[s.SETPOINT, n]
-    setpoint = before + min(max(target - before, -step), step)
+    last_setpoint = x.tendon[s.SETPOINT, n]
+    setpoint = last_setpoint + min(max(target - last_setpoint, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
     slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
     integral = 0.0 if slack else _tension_integral(x, c, n, error)
@@ -660,7 +665,7 @@ def _tension_force(
         force += c.tendon[h.MOTOR_COULOMB, n]
         if is_target_stream_running(x):
             # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
-            tension_increase = max(TAKE_UP_TENSION_N - setpoint, 0.0)
+            tension_increase = max(SLACK_TAKE_UP_TENSION_N - setpoint, 0.0)
             force += (1.0 + c.tendon[h.TENSION_GAIN, n]) * tension_increase
     if x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] != NO_TRAJECTORY:
         force += _feedforward_force(x, c, n)
@@ -710,12 +715,12 @@ def _relaxation_envelope(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
     """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
-    last = x.tendon[s.COMMANDED_FORCE, n]
+    last_force = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        last = abs(last)
-    last = 0.0 if math.isnan(last) else max(last, 0.0)
-    lowered_limit = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
-    return max(min(last, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
+        last_force = abs(last_force)
+    last_force = 0.0 if math.isnan(last_force) else max(last_force, 0.0)
+    lowered_limit = max(last_force - rate * c.run[h.PERIOD] * ticks, 0.0)
+    return max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
 
 
 @kernel_helper

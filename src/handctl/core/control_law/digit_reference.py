@@ -45,32 +45,32 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
     t = x.run[s.GOAL_TIME]
     x.run_int[s.LIMITED_COORDINATE_COUNT] = 0
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.COORDINATES_FIRST, d]
-        end = c.digit_int[h.COORDINATES_END, d]
+        first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]
+        end = c.digit_int[h.END_COORDINATE, d]
         if x.digit_int[s.TRAJECTORY_KIND, d] == NO_TRAJECTORY:
-            for k in range(first, end):
+            for k in range(first_coordinate, end):
                 for order in range(3):
                     x.coordinate[s.TRAJECTORY + order, k] = 0.0
         if x.digit_int[s.TRAJECTORY_KIND, d] == MINIMUM_JERK:
             duration = x.digit[s.TRAJECTORY_DURATION, d]
-            after = t - x.digit[s.TRAJECTORY_START_TIME, d]
-            u = min(max(after / duration, 0.0), 1.0)
+            elapsed_time = t - x.digit[s.TRAJECTORY_START_TIME, d]
+            u = min(max(elapsed_time / duration, 0.0), 1.0)
             position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
             rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
             acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
-            for k in range(first, end):
+            for k in range(first_coordinate, end):
                 length = x.coordinate[s.TRAJECTORY_END, k] - x.coordinate[s.TRAJECTORY_START, k]
                 x.coordinate[s.TRAJECTORY, k] = (
                     x.coordinate[s.TRAJECTORY_START, k] + position * length
                 )
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
-                _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND_TIME, d])
+                _add_blend(x, k, elapsed_time, x.digit[s.TRAJECTORY_BLEND_TIME, d])
         if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not is_time_frozen:
-            for k in range(first, end):
+            for k in range(first_coordinate, end):
                 advance_reference(x, c, d, k)
         if is_time_frozen and is_digit_moving(x, c, d):
-            for k in range(first, end):
+            for k in range(first_coordinate, end):
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
 
 
@@ -85,24 +85,32 @@ def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) ->
         blend_duration: time in which the earlier motion fades out [s].
     """
     speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
-    bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
-    if speed == 0.0 and bend == 0.0:
+    start_acceleration = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
+    if speed == 0.0 and start_acceleration == 0.0:
         return
     u = min(max(elapsed / blend_duration, 0.0), 1.0)
     x.coordinate[s.TRAJECTORY, k] += (
         blend_duration * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
     )
     x.coordinate[s.TRAJECTORY, k] += (
-        0.5 * blend_duration * blend_duration * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+        0.5
+        * blend_duration
+        * blend_duration
+        * u
+        * u
+        * (1.0 + u * (-3.0 + u * (3.0 - u)))
+        * start_acceleration
     )
     x.coordinate[s.TRAJECTORY + 1, k] += (1.0 + u * u * (-18.0 + u * (32.0 - 15.0 * u))) * speed
     x.coordinate[s.TRAJECTORY + 1, k] += (
-        0.5 * blend_duration * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+        0.5 * blend_duration * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * start_acceleration
     )
     x.coordinate[s.TRAJECTORY + 2, k] += (
         u * (-36.0 + u * (96.0 - 60.0 * u)) / blend_duration * speed
     )
-    x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
+    x.coordinate[s.TRAJECTORY + 2, k] += (
+        1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))
+    ) * start_acceleration
 
 
 @kernel_helper
@@ -122,7 +130,7 @@ def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def is_digit_moving(x: StateTables, c: ConstantTables, d: int) -> bool:
     """Return True if at least one tendon of a digit follows a trajectory."""
-    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+    for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         if x.tendon_int[s.GOAL_KIND, n] == MOTION:
             return True
     return False
@@ -154,16 +162,16 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
     motion = np.zeros((3, joints))
     torque = np.empty(joints)
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.JOINTS_FIRST, d]
-        end = c.digit_int[h.JOINTS_END, d]
+        first_joint = c.digit_int[h.FIRST_JOINT, d]
+        end = c.digit_int[h.END_JOINT, d]
         if is_digit_moving(x, c, d):
             moving = True
             for order in range(3):
-                for j in range(first, end):
+                for j in range(first_joint, end):
                     motion[order, j] = trajectory[order, j]
         else:
             # A digit without a trajectory is assumed to rest at its estimated angles.
-            for j in range(first, end):
+            for j in range(first_joint, end):
                 motion[0, j] = x.joint[s.Q, j]
     if not moving:
         return
@@ -173,13 +181,15 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
         c.joint, h.LINK_TABLE, parent, gravity, motion[0], motion[1], motion[2], torque
     )
     if c.run_int[h.HAS_CARRIER_ARMS]:
-        winding = np.zeros(x.tendon.shape[1])
-        for n in range(len(winding)):
-            winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
-        subtract_torque_of_passing_tendons(c, motion[0], x.tendon[s.TENSION], winding, torque)
+        winding_directions = np.zeros(x.tendon.shape[1])
+        for n in range(len(winding_directions)):
+            winding_directions[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
+        subtract_torque_of_passing_tendons(
+            c, motion[0], x.tendon[s.TENSION], winding_directions, torque
+        )
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):
-            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 spring = c.joint[h.SPRING_STIFFNESS, j] * (
                     motion[0, j] + c.joint[h.SPRING_PRELOAD, j]
                 )
@@ -201,27 +211,27 @@ def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
     """
     unsolved_digits = 0
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.TENDONS_FIRST, d]
-        end = c.digit_int[h.TENDONS_END, d]
-        good = True
-        for n in range(first, end):
+        first_tendon = c.digit_int[h.FIRST_TENDON, d]
+        end = c.digit_int[h.END_TENDON, d]
+        is_solved = True
+        for n in range(first_tendon, end):
             x.tendon[s.REQUIRED_TENSION, n] = 0.0
             if not is_digit_moving(x, c, d):
                 continue
-            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 x.tendon[s.REQUIRED_TENSION, n] += (
                     c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.REQUIRED_JOINT_TORQUE, j]
                 )
             low = c.tendon[h.TENSION_FLOOR, n]
             high = c.tendon[h.TENSION_CEILING, n]
-            good &= (
+            is_solved &= (
                 c.tendon_int[h.HAS_UNIQUE_TENSIONS, n] == 1
                 and low <= x.tendon[s.REQUIRED_TENSION, n] <= high
             )
-            if end - first == 1:
+            if end - first_tendon == 1:
                 x.tendon[s.REQUIRED_TENSION, n] = min(
                     max(x.tendon[s.REQUIRED_TENSION, n], low), high
                 )
-        if not good and end - first > 1:
+        if not is_solved and end - first_tendon > 1:
             unsolved_digits |= 1 << d
     return unsolved_digits

@@ -52,7 +52,7 @@ def predict_tension_of_moving_tendon(
         efficiency: tension at the joints, divided by the tension at the load cell, while the tendon
             is wound.
     """
-    before = x.tendon[s.PLANNED_TENSION, n]
+    last_tension = x.tendon[s.PLANNED_TENSION, n]
     period = c.run[h.PERIOD]
     tension = x.tendon[s.TENSION, n]
     load = x.tendon[s.REQUIRED_TENSION, n]
@@ -63,14 +63,18 @@ def predict_tension_of_moving_tendon(
     next_load = max(
         load + period * c.tendon[h.LOAD_STIFFNESS, n] * rate, c.tendon[h.TENSION_FLOOR, n]
     )
-    wound = period * mean_speed
+    wound_length = period * mean_speed
     # 0 means that the tension of the last tick is unknown.
     is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
-    known = before != 0.0 if is_pair else before > 0.0
-    now = before if known else tension
-    planned = _tension_with_friction(c, n, now, next_load, efficiency, wound, MIN_SLIDING_SPEED_M_S)
-    x.tendon[s.PLANNED_TENSION, n] = planned
-    x.tendon[s.PLANNED_TENSION_RATE, n] = (planned - before) / period if known else 0.0
+    is_known = last_tension != 0.0 if is_pair else last_tension > 0.0
+    tension_now = last_tension if is_known else tension
+    planned_tension = _tension_with_friction(
+        c, n, tension_now, next_load, efficiency, wound_length, MIN_SLIDING_SPEED_M_S
+    )
+    x.tendon[s.PLANNED_TENSION, n] = planned_tension
+    x.tendon[s.PLANNED_TENSION_RATE, n] = (
+        (planned_tension - last_tension) / period if is_known else 0.0
+    )
 
 
 @kernel_helper

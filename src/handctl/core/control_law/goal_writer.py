@@ -31,7 +31,7 @@ def write_goals(
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
     trajectory_kinds = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     coordinate = layout.table(block, "coordinate")
-    for d, (goal, tendons, places) in enumerate(
+    for d, (goal, tendons, coordinate_slice) in enumerate(
         zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)
     ):
         kinds[tendons] = int(_goal_kind_of(goal))
@@ -50,14 +50,14 @@ def write_goals(
             trajectory_kinds[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
             trajectory_kinds[d] = MINIMUM_JERK
-            coordinate[s.TRAJECTORY_START, places] = goal.trajectory.start
-            coordinate[s.TRAJECTORY_END, places] = goal.trajectory.end
+            coordinate[s.TRAJECTORY_START, coordinate_slice] = goal.trajectory.start
+            coordinate[s.TRAJECTORY_END, coordinate_slice] = goal.trajectory.end
             digit[s.TRAJECTORY_START_TIME, d] = goal.since
             digit[s.TRAJECTORY_DURATION, d] = goal.trajectory.duration
             blend = goal.trajectory.blend
             digit[s.TRAJECTORY_BLEND_TIME, d] = blend.duration if blend else 1.0
-            coordinate[s.TRAJECTORY_START_SPEED, places] = blend.speed if blend else 0.0
-            coordinate[s.TRAJECTORY_START_ACCELERATION, places] = (
+            coordinate[s.TRAJECTORY_START_SPEED, coordinate_slice] = blend.speed if blend else 0.0
+            coordinate[s.TRAJECTORY_START_ACCELERATION, coordinate_slice] = (
                 blend.acceleration if blend else 0.0
             )
 
@@ -78,9 +78,9 @@ def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
     """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
-    for trajectory, since, places in goals_sampled_by_python(model, goals):
-        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
-            trajectory.motion_at(t - since)
+    for trajectory, start_time, coordinate_slice in goals_sampled_by_python(model, goals):
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, coordinate_slice] = (
+            trajectory.motion_at(t - start_time)
         )
 
 
@@ -91,8 +91,8 @@ def goals_sampled_by_python(
     """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
     goals_and_coordinates = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
-        (goal.trajectory, goal.since, places)
-        for goal, places in goals_and_coordinates
+        (goal.trajectory, goal.since, coordinate_slice)
+        for goal, coordinate_slice in goals_and_coordinates
         if goal.trajectory is not None
         and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
     )

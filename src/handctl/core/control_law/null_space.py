@@ -57,29 +57,32 @@ def raise_goals_to_tension_floor(
     total = np.zeros(count)
     feedback = np.zeros(count)
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.TENDONS_FIRST, d]
-        end = c.digit_int[h.TENDONS_END, d]
-        if not c.tendon_int[h.HAS_SURPLUS, first] or x.tendon_int[s.GOAL_KIND, first] != MOTION:
+        first_tendon = c.digit_int[h.FIRST_TENDON, d]
+        end = c.digit_int[h.END_TENDON, d]
+        if (
+            not c.tendon_int[h.IS_REDUNDANT_DIGIT, first_tendon]
+            or x.tendon_int[s.GOAL_KIND, first_tendon] != MOTION
+        ):
             continue
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             # Only the part of the feedback that moves the digit may raise tension goals. The other
             # part of the feedback, in the null space, damps the motion of the motors.
             feedback[n] = part_explained_by_motion(c, n, motion_terms[1])
-        bound = _max_balance_factor(c, first, end, limit, motion_terms)
-        fraction = _fraction_of_feedback(c, first, end, bound, motion_terms, feedback)
+        bound = _max_balance_factor(c, first_tendon, end, limit, motion_terms)
+        fraction = _fraction_of_feedback(c, first_tendon, end, bound, motion_terms, feedback)
         balance_factor = 0.0
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             motion_terms[1, n] -= (1.0 - fraction) * feedback[n]
             missing_tension = (
                 c.tendon[h.TENSION_FLOOR, n] - motion_terms[0, n] - fraction * feedback[n]
             )
             balance_factor = max(balance_factor, missing_tension / c.tendon[h.BALANCE_TENSION, n])
         balance_factor = min(balance_factor, bound)
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             motion_terms[0, n] += balance_factor * c.tendon[h.BALANCE_TENSION, n]
             error[n] = motion_terms[0, n] - x.tendon[s.TENSION, n]
             total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
-        for n in range(first, end):
+        for n in range(first_tendon, end):
             null_space_terms[0, n] = c.tendon[h.TENSION_GAIN, n] * (
                 error[n] - part_explained_by_motion(c, n, error)
             )
@@ -89,11 +92,11 @@ def raise_goals_to_tension_floor(
 
 @kernel_helper
 def _max_balance_factor(
-    c: ConstantTables, first: int, end: int, limit: Vector, motion_terms: Matrix
+    c: ConstantTables, first_tendon: int, end: int, limit: Vector, motion_terms: Matrix
 ) -> float:
     """Return the largest factor of the balance tensions that keeps all tendons of a digit within their limits."""
     factor = math.inf
-    for n in range(first, end):
+    for n in range(first_tendon, end):
         tension_margin = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - motion_terms[0, n]
         factor = min(
             factor,
@@ -105,7 +108,12 @@ def _max_balance_factor(
 
 @kernel_helper
 def _fraction_of_feedback(
-    c: ConstantTables, first: int, end: int, bound: float, motion_terms: Matrix, feedback: Vector
+    c: ConstantTables,
+    first_tendon: int,
+    end: int,
+    bound: float,
+    motion_terms: Matrix,
+    feedback: Vector,
 ) -> float:
     """Return the largest fraction of the feedback that keeps all tendons of a digit above the tension floor.
 
@@ -117,12 +125,12 @@ def _fraction_of_feedback(
         feedback: (N,) part of the feedback forces that moves the digit [N].
     """
     fraction = 1.0
-    for n in range(first, end):
-        above = (
+    for n in range(first_tendon, end):
+        margin_above_floor = (
             motion_terms[0, n]
             + bound * c.tendon[h.BALANCE_TENSION, n]
             - c.tendon[h.TENSION_FLOOR, n]
         )
-        if feedback[n] < -max(above, 0.0):
-            fraction = min(fraction, max(above, 0.0) / -feedback[n])
+        if feedback[n] < -max(margin_above_floor, 0.0):
+            fraction = min(fraction, max(margin_above_floor, 0.0) / -feedback[n])
     return fraction

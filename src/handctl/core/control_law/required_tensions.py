@@ -76,7 +76,7 @@ def allocate_bounded_tensions(
             tendons = digit.tendons
             if digit.has_varying_arm:
                 digit = _with_present_moment_arms(digit, constants)
-            if model.redundancy.surplus[tendons.start]:
+            if model.redundancy.has_surplus[tendons.start]:
                 load[tendons] = _tensions_with_friction(
                     model, digit, required[digit.joints], trajectory[:2, digit.joints]
                 )
@@ -112,13 +112,15 @@ def _tensions_with_friction(
     """
     tendons = digit.tendons
     arms = digit.moment_arms
-    counted = model.gains.motion.friction_share
-    winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
+    friction_share = model.gains.motion.friction_share
+    winding_directions = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
     has_pulley = (arms != 0.0) & ~digit.is_prismatic
-    lost = digit.friction[:, None] * (
+    friction_loss = digit.friction[:, None] * (
         digit.wrap[:, None] + np.cumsum(has_pulley * trajectory[0], axis=1)
     )
-    factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
+    factors = (
+        1.0 - friction_share + friction_share * np.exp(-friction_loss * winding_directions[:, None])
+    )
     low = model.floor[tendons]
     high = model.ceiling[tendons]
     reduced_arms = (arms * factors) @ digit.coupling
@@ -128,5 +130,7 @@ def _tensions_with_friction(
     weights = model.pulley_weights[tendons, digit.joints]
     if digit.has_varying_arm:
         weights = np.abs(arms) / np.abs(arms).sum(axis=1, keepdims=True)
-    efficiency = (weights * np.exp(-lost)).sum(axis=1)
-    return np.asarray(tension * (1.0 - counted + counted * efficiency**winding))
+    efficiency = (weights * np.exp(-friction_loss)).sum(axis=1)
+    return np.asarray(
+        tension * (1.0 - friction_share + friction_share * efficiency**winding_directions)
+    )

@@ -230,9 +230,9 @@ def predict_reported_forces(x: StateTables, c: ConstantTables) -> None:
         limit = c.tendon[h.FORCE_MAX, n]
         if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
             limit = x.servo[s.LAST_SERVO_COMMAND + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
-        known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
+        is_known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(
             x.tendon[s.MEASURED_FORCE, n]
         )
         x.servo[s.EXPECTED_SERVO_FORCE, n] = (
-            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if known else math.nan
+            min(max(torque / c.tendon[h.SPOOL_RADIUS, n], -limit), limit) if is_known else math.nan
         )

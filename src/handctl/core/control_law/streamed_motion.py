@@ -201,7 +201,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
 
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
     return 1.0
@@ -236,7 +236,7 @@ def _allowed_rates(
     max_lead = (
         scale
         * MAX_LEAD_RAD
-        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
+        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS)
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
     fastest_backward = _stoppable_speed_towards(digit - max_lead - position, gain, period) + min(
@@ -253,7 +253,7 @@ def _allowed_rates(
 def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         coupling = c.joint_coordinate[h.COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]

@@ -29,8 +29,8 @@ class TendonRedundancy:
     Attributes:
         side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
             0 for a spool pair that moves its digit sideways.
-        sprung: True if springs move the digit of the tendon back to its lower joint limits.
-        surplus: True for a tendon of a digit with more tendons than coordinates.
+        is_sprung: True if springs move the digit of the tendon back to its lower joint limits.
+        has_surplus: True for a tendon of a digit with more tendons than coordinates.
         balance: smallest tensions that make no joint torque, and are all above the tension floor
             [N]. The balance tensions are 0 for a digit without surplus tendons.
         excursion_at_lower_limits: excursion at the lower joint limits [m].
@@ -39,8 +39,8 @@ class TendonRedundancy:
     """
 
     side: Vector
-    sprung: BoolArray
-    surplus: BoolArray
+    is_sprung: BoolArray
+    has_surplus: BoolArray
     balance: Vector
     excursion_at_lower_limits: Vector
     excursion_range: Vector
@@ -58,17 +58,17 @@ def redundancy_of_hand(
         is_pair: (N,) True for a spool pair.
     """
     counts = [len(digit.moment_arms) for digit in digits]
-    surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
+    has_surplus_by_digit = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
     balance = [
         _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons])
-        if more
+        if has_surplus
         else np.zeros(count)
-        for digit, more, count in zip(digits, surplus, counts, strict=True)
+        for digit, has_surplus, count in zip(digits, has_surplus_by_digit, counts, strict=True)
     ]
     return TendonRedundancy(
         side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
-        sprung=np.repeat([is_opened_by_springs(digit) for digit in digits], counts),
-        surplus=np.repeat(surplus, counts),
+        is_sprung=np.repeat([is_opened_by_springs(digit) for digit in digits], counts),
+        has_surplus=np.repeat(has_surplus_by_digit, counts),
         balance=np.concatenate(balance),
         excursion_at_lower_limits=np.concatenate(
             [digit.excursion_at(digit.joint_min) for digit in digits]
@@ -89,10 +89,16 @@ def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
 def _excursion_range(digit: DigitModel) -> Vector:
     """Return the smallest and largest excursion of each tendon of a digit within the joint limits (2, n_t) [m]."""
     if digit.has_varying_arm:
-        ends = excursions_at(digit.arm_polynomials, digit.joint_limits, digit.joint_limits)
+        end_excursions = excursions_at(
+            digit.arm_polynomials, digit.joint_limits, digit.joint_limits
+        )
     else:
-        ends = np.stack((digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max))
-    return np.stack((ends.min(axis=0).sum(axis=1), ends.max(axis=0).sum(axis=1)))
+        end_excursions = np.stack(
+            (digit.moment_arms * digit.joint_min, digit.moment_arms * digit.joint_max)
+        )
+    return np.stack(
+        (end_excursions.min(axis=0).sum(axis=1), end_excursions.max(axis=0).sum(axis=1))
+    )
 
 
 def is_opened_by_springs(digit: DigitModel) -> bool:
@@ -109,6 +115,6 @@ def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vect
     If no such tensions are within the bounds, return the smallest allowed tensions.
     """
     arms = digit.reduced_moment_arms
-    tension, missing = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
+    tension, torque_deficit = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)
     max_torque = MAX_BALANCE_TORQUE_FRACTION * float(tension.max() * np.abs(arms).mean())
-    return tension if np.abs(missing).max() <= max_torque else floor
+    return tension if np.abs(torque_deficit).max() <= max_torque else floor

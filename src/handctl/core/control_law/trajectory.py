@@ -137,16 +137,18 @@ class CurveTrajectory:
 
     def motion_at(self, t: float) -> Vector:
         """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
-        held = min(max(t, 0.0), self.duration)
-        piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
-        s = held - float(self.times[piece])
+        clamped_time = min(max(t, 0.0), self.duration)
+        segment_index = min(
+            int(np.searchsorted(self.times, clamped_time, side="right")) - 1, len(self.times) - 2
+        )
+        s = clamped_time - float(self.times[segment_index])
         # The digit rests before the start and after the end of the curve.
-        moving = 1.0 if held == t else 0.0
+        moving = 1.0 if clamped_time == t else 0.0
         if self.coefficients.ndim == 3:
-            a, b, c, d = self.coefficients[:, piece]
+            a, b, c, d = self.coefficients[:, segment_index]
             rate = moving * (c + s * (2 * b + s * 3 * a))
             return np.array((d + s * (c + s * (b + s * a)), rate, moving * (2 * b + 6 * a * s)))
-        a, b, c, d = self.coefficients[:, piece].tolist()
+        a, b, c, d = self.coefficients[:, segment_index].tolist()
         values = (
             d + s * (c + s * (b + s * a)),
             moving * (c + s * (2 * b + s * 3 * a)),
@@ -162,8 +164,10 @@ class CurveTrajectory:
         a, b, c, _ = self.coefficients
         length = np.diff(self.times).reshape(-1, *(1,) * (a.ndim - 1))
         with np.errstate(divide="ignore", invalid="ignore"):
-            turning = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, length)
-        candidates = [c + s * (2 * b + s * 3 * a) for s in (np.zeros_like(length), turning, length)]
+            turning_points = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, length)
+        candidates = [
+            c + s * (2 * b + s * 3 * a) for s in (np.zeros_like(length), turning_points, length)
+        ]
         return float(np.abs(candidates).max())
 
 
@@ -216,16 +220,18 @@ class ChirpTrajectory:
     def motion_at(self, t: float) -> Vector:
         """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
         s = min(max(t, 0.0), self.duration)
-        size, growth, bend = self._amplitude_envelope(s)
+        amplitude, amplitude_rate, amplitude_acceleration = self._amplitude_envelope(s)
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
         speed = 2.0 * math.pi * self.low + rise * s
         phase = (math.pi * self.low + 0.5 * speed) * s
         sine = math.sin(phase)
         cosine = math.cos(phase)
-        position = size * sine
-        velocity = growth * sine + size * speed * cosine
+        position = amplitude * sine
+        velocity = amplitude_rate * sine + amplitude * speed * cosine
         acceleration = (
-            bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
+            amplitude_acceleration * sine
+            + 2.0 * amplitude_rate * speed * cosine
+            + amplitude * (rise * cosine - speed**2 * sine)
         )
         moving = self.amplitude if s == t else 0.0
         values = (self.centre + self.amplitude * position, moving * velocity, moving * acceleration)
@@ -233,11 +239,11 @@ class ChirpTrajectory:
 
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
         """Return the factor of the amplitude at time t [s], and its first [1/s] and second [1/s^2] time derivative."""
-        ramp = 0.1 * self.duration
+        ramp_duration = 0.1 * self.duration
         left = min(t, self.duration - t)
-        if left >= ramp:
+        if left >= ramp_duration:
             return 1.0, 0.0, 0.0
-        w = math.pi / ramp
+        w = math.pi / ramp_duration
         sign = 1.0 if t <= self.duration - t else -1.0
         return (
             0.5 - 0.5 * math.cos(w * left),
@@ -255,9 +261,9 @@ PEAK_SPEED_RATIO = 1.875
 """Ratio of peak to mean speed of a minimum-jerk move: 15 / 8."""
 
 
-def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
+def minimum_jerk_duration(distance: float, speed: float, min_duration: float) -> float:
     """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with the peak speed ``speed`` [rad/s].
 
-    The result is at least ``shortest`` [s].
+    The result is at least ``min_duration`` [s].
     """
-    return max(PEAK_SPEED_RATIO * abs(distance) / speed, shortest)
+    return max(PEAK_SPEED_RATIO * abs(distance) / speed, min_duration)

@@ -43,12 +43,12 @@ An element is a number that shows the fault, or NaN if the fault is absent.
 
 @kernel_helper
 def detect_bus_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
     if x.run[s.UNKNOWN_FRAME_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
         evidence[B10, 0] = x.run[s.UNKNOWN_FRAME_RATE]
-    if not armed:
+    if not is_armed:
         return
     _detect_overdue_feedback(x, c, evidence)
     _detect_lost_replies(x, evidence)
@@ -58,7 +58,7 @@ def detect_bus_faults(
     if x.run_int[s.STALE_FRAME_NOW] == 2:
         evidence[B07, 0] = 1.0
     frames = x.run_int[s.RECEIVED_FRAMES]
-    if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED_TICKS]):
+    if frames > c.run_int[h.MAX_FRAMES_PER_TICK] * (1 + x.run_int[s.MISSED_TICKS]):
         evidence[B11A, 0] = evidence[B11B, 0] = frames
 
 
@@ -77,7 +77,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
             evidence[B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[B02, n] = age
-        if age >= c.run_int[h.ONE_SILENT_TICKS] and lowest_age == 0:
+        if age >= c.run_int[h.SILENT_TICKS_OF_SINGLE_MOTOR] and lowest_age == 0:
             evidence[B17, n] = age
 
 

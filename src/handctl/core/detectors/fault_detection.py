@@ -51,25 +51,25 @@ def find_and_debounce_faults(
     """
     mode = x.run_int[s.MODE]
     # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
-    armed = ARMING_MODE <= mode <= RELAX_MODE
-    cut = mode == CUT_MODE or mode == DISARM_MODE
+    is_armed = ARMING_MODE <= mode <= RELAX_MODE
+    is_torque_cut = mode == CUT_MODE or mode == DISARM_MODE
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
     frame_losses.update_loss_counts(
         x,
         c,
         x.run_int[s.T_NS],
         x.run_int[s.UNKNOWN_FRAMES],
-        armed and x.run_int[s.MISSED_TICKS] == 0,
+        is_armed and x.run_int[s.MISSED_TICKS] == 0,
     )
-    bus_faults.detect_bus_faults(x, c, armed, evidence)
-    node_faults.detect_node_faults(x, c, armed, evidence)
-    tendon_faults.detect_tendon_faults(x, c, armed, evidence)
-    host_faults.detect_host_faults(x, c, armed, evidence)
-    if armed:
+    bus_faults.detect_bus_faults(x, c, is_armed, evidence)
+    node_faults.detect_node_faults(x, c, is_armed, evidence)
+    tendon_faults.detect_tendon_faults(x, c, is_armed, evidence)
+    host_faults.detect_host_faults(x, c, is_armed, evidence)
+    if is_armed:
         update_fault_memory(x, c)
         node_faults.detect_node_faults_under_torque(x, c, evidence)
         tendon_faults.detect_tendon_faults_under_torque(x, c, evidence)
-    elif cut:
+    elif is_torque_cut:
         slack_history.update_history_after_cut(x, c, x.run_int[s.CELLS_TARED] == 1)
         node_faults.detect_tension_after_cut(x, c, evidence)
     else:
@@ -80,14 +80,14 @@ def find_and_debounce_faults(
 @kernel_helper
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the memory of the detectors that work while the motors may make torque."""
-    missed = x.run_int[s.MISSED_TICKS]
+    missed_ticks = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.CELLS_TARED] == 1
     tendon_slip.update_slip(x, c, tared)
     servo_commands.predict_reported_forces(x, c)
-    residuals.update_residuals(x, c, missed, tared)
+    residuals.update_residuals(x, c, missed_ticks, tared)
     slack_history.update_slack_history(x, c)
     stuck_sensors.update_stuck_counts(x, c, tared)
-    torque_correlation.update_correlation(x, c, missed)
+    torque_correlation.update_correlation(x, c, missed_ticks)
     replayed_readings.update_repetitions(x, tared)
     tension_swings.update_swing(x, c, tared)
 
@@ -99,7 +99,7 @@ def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
     Return the most severe action of the active faults.
     """
     action = 0
-    fresh = 0
+    new_fault_count = 0
     for row in range(evidence.shape[0]):
         for i in range(evidence.shape[1]):
             if math.isnan(evidence[row, i]):
@@ -109,6 +109,6 @@ def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
             x.instance_int[s.FAULT_TICKS + row, i] = ticks
             if ticks >= DEBOUNCE_TICKS[row]:
                 action = max(action, ACTION_NUMBERS[row])
-                fresh += ticks == DEBOUNCE_TICKS[row]
-    x.run_int[s.NEW_FAULT_COUNT] = fresh
+                new_fault_count += ticks == DEBOUNCE_TICKS[row]
+    x.run_int[s.NEW_FAULT_COUNT] = new_fault_count
     return action

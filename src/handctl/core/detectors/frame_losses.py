@@ -45,7 +45,10 @@ def ticks_overdue(now_ns: int, last_reading_ns: int, send_period_ns: int, period
 def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of motor n is overdue."""
     return ticks_overdue(
-        now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS]
+        now_ns,
+        x.tendon_int[s.FEEDBACK_NS, n],
+        c.tendon_int[h.CYCLIC_FEEDBACK_PERIOD_NS, n],
+        c.run_int[h.PERIOD_NS],
     )
 
 
@@ -86,12 +89,12 @@ def update_loss_counts(
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
-        late = False
+        is_late = False
         if node < tendons:
-            late = motor_ticks_overdue(x, c, node, now_ns) > 0
+            is_late = motor_ticks_overdue(x, c, node, now_ns) > 0
         else:
             for n in range(tendons):
-                late |= cell_ticks_overdue(x, c, n, now_ns) > 0
+                is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
         earlier_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
         # The two integers form a shift register: the oldest bit of the first integer moves into the
@@ -100,7 +103,7 @@ def update_loss_counts(
             earlier_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
         x.node_int[s.LOST_REPLY_BITS, node] = (
-            recent_bits << 1 | (late and count_missing_replies)
+            recent_bits << 1 | (is_late and count_missing_replies)
         ) & WORD_MASK
         is_malformed = x.node_int[s.MALFORMED_FRAME_NOW, node] != 0
         x.node_int[s.MALFORMED_FRAME_TICKS, node] = (
@@ -137,10 +140,10 @@ def misses_every_second_reply(x: StateTables, node: int) -> bool:
 
     At most one pair of consecutive replies may be missing.
     """
-    recent = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
+    recent_losses = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
     return (
-        count_set_bits(recent) >= HALF_RATE_MISSING_REPLIES
-        and count_set_bits(recent & recent >> 1) <= 1
+        count_set_bits(recent_losses) >= HALF_RATE_MISSING_REPLIES
+        and count_set_bits(recent_losses & recent_losses >> 1) <= 1
     )

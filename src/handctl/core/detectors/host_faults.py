@@ -22,23 +22,23 @@ from handctl.safety.faults.host import (
 
 @kernel_helper
 def detect_host_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the start of the tick, as a fraction of the control period.
-    late = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.PERIOD_NS]
-    missed = x.run_int[s.MISSED_TICKS]
-    if late > LATE_TICK_FRACTION:
-        evidence[H01, 0] = late
-    if missed >= 1:
-        evidence[H02, 0] = missed
-    if armed and missed >= c.run_int[h.STALLED_TICKS]:
-        evidence[H03, 0] = missed
-    if armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
+    lateness_in_periods = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.PERIOD_NS]
+    missed_ticks = x.run_int[s.MISSED_TICKS]
+    if lateness_in_periods > LATE_TICK_FRACTION:
+        evidence[H01, 0] = lateness_in_periods
+    if missed_ticks >= 1:
+        evidence[H02, 0] = missed_ticks
+    if is_armed and missed_ticks >= c.run_int[h.STALLED_TICKS]:
+        evidence[H03, 0] = missed_ticks
+    if is_armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
         evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
         if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
-    if armed and is_target_stream_running(x):
+    if is_armed and is_target_stream_running(x):
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]
         if silence_ns > c.run_int[h.STREAM_HOLD_NS]:
             evidence[I11A, 0] = silence_ns / 1e9

@@ -69,16 +69,16 @@ FAULT_PHASE = int(DrivePhase.FAULT)
 
 @kernel_helper
 def detect_node_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
-        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
-        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_AT_FLOOR]:
             evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
     _detect_rejected_positions(x, evidence)
-    if not armed:
+    if not is_armed:
         return
     _detect_drive_errors(x, evidence)
     _detect_silent_sensors(x, c, evidence)
@@ -110,14 +110,14 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
         age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
             evidence[N02, n] = age
-    last = -1
+    last_group = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
-        if group > last:  # a frame with several joints is tested once, for its first joint
-            last = group
-            heard_ns = x.group_int[s.GROUP_NS, group]
-            if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
-                evidence[N02B, j] = (now_ns - heard_ns) * 1e-9
+        if group > last_group:  # a frame with several joints is tested once, for its first joint
+            last_group = group
+            last_heard_ns = x.group_int[s.GROUP_NS, group]
+            if last_heard_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
+                evidence[N02B, j] = (now_ns - last_heard_ns) * 1e-9
 
 
 @kernel_helper
@@ -156,7 +156,8 @@ def detect_node_faults_under_torque(
             evidence[N07, n] = jerk
         command_difference = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
         max_difference = min(
-            TORQUE_DIFFERENCE_LIMIT_N, TORQUE_DIFFERENCE_LIMIT_FRACTION * c.tendon[h.DRIVE_LIMIT, n]
+            TORQUE_DIFFERENCE_LIMIT_N,
+            TORQUE_DIFFERENCE_LIMIT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         )
         if (
             command_difference > max_difference
@@ -189,7 +190,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
-            turned = (
+            turned_angle = (
                 stuck_sensors.motion_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j),
                     x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j],
@@ -197,8 +198,8 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 / c.joint[h.JOINT_SCALE, j]
                 * DEG_PER_RAD
             )
-            if turned > STUCK_SENSOR_JOINT_CHANGE_DEG:
-                evidence[N04 + 1, j] = turned
+            if turned_angle > STUCK_SENSOR_JOINT_CHANGE_DEG:
+                evidence[N04 + 1, j] = turned_angle
 
 
 @kernel_helper
@@ -225,9 +226,9 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 @kernel_helper
 def _has_spool_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
-    turned = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
+    turned_angle = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
     # The comparison with NaN is False, so an unknown position does not count as released.
-    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned < -RELEASED_SPOOL_TRAVEL_M)
+    return bool(c.tendon[h.SPOOL_RADIUS, n] * turned_angle < -RELEASED_SPOOL_TRAVEL_M)
 
 
 @kernel_helper
@@ -235,13 +236,13 @@ def _reports_torque_after_cut(x: StateTables, c: ConstantTables, n: int) -> bool
     """Return True if a drive still reports the torque that it made before the torque was cut."""
     # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
     # report of such a drive is then old.
-    if not c.tendon_int[h.ANSWERS_ONCE, n]:
+    if not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
         return False
     # The last report before the cut is in RECENT_MOTOR_FORCES, which is updated only while the motors may
     # make torque.
-    before = abs(x.tendon[s.RECENT_MOTOR_FORCES + 3, n])
-    reported = abs(x.tendon[s.MEASURED_FORCE, n])
+    last_force = abs(x.tendon[s.RECENT_MOTOR_FORCES + 3, n])
+    reported_force = abs(x.tendon[s.MEASURED_FORCE, n])
     # A drive that reports its torque in large steps may report one step although it makes no
     # torque.
     threshold = REPORTED_PULL_AFTER_CUT_N + c.tendon[h.TORQUE_STEP, n]
-    return reported > threshold and reported > PULL_AFTER_CUT_FRACTION * before
+    return reported_force > threshold and reported_force > PULL_AFTER_CUT_FRACTION * last_force

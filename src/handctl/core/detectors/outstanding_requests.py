@@ -43,7 +43,7 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
         replies = x.tendon_int[s.FEEDBACK_COUNT_NOW, n]
         open_request_count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         x.tendon_int[s.EXCESS_REPLIES, n] = 0
-        if replies > open_request_count and c.tendon_int[h.ANSWERS_ONCE, n]:
+        if replies > open_request_count and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
             x.tendon_int[s.EXCESS_REPLIES, n] = 1 + open_request_count
             has_excess_replies = True
         x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(open_request_count - replies, 0)

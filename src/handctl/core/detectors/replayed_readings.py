@@ -80,14 +80,14 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
 def _chance_of_equal_readings(x: StateTables, n: int) -> float:
     """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
     pairs = 0
-    different = 0
+    different_count = 0
     for a in range(REPEAT_WINDOW):
-        first = True
+        is_first = True
         for b in range(a):
             if x.tendon[s.PAST_CELL_READINGS + a, n] == x.tendon[s.PAST_CELL_READINGS + b, n]:
                 pairs += 1
-                first = False
-        different += first
-    if different <= LIMIT_CYCLE_VALUES:
+                is_first = False
+        different_count += is_first
+    if different_count <= LIMIT_CYCLE_VALUES:
         return 1.0
     return min(1.0, (pairs + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))

@@ -48,28 +48,28 @@ FULL_FRICTION_SPEED_M_S = 5e-3
 
 
 @kernel_helper
-def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool) -> None:
+def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared: bool) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick. In the tick after a missed tick, positions and
+        missed_ticks: ticks missed before the present tick. In the tick after a missed tick, positions and
             speeds are not used.
         tared: True if the zeros of the load cells are known.
     """
-    now = np.empty(len(TIME_CONSTANTS_S))
+    residual_sums = np.empty(len(TIME_CONSTANTS_S))
     has_started = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
-        position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
-        speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
+        position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
+        speed = x.tendon[s.SPEED, n] if missed_ticks == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
         is_cell_usable = tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
-        commanded = x.tendon[s.COMMANDED_FORCE, n]
-        motor_force = commanded if math.isnan(force) else force
+        commanded_force = x.tendon[s.COMMANDED_FORCE, n]
+        motor_force = commanded_force if math.isnan(force) else force
         judged_tension = monitored_tension(x, c, n, tared)
         if not has_started:
             # The two fast filters start at the present tension and at the present motor force.
@@ -86,27 +86,27 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         )
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
-        now[BALANCE] = now[QUICK_BALANCE] = balance
-        now[MOTOR_FORCE] = motor_force
-        now[COMMAND_DIFFERENCE] = commanded - force
+        residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
+        residual_sums[MOTOR_FORCE] = motor_force
+        residual_sums[COMMAND_DIFFERENCE] = commanded_force - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
-            now[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
-        now[TENSION] = judged_tension
-        now[QUICK_FORCE] = motor_force
-        now[SLIP] = x.tendon[s.SLIP, n]
-        now[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
+            residual_sums[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
+        residual_sums[TENSION] = judged_tension
+        residual_sums[QUICK_FORCE] = motor_force
+        residual_sums[SLIP] = x.tendon[s.SLIP, n]
+        residual_sums[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed. The excess friction is therefore the residual of the
         # force balance, multiplied by the sign of the speed.
-        now[EXCESS_FRICTION] = (
+        residual_sums[EXCESS_FRICTION] = (
             math.copysign(1.0, speed) * balance
             if abs(speed) > FULL_FRICTION_SPEED_M_S
             else math.nan
         )
         for row in range(len(TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
-            if not math.isnan(now[row] - low):
+            if not math.isnan(residual_sums[row] - low):
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
-                    now[row] - low
+                    residual_sums[row] - low
                 )
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position

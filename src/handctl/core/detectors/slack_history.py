@@ -23,14 +23,14 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
     x.run_int[s.TICKS_SINCE_CUT] = -1
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.RESIDUAL + TENSION, n]
-        commanded = x.tendon[s.COMMANDED_TENSION, n]
+        commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
         is_pair = c.tendon_int[h.IS_SPOOL_PAIR, n] == 1
-        if is_pair and commanded < 0.0:
+        if is_pair and commanded_tension < 0.0:
             tension = -tension
-            commanded = -commanded
+            commanded_tension = -commanded_tension
         # If no tension is commanded, the history of a tendon is cleared, so that the tendon does
         # not count as torn.
-        if math.isnan(commanded):
+        if math.isnan(commanded_tension):
             x.tendon_int[s.TICKS_SINCE_TAUT, n] = -1
             x.tendon_int[s.SLACK_TICKS, n] = 0
         elif tension > TAUT_TENSION_N:
@@ -41,7 +41,7 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
             # Both tendons of a spool pair are taut if the net tension is below twice the
             # pretension. So no tendon of a spool pair counts as slack while the commanded net
             # tension is below twice the pretension.
-            is_slack = tension < SLACK_TENSION_N and commanded > max(
+            is_slack = tension < SLACK_TENSION_N and commanded_tension > max(
                 TAUT_TENSION_N, 2.0 * c.tendon[h.PRETENSION, n]
             )
             x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if is_slack else 0

@@ -48,22 +48,22 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         # The position of the encoder is compared instead of the tendon travel, because the travel
         # also changes with the angle of a carrying joint.
         value = x.tendon[s.MEASURED_POSITION, n] * c.tendon[h.SPOOL_RADIUS, n]
-        last = x.tendon[s.STUCK_TEST_POSITION, n]
-        moved = not math.isnan(value) and value != last
+        last_position = x.tendon[s.STUCK_TEST_POSITION, n]
+        has_moved = not math.isnan(value) and value != last_position
         goal = x.tendon[s.FILTERED_GOAL, n]
         tension = reference_tension(x, c, n)
-        if moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]):
+        if has_moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]):
             x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] = goal
-        if moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n]):
+        if has_moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n]):
             x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n] = tension
         if not math.isnan(value):
-            x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon_int[s.MOTOR_STUCK, n] = 0 if has_moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_POSITION, n] = value
         cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        last = x.tendon[s.STUCK_TEST_TENSION, n]
-        moved = not math.isnan(cell) and cell != last
+        last_position = x.tendon[s.STUCK_TEST_TENSION, n]
+        has_moved = not math.isnan(cell) and cell != last_position
         force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
-        if moved or math.isnan(x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]):
+        if has_moved or math.isnan(x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]):
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
                 s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n
             ] = force
@@ -73,19 +73,19 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n] = force
         if not math.isnan(cell):
-            x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
+            x.tendon_int[s.CELL_STUCK, n] = 0 if has_moved else x.tendon_int[s.CELL_STUCK, n] + 1
             x.tendon[s.STUCK_TEST_TENSION, n] = cell
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
-        last = x.joint[s.STUCK_TEST_ANGLE, j]
-        moved = not math.isnan(value) and value != last
+        last_position = x.joint[s.STUCK_TEST_ANGLE, j]
+        has_moved = not math.isnan(value) and value != last_position
         reference = joint_angle_by_spools(x, c, j)
         if not are_tendons_of_joint_taut(x, c, j):
             x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = math.nan
-        if moved or math.isnan(x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j]):
+        if has_moved or math.isnan(x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j]):
             x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = reference
         if not math.isnan(value):
-            x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint_int[s.JOINT_STUCK, j] = 0 if has_moved else x.joint_int[s.JOINT_STUCK, j] + 1
             x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
@@ -97,7 +97,7 @@ def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
     In a digit with surplus tendons, an antagonist can stretch a tendon whose own motor is at rest.
     """
-    return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
+    return math.nan if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @kernel_helper
@@ -153,28 +153,30 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
-        before = x.tendon[s.FILTERED_GOAL, n]
-        present = x.tendon[s.EXCURSION, n]
+        last_goal = x.tendon[s.FILTERED_GOAL, n]
+        present_excursion = x.tendon[s.EXCURSION, n]
         x.tendon[s.FILTERED_GOAL, n] = goal
-        if math.isnan(before):
+        if math.isnan(last_goal):
             continue
-        change = goal - before
+        change = goal - last_goal
         if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
-            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(
+            x.tendon[s.FILTERED_GOAL, n] = last_goal + math.copysign(
                 max(fraction * abs(change), min_step), change
             )
-        if abs(goal - present) < ARRIVAL_DISTANCE_M:
-            x.tendon[s.FILTERED_GOAL, n] = present
-            if abs(present - before) > MIN_GOAL_JUMP_M:
+        if abs(goal - present_excursion) < ARRIVAL_DISTANCE_M:
+            x.tendon[s.FILTERED_GOAL, n] = present_excursion
+            if abs(present_excursion - last_goal) > MIN_GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
                 # jump of the filtered goal. The value from which the motion of the filtered goal is
                 # counted therefore jumps too.
-                x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += present - before
+                x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += present_excursion - last_goal
         elif _is_digit_pressing(x, c, n):
-            x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += x.tendon[s.FILTERED_GOAL, n] - before
+            x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n] += (
+                x.tendon[s.FILTERED_GOAL, n] - last_goal
+            )
 
 
 @kernel_helper

@@ -57,10 +57,10 @@ from handctl.safety.faults.tendon import (
 
 @kernel_helper
 def detect_tendon_faults(
-    x: StateTables, c: ConstantTables, armed: bool, evidence: EvidenceTable
+    x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
-    upper_rail = c.run[h.TENSION_RAIL]
+    upper_rail = c.run[h.CELL_SATURATION]
     time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
     is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
@@ -72,11 +72,14 @@ def detect_tendon_faults(
             evidence[T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
-        if c.tendon[h.DRIVE_LIMIT, n] < tension < upper_rail and c.tendon_int[h.CELL_GROUP, n] >= 0:
+        if (
+            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < upper_rail
+            and c.tendon_int[h.CELL_GROUP, n] >= 0
+        ):
             evidence[T03B, n] = tension
         if is_hand_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
             evidence[T03C, n] = tension
-        if armed and is_cell_saturated(x, c, n):
+        if is_armed and is_cell_saturated(x, c, n):
             evidence[T06, n] = tension
 
 
@@ -129,14 +132,16 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     if not follows_streamed_angles(x, c, n):
         return speed
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if not math.isnan(x.joint[s.DQ_GOAL, j]):
             speed += moment_arm(c, n, j, x.joint[s.Q_GOAL, j]) * x.joint[s.DQ_GOAL, j]
     return speed
 
 
 @kernel_helper
-def _snapped_speed_threshold(x: StateTables, c: ConstantTables, n: int, commanded: float) -> float:
+def _snapped_speed_threshold(
+    x: StateTables, c: ConstantTables, n: int, commanded_tension: float
+) -> float:
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
     In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
@@ -158,20 +163,20 @@ def _snapped_speed_threshold(x: StateTables, c: ConstantTables, n: int, commande
         x: state tables.
         c: constants of the hand.
         n: index of the tendon.
-        commanded: commanded tension, positive [N].
+        commanded_tension: commanded tension, positive [N].
     """
     if c.tendon_int[h.CELL_GROUP, n] < 0:
         return SNAP_SPOOL_SPEED_WITHOUT_CELL
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    holds = x.tendon_int[s.GOAL_KIND, n] == TENSION
+    is_holding = x.tendon_int[s.GOAL_KIND, n] == TENSION
     if (
-        not holds
+        not is_holding
         or x.digit_int[s.TRAJECTORY_KIND, d] != NO_TRAJECTORY
         or is_target_stream_running(x)
     ):
         return SNAP_SPOOL_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
-    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded - c.tendon[h.MOTOR_COULOMB, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[h.MOTOR_COULOMB, n]
     # The comparison needs no division, because the damping may be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
@@ -182,7 +187,7 @@ def _snapped_speed_threshold(x: StateTables, c: ConstantTables, n: int, commande
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceTable) -> None:
     """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
     period = c.run[h.PERIOD]
-    commanded = x.tendon[s.COMMANDED_TENSION, n]
+    commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]
     slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
     if slack_time > SLACK_WARN_S:
@@ -190,18 +195,18 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
     if slack_time > SLACK_TRIP_S:
         evidence[T02B, n] = slack_time
     tension = monitored_tension(x, c, n, x.run_int[s.CELLS_TARED] == 1)
-    planned = _planned_speed(x, c, n)
-    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded < 0.0:
-        commanded = -commanded
+    planned_speed = _planned_speed(x, c, n)
+    if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded_tension < 0.0:
+        commanded_tension = -commanded_tension
         speed = -speed
-        planned = -planned
+        planned_speed = -planned_speed
         tension = -tension
     was_recently_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
-    unplanned_speed = speed - max(planned, 0.0)
+    unplanned_speed = speed - max(planned_speed, 0.0)
     if (
-        unplanned_speed > _snapped_speed_threshold(x, c, n, commanded)
-        and commanded > SNAP_MIN_COMMAND_N
-        and tension < SNAP_TENSION_FRACTION * commanded
+        unplanned_speed > _snapped_speed_threshold(x, c, n, commanded_tension)
+        and commanded_tension > SNAP_MIN_COMMAND_N
+        and tension < SNAP_TENSION_FRACTION * commanded_tension
         and was_recently_taut
     ):
         evidence[T01, n] = unplanned_speed

@@ -51,7 +51,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if has_joint_reading:
             x.tendon[s.SLIP, n] = (
                 (length_difference - x.tendon[s.SLIP_REFERENCE, n])
-                / c.tendon[h.ARMS_SUM, n]
+                / c.tendon[h.MOMENT_ARM_SUM, n]
                 * DEG_PER_RAD
             )
             is_derailed = abs(x.tendon[s.SLIP, n]) > derailment_threshold(c, n)

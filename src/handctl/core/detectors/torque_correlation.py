@@ -95,7 +95,7 @@ that comes a tick late), report squared, and the response of the filter to a con
 
 
 @kernel_helper
-def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
+def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Update the low-passed products of the changes of commands and reports.
 
     A drive replies to a command before it obeys the command, so the report of the present tick
@@ -104,35 +104,35 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        missed: ticks missed before the present tick.
+        missed_ticks: ticks missed before the present tick.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORT_COMPARISON_TIME_S)
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
-        first = x.tendon[s.RECENT_MOTOR_FORCES, n]
-        second = x.tendon[s.RECENT_MOTOR_FORCES + 1, n]
-        last = x.tendon[s.RECENT_MOTOR_FORCES + 2, n]
+        first_force = x.tendon[s.RECENT_MOTOR_FORCES, n]
+        second_force = x.tendon[s.RECENT_MOTOR_FORCES + 1, n]
+        last_force = x.tendon[s.RECENT_MOTOR_FORCES + 2, n]
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             is_loop_closed = 1.0 if x.servo[s.LAST_SERVO_COMMAND + 2, n] > 0.0 else 0.0
             x.servo[s.SERVO_TICK_FRACTION, n] += fraction * (
                 is_loop_closed - x.servo[s.SERVO_TICK_FRACTION, n]
             )
-            last = second
-            second = first
-            first = x.servo[s.EXPECTED_SERVO_FORCE, n]
+            last_force = second_force
+            second_force = first_force
+            first_force = x.servo[s.EXPECTED_SERVO_FORCE, n]
         report = x.tendon[s.MEASURED_FORCE, n]
         largest = MAX_INCREMENT_RATIO * _smallest_increment(x, c, n)
-        a = _clipped_increment(first - second, largest)
+        a = _clipped_increment(first_force - second_force, largest)
         b = _clipped_increment(report - x.tendon[s.RECENT_MOTOR_FORCES + 3, n], largest)
-        late = _clipped_increment(second - last, largest)
+        late_increment = _clipped_increment(second_force - last_force, largest)
         replies_on_time = 0.0
-        if missed == 0 and math.isfinite(report):
+        if missed_ticks == 0 and math.isfinite(report):
             replies_on_time = x.tendon[s.REPLIES_ON_TIME, n] + 1.0
-        if math.isfinite(a + b + late) and replies_on_time > MIN_TICKS_WITH_REPLY:
+        if math.isfinite(a + b + late_increment) and replies_on_time > MIN_TICKS_WITH_REPLY:
             _low_pass_moment(x, n, COMMAND_SQUARED_ROW, fraction, a * a)
             _low_pass_moment(x, n, COMMAND_REPORT_ROW, fraction, a * b)
-            _low_pass_moment(x, n, LATE_COMMAND_REPORT_ROW, fraction, late * b)
+            _low_pass_moment(x, n, LATE_COMMAND_REPORT_ROW, fraction, late_increment * b)
             _low_pass_moment(x, n, REPORT_SQUARED_ROW, fraction, b * b)
             _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
         x.tendon[s.REPLIES_ON_TIME, n] = replies_on_time
@@ -140,24 +140,27 @@ def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
             # For a drive that closes its position loop, the predicted force of the report is stored
             # instead of the command. The stored values of such a drive are therefore shifted by one
             # tick.
-            x.tendon[s.RECENT_MOTOR_FORCES, n] = first
-            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = second
+            x.tendon[s.RECENT_MOTOR_FORCES, n] = first_force
+            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = second_force
         else:
             x.tendon[s.RECENT_MOTOR_FORCES, n] = command
-            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = first
-            x.tendon[s.RECENT_MOTOR_FORCES + 2, n] = second
+            x.tendon[s.RECENT_MOTOR_FORCES + 1, n] = first_force
+            x.tendon[s.RECENT_MOTOR_FORCES + 2, n] = second_force
         x.tendon[s.RECENT_MOTOR_FORCES + 3, n] = report
 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the smallest change of a motor's torque that is more than rounding, as a force at the spool [N]."""
-    rounding = max(
-        MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n]
+    rounding_step = max(
+        MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
+        0.5 * c.tendon[h.TORQUE_STEP, n],
     )
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_TICK_FRACTION, n] > MIN_SERVO_SHARE:
-        rounding = max(rounding, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING, n])
-    return float(rounding)
+        rounding_step = max(
+            rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING, n]
+        )
+    return float(rounding_step)
 
 
 @kernel_helper
@@ -241,22 +244,22 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     window = COMPARED_COMMAND_COUNT * c.run[h.PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:
         return False
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.ANSWERS_ONCE, n]:
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
         return False
     if x.tendon[s.REPLIES_ON_TIME, n] <= MIN_TICKS_WITH_REPLY:
         return False
-    lowest = math.inf
-    highest = -math.inf
+    min_force = math.inf
+    max_force = -math.inf
     for age in range(COMPARED_COMMAND_COUNT):
         command = x.tendon[s.RECENT_MOTOR_FORCES + age, n]
         if math.isnan(command):
             return False
-        lowest = min(lowest, command)
-        highest = max(highest, command)
+        min_force = min(min_force, command)
+        max_force = max(max_force, command)
     report = x.tendon[s.MEASURED_FORCE, n]
     mean = x.tendon[s.RESIDUAL + COMMAND_DIFFERENCE, n]
-    distance_to_range = lowest - report if mean > 0.0 else report - highest
+    distance_to_range = min_force - report if mean > 0.0 else report - max_force
     tolerance = CONTRADICTORY_REPORT_N + CONTRADICTORY_REPORT_FRACTION * max(
-        abs(lowest), abs(highest)
+        abs(min_force), abs(max_force)
     )
     return abs(mean) > CONTRADICTORY_REPORT_MEAN_N and distance_to_range > tolerance

@@ -37,13 +37,15 @@ limits.
 def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
     """Update whether each digit is blocked."""
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.TENDONS_FIRST, d]
-        end = c.digit_int[h.TENDONS_END, d]
+        first_tendon = c.digit_int[h.FIRST_TENDON, d]
+        end = c.digit_int[h.END_TENDON, d]
         mean = 0.0
         margin = 0.0
-        for n in range(first, end):
-            margin += c.tendon[h.BLIND_MARGIN, n] / (end - first)
-            mean += c.tendon[h.CLOSING_SIGN, n] * x.tendon[s.EXTERNAL_TENSION, n] / (end - first)
+        for n in range(first_tendon, end):
+            margin += c.tendon[h.MARGIN_WITHOUT_CELL, n] / (end - first_tendon)
+            mean += (
+                c.tendon[h.CLOSING_SIGN, n] * x.tendon[s.EXTERNAL_TENSION, n] / (end - first_tendon)
+            )
         retained_fraction = c.run[h.TOUCH_DECAY]
         x.digit[s.UNEXPLAINED_TENSION, d] = (
             retained_fraction * x.digit[s.UNEXPLAINED_TENSION, d] + (1.0 - retained_fraction) * mean
@@ -51,10 +53,10 @@ def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
         limit = (
             MAX_UNBLOCKED_TENSION_N if x.digit_int[s.BLOCKED, d] else MIN_BLOCKED_TENSION_N + margin
         )
-        blocked = x.digit[s.UNEXPLAINED_TENSION, d] > limit
-        if blocked != x.digit_int[s.BLOCKED, d]:
+        is_blocked = x.digit[s.UNEXPLAINED_TENSION, d] > limit
+        if is_blocked != x.digit_int[s.BLOCKED, d]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.digit_int[s.BLOCKED, d] = blocked
+        x.digit_int[s.BLOCKED, d] = is_blocked
 
 
 @kernel_helper

@@ -19,22 +19,22 @@ class NamedFields(Protocol):
 
 
 def consistency_events(
-    model: HandModel, before: NamedFields, after: NamedFields
+    model: HandModel, fields_before: NamedFields, fields_after: NamedFields
 ) -> tuple[TickEvent, ...]:
     """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
         model: model of the hand.
-        before: state of the controller after the last tick.
-        after: state of the controller in the present tick.
+        fields_before: state of the controller after the last tick.
+        fields_after: state of the controller in the present tick.
     """
     events: list[TickEvent] = []
-    is_doubtful = after.view("doubtful")
-    previous = before.view("doubtful")
+    is_doubtful = fields_after.view("doubtful")
+    previous = fields_before.view("doubtful")
     if (is_doubtful != previous).any():
         for n in np.flatnonzero(is_doubtful != previous).tolist():
             name = model.hand.tendon_names[n]
-            nis = after.view("nis_mean")[n]
+            nis = fields_after.view("nis_mean")[n]
             verdict = (
                 "the estimate is not to be trusted"
                 if is_doubtful[n]
@@ -42,13 +42,13 @@ def consistency_events(
             )
             text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
             events.append(TickEvent("warn" if is_doubtful[n] else "info", "estimate", name, text))
-    is_blocked = after.view("blocked")
-    previous = before.view("blocked")
+    is_blocked = fields_after.view("blocked")
+    previous = fields_before.view("blocked")
     if (is_blocked != previous).any():
-        planned = after.view("planned_contact")
-        for d in np.flatnonzero((is_blocked != previous) & (planned == 0)).tolist():
+        planned_contact = fields_after.view("planned_contact")
+        for d in np.flatnonzero((is_blocked != previous) & (planned_contact == 0)).tolist():
             name = model.hand.digit_names[d]
-            tension = after.view("touch")[d]
+            tension = fields_after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
             events.append(
                 TickEvent(

@@ -59,14 +59,14 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     For all other digits, the tip force is set to 0, but the estimated drift of the load cells is
     kept.
     """
-    closing = False
+    is_closing = False
     for d in range(x.digit.shape[1]):
         if x.digit_int[s.CLOSING_UNTIL_CONTACT, d]:
-            closing = True
+            is_closing = True
         else:
             x.digit[s.SMOOTHED_TIP_FORCE, d] = x.digit[s.CONTACT_FORCE, d] = 0.0
             x.digit[s.TIP_FORCE_MEAN, d] = math.nan
-    if not closing:
+    if not is_closing:
         return
     lever = np.zeros(x.joint.shape[1])
     _write_tip_levers(x, c, lever)
@@ -104,15 +104,15 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
 
     The result is 0 if a force at the tip does not load any tendon of the digit.
     """
-    work = 0.0
+    virtual_work = 0.0
     size = 0.0
-    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+    for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         tension_per_force = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             tension_per_force += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
-        work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
+        virtual_work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
         size += tension_per_force * tension_per_force
-    return work / size if size > MIN_SQUARED_RESPONSE else 0.0
+    return virtual_work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper
@@ -128,15 +128,15 @@ def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
         unstretched_travel = (
             x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         )
-        fast = x.tendon[s.GRIP_TRAVEL_FAST, n]
-        slow = x.tendon[s.GRIP_TRAVEL_SLOW, n]
-        fast = (
-            fast + (unstretched_travel - fast) * c.run[h.GRIP_FAST_FRACTION]
+        fast_travel = x.tendon[s.GRIP_TRAVEL_FAST, n]
+        slow_travel = x.tendon[s.GRIP_TRAVEL_SLOW, n]
+        fast_travel = (
+            fast_travel + (unstretched_travel - fast_travel) * c.run[h.GRIP_FAST_FRACTION]
             if x.run_int[s.PROGRAM_HOLDS_OBJECT]
             else unstretched_travel
         )
-        slow = slow + (unstretched_travel - slow) * c.run[h.GRIP_SLOW_FRACTION]
-        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast
+        slow_travel = slow_travel + (unstretched_travel - slow_travel) * c.run[h.GRIP_SLOW_FRACTION]
+        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast_travel
         x.tendon[s.GRIP_TRAVEL_SLOW, n] = (
-            slow if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast
+            slow_travel if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast_travel
         )

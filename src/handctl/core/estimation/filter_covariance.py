@@ -60,7 +60,7 @@ def correct_tendon_covariance(
         gain: (7, 3) steady gains. Replace the first two columns of the gain: encoder and load cell.
         predicted_covariances: (7, 7) result: covariance after the correction.
         information: (3,) result: inverse covariance of the two innovations, see
-            ``constants.INFORMATION_AT``.
+            ``constants.INFORMATION_OFFSET``.
 
     Returns:
         Standard deviation of the difference between measured and expected load-cell reading [N].
@@ -69,15 +69,15 @@ def correct_tendon_covariance(
     H = np.zeros((2, STATE_COUNT))
     for m in range(2):
         for i in range(STATE_COUNT):
-            H[m, i] = c.design[n, kind, h.H_AT + STATE_COUNT * m + i]
-    is_cell_error_observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
+            H[m, i] = c.design[n, kind, h.MEASUREMENT_MATRIX_OFFSET + STATE_COUNT * m + i]
+    is_cell_error_observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_OFFSET]
     H[1, CELL_ERROR] = is_cell_error_observable
     P = _present_covariance(x, c, n, kind)
     state_measurement_covariance = _multiply_by_transposed(P, H)
     innovation_covariance = _multiply_matrices(H, state_measurement_covariance)
     R = np.zeros(2)
     for m in range(2):
-        R[m] = c.design[n, kind, h.R_AT + m] * (
+        R[m] = c.design[n, kind, h.MEASUREMENT_NOISE_OFFSET + m] * (
             MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
     # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
@@ -137,8 +137,8 @@ def predict_covariances(
     are_all_steady = True
     for n in range(len(predicted_covariances)):
         kind = x.tendon_int[s.FILTER_KIND, n]
-        F = _copy_design_matrix(c, n, kind, h.F_AT)
-        Q = _copy_design_matrix(c, n, kind, h.Q_AT)
+        F = _copy_design_matrix(c, n, kind, h.TRANSITION_MATRIX_OFFSET)
+        Q = _copy_design_matrix(c, n, kind, h.PROCESS_NOISE_OFFSET)
         P = predicted_covariances[n]
         for _ in range(periods):
             P = _multiply_by_transposed(_multiply_matrices(F, P), F)
@@ -147,7 +147,7 @@ def predict_covariances(
                     P[i, j] += Q[i, j]
         # The covariance that was computed so far belongs to the old filter design.
         if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
-            P = _copy_design_matrix(c, n, kind, h.P_AT)
+            P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
                 x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n] = P[i, j]
@@ -169,7 +169,9 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
-    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_AT])
+    return math.sqrt(
+        _tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_OFFSET]
+    )
 
 
 @kernel_helper
@@ -179,7 +181,7 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: 
     After a missing measurement, the covariance computed in each tick is returned, and otherwise the
     constant covariance.
     """
-    P = _copy_design_matrix(c, n, design_kind, h.P_AT)
+    P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):
@@ -189,10 +191,10 @@ def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: 
 
 @kernel_helper
 def _is_steady(c: ConstantTables, n: int, design_kind: int, P: Matrix) -> bool:
-    steady_covariance = _copy_design_matrix(c, n, design_kind, h.P_AT)
+    steady_covariance = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     for i in range(STATE_COUNT):
         is_observable = (
-            c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
+            c.design[n, design_kind, h.CELL_ERROR_OBSERVABLE_OFFSET] if i == CELL_ERROR else 1.0
         )
         if (
             abs(P[i, i] - steady_covariance[i, i]) * is_observable
@@ -212,9 +214,9 @@ def _tension_variance(c: ConstantTables, n: int, design_kind: int, P: Matrix) ->
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
             variance += (
-                c.design[n, design_kind, h.TENSION_ROW_AT + i]
+                c.design[n, design_kind, h.TENSION_ROW_OFFSET + i]
                 * P[i, j]
-                * c.design[n, design_kind, h.TENSION_ROW_AT + j]
+                * c.design[n, design_kind, h.TENSION_ROW_OFFSET + j]
             )
     return variance
 

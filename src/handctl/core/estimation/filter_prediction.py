@@ -27,13 +27,13 @@ def predict_filter_states(
         missed_ticks: ticks missed before the present tick.
     """
     n = model.tendon_count
-    first = layout.start("tendon")
-    states = block[first : first + 7 * n]
-    inputs = block[first + 7 * n : first + 9 * n]
+    first_place = layout.start("tendon")
+    states = block[first_place : first_place + 7 * n]
+    inputs = block[first_place + 7 * n : first_place + 9 * n]
     F, B = model.filter.transition(layout.table(block, "tendon_int")[s.FILTER_KIND].tobytes())
     x = predict_steadystate(states, F, inputs, B)
     if missed_ticks:
-        held = np.concatenate((inputs[:n], np.zeros(n)))
+        constant_inputs = np.concatenate((inputs[:n], np.zeros(n)))
         for _ in range(min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / model.period))):
-            x = predict_steadystate(x, F, held, B)
+            x = predict_steadystate(x, F, constant_inputs, B)
     states[:] = x

@@ -133,14 +133,16 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     gain = np.zeros((count, STATE_COUNT, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
-    after = np.zeros((count, STATE_COUNT, STATE_COUNT) if use_full_update else (0, 0, 0))
+    covariances_after = np.zeros(
+        (count, STATE_COUNT, STATE_COUNT) if use_full_update else (0, 0, 0)
+    )
     for n in range(count):
         kind = x.tendon_int[s.FILTER_KIND, n]
         _write_steady_gain(c, n, kind, gain[n], information[n])
-        cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
+        cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_OFFSET]
         if use_full_update:
             cell_sigma[n] = filter_covariance.correct_tendon_covariance(
-                x, c, n, z[n], gain[n], after[n], information[n]
+                x, c, n, z[n], gain[n], covariances_after[n], information[n]
             )
     _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
     _correct_slack_by_taut_tendons(x, c)
@@ -149,7 +151,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if use_full_update:
-        filter_covariance.predict_covariances(x, c, after, missed_ticks)
+        filter_covariance.predict_covariances(x, c, covariances_after, missed_ticks)
 
 
 @kernel_helper
@@ -189,7 +191,11 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
             expected = 0.0
             for i in range(STATE_COUNT):
                 expected += (
-                    c.design[n, x.tendon_int[s.FILTER_KIND, n], h.H_AT + STATE_COUNT * m + i]
+                    c.design[
+                        n,
+                        x.tendon_int[s.FILTER_KIND, n],
+                        h.MEASUREMENT_MATRIX_OFFSET + STATE_COUNT * m + i,
+                    ]
                     * x.tendon[s.TRAVEL + i, n]
                 )
             innovation[n, m] = z[n, m] - expected
@@ -203,8 +209,10 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
     For a slack tendon, the constant gains assume no load-cell reading.
     """
     for n in range(len(z)):
-        assumed = x.tendon_int[s.REGIME, n] != SLACK_REGIME and c.tendon_int[h.CELL_GROUP, n] >= 0
-        if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and assumed):
+        is_assumed_zero = (
+            x.tendon_int[s.REGIME, n] != SLACK_REGIME and c.tendon_int[h.CELL_GROUP, n] >= 0
+        )
+        if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and is_assumed_zero):
             return True
     return False
 
@@ -216,9 +224,9 @@ def _write_steady_gain(
     """Write the constant gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
-            gain[i, m] = c.design[n, design_kind, h.K_AT + 3 * i + m]
+            gain[i, m] = c.design[n, design_kind, h.KALMAN_GAIN_OFFSET + 3 * i + m]
     for i in range(3):
-        information[i] = c.design[n, design_kind, h.INFORMATION_AT + i]
+        information[i] = c.design[n, design_kind, h.INFORMATION_OFFSET + i]
 
 
 @kernel_helper
@@ -240,24 +248,25 @@ def _gate_and_correct_states(
     for n in range(len(innovations)):
         cell = innovations[n, 1]
         sigmas = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
-        before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
-        again = (
+        last_innovation = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
+        is_repeated = (
             abs(sigmas) > STEP_GATE_SIGMAS
-            and before * sigmas > 0.0
-            and abs(before) > STEP_GATE_SIGMAS
+            and last_innovation * sigmas > 0.0
+            and abs(last_innovation) > STEP_GATE_SIGMAS
         )
-        jump = 0.0
-        if again and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
-            steady = 0.0
+        tension_jump = 0.0
+        if is_repeated and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
+            steady_part = 0.0
             kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATE_COUNT):
-                steady += (
-                    c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+                steady_part += (
+                    c.design[n, kind, h.TENSION_ROW_OFFSET + i]
+                    * c.design[n, kind, h.KALMAN_GAIN_OFFSET + 3 * i + 1]
                 )
             # The code below adds the correction by the gain, so only the rest of TENSION_STEP_CORRECTION_FRACTION is
             # applied here.
-            jump = max(TENSION_STEP_CORRECTION_FRACTION - steady, 0.0) * cell
-        if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
+            tension_jump = max(TENSION_STEP_CORRECTION_FRACTION - steady_part, 0.0) * cell
+        if abs(sigmas) > OUTLIER_GATE_SIGMAS and not is_repeated:
             innovations[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATE_COUNT):
@@ -266,7 +275,7 @@ def _gate_and_correct_states(
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
         # At the same travel, more tension means more stretch of the tendon, and therefore less
         # excursion.
-        x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
+        x.tendon[s.EXCURSION, n] -= tension_jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
 @kernel_helper
@@ -278,9 +287,9 @@ def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
     slack, each tick is one step of an iterative (Gauss-Seidel) solution.
     """
     for n in range(x.tendon.shape[1]):
-        if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
+        if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
             excursion = value_from_other_tendons(
-                c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n]
+                c, n, x.tendon[s.EXCURSION], c.tendon[h.EXCURSION_MODEL_OFFSET, n]
             )
             rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE], 0.0)
             if not math.isnan(excursion):
@@ -290,16 +299,16 @@ def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _normalised_innovation_squared(
-    innovation: Vector, information: Vector, without_cell: bool
+    innovation: Vector, information: Vector, has_no_cell: bool
 ) -> float:
     """Return the normalised innovation squared (NIS) of encoder and load cell.
 
     Return NaN if the encoder or the load-cell measurement is missing.
 
-    For a tendon without a load cell (``without_cell``), the result is twice the value of the
+    For a tendon without a load cell (``has_no_cell``), the result is twice the value of the
     encoder alone. In both cases, the result has a mean of 2 if the model is correct.
     """
-    if without_cell:
+    if has_no_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
     encoder = innovation[0]
     cell = innovation[1]
@@ -324,15 +333,15 @@ def _judge_consistency(
     """
     nominal = np.empty(3)
     for n in range(len(innovations)):
-        blind = c.tendon_int[h.CELL_GROUP, n] < 0
-        nis = _normalised_innovation_squared(innovations[n], information[n], blind)
+        has_no_cell = c.tendon_int[h.CELL_GROUP, n] < 0
+        nis = _normalised_innovation_squared(innovations[n], information[n], has_no_cell)
         x.tendon[s.NIS, n] = nis
         x.tendon[s.INNOVATION, n] = innovations[n, 1]
         kind = x.tendon_int[s.FILTER_KIND, n]
         if kind >= 3 and not has_all_readings:
             for i in range(3):
-                nominal[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
-            nis = _normalised_innovation_squared(innovations[n], nominal, blind)
+                nominal[i] = c.design[n, kind - 3, h.INFORMATION_OFFSET + i]
+            nis = _normalised_innovation_squared(innovations[n], nominal, has_no_cell)
         if math.isnan(nis):
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
@@ -385,7 +394,7 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
     for i in range(STATE_COUNT):
-        tension += c.design[n, kind, h.TENSION_ROW_AT + i] * x.tendon[s.TRAVEL + i, n]
+        tension += c.design[n, kind, h.TENSION_ROW_OFFSET + i] * x.tendon[s.TRAVEL + i, n]
     return tension
 
 
@@ -458,35 +467,35 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     ``_resistance_and_pull_forces``, computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
-    changed = False
+    has_changed = False
     for n in range(x.tendon.shape[1]):
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
         # While a tendon is slack, only the encoder determines the length that must still be wound
         # up.
-        near = (
+        is_near_knee = (
             regime == SLACK_REGIME
             and x.tendon_int[s.TENDON_LENGTH_KNOWN, n] == 1
             and is_nearly_taut(x, n)
         )
-        blind = c.tendon_int[h.CELL_GROUP, n] < 0
+        has_no_cell = c.tendon_int[h.CELL_GROUP, n] < 0
         evidence_count = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
-        if blind:
+        if has_no_cell:
             # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
             # estimated disturbance force therefore equals minus the tension.
             cell = -x.tendon[s.DISTURBANCE, n]
             evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
             evidence_count = regime_evidence(
-                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], near
+                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_near_knee
             )
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # The spool of a pair turns the joint in both directions. At least one tendon of a spool
             # pair is always taut.
             evidence_count = 0
             regime = FREE_REGIME
-        elif is_regime_over(regime, evidence_count, blind):
+        elif is_regime_over(regime, evidence_count, has_no_cell):
             evidence_count = 0
             if regime == SLACK_REGIME:
                 set_offset_of_newly_taut_tendon(x, c, n, cell)
@@ -516,15 +525,15 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
                 x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n] - open_excursion
                 x.tendon[s.EXCURSION, n] = open_excursion
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
-                changed = True
+                has_changed = True
             regime = (
                 HELD_REGIME
                 if is_on_stop or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n])
                 else FREE_REGIME
             )
-        changed |= regime != x.tendon_int[s.REGIME, n]
+        has_changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
-    if changed:
+    if has_changed:
         for n in range(x.tendon.shape[1]):
             x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
         force = _resistance_and_pull_forces(x, c)
@@ -534,8 +543,10 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if the program reports a contact while the motors may make torque."""
-    acting = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
-    return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
+    makes_torque = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
+    return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
+        s.BLOCKED, d
+    ] == 1
 
 
 @kernel_helper
@@ -593,7 +604,7 @@ def derive_estimate(x: StateTables, c: ConstantTables) -> None:
         # Only a spool pair can push, and a single tendon cannot.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
         x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
-            c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]
+            c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_OFFSET]
         )
         if x.run_int[s.COVARIANCE_PROPAGATED]:
             x.tendon[s.TENSION_SIGMA, n] = filter_covariance.predicted_tension_sigma(x, c, n)

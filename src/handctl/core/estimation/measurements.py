@@ -28,12 +28,12 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
         x.tendon_int[s.SATURATED, n] = 0
         if x.tendon_int[s.CELL_READ_NOW, n]:
             cell_reading = x.tendon[s.CELL_READING, n]
-            is_saturated = not c.run[h.CELL_LOW] < cell_reading < c.run[h.CELL_HIGH]
+            is_saturated = not c.run[h.CELL_MIN] < cell_reading < c.run[h.CELL_MAX]
             if is_saturated:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
                 cell_reading = (
-                    c.run[h.CELL_HIGH] if cell_reading >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
+                    c.run[h.CELL_MAX] if cell_reading >= c.run[h.CELL_MAX] else c.run[h.CELL_MIN]
                 )
             x.tendon[s.MEASURED_TENSION, n] = cell_reading - (
                 c.tendon[h.CELL_TARE, n] + x.tendon[s.TARE_MEASURED_BY_PROGRAM, n]
@@ -138,7 +138,7 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         x.tendon[s.MEASURED_FORCE, n] = motor_torque / spool if is_measured else math.nan
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
                 excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
@@ -152,7 +152,7 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     tension. The tare may hide either of these cases, so the function tests both values.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
-    is_out_of_range = tension >= c.run[h.TENSION_RAIL] or tension <= c.run[h.TENSION_LOW]
+    is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
     return bool(is_out_of_range or x.tendon_int[s.SATURATED, n])
 
 

@@ -103,15 +103,15 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
             x.digit[s.UNEXPLAINED_TENSION, d],
             x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY],
         )
-    update = k % c.run_int[h.POSTURE_TICKS] == 0
+    update = k % c.run_int[h.POSTURE_UPDATE_TICKS] == 0
     columns = np.zeros((0, 0))
     if update:
         columns = _covariance_columns(x, c)
     for j in range(x.joint.shape[1]):
         sigma = math.sqrt(square(x.joint[s.CONTACT_TURN_SIGMA, j]) + variance[j])
         x.joint[s.Q, j] += x.joint[s.CONTACT_TURN, j]
-        x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.RANGE_SIGMA, j])
-    if c.run_int[h.HAND_VARYING]:
+        x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.ANGLE_RANGE_SIGMA, j])
+    if c.run_int[h.HAND_HAS_VARYING_ARM]:
         correct_angles_to_excursions(x, c)
     if update and c.run_int[h.HAS_FUSED_JOINTS]:
         _fuse_encoders(x, c, columns, spread, t_ns)
@@ -154,32 +154,32 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
     an iteration towards a fixed point.
     """
-    places = c.place_joint.shape[1]
+    place_count = c.place_joint.shape[1]
     joints = x.joint.shape[1]
-    columns = np.zeros((2 * places + 2, joints))
+    columns = np.zeros((2 * place_count + 2, joints))
     turns, deviation = _contact_turns(x, c)
-    _write_angle_errors_of_free_digits(x, c, columns[2 * places :])
+    _write_angle_errors_of_free_digits(x, c, columns[2 * place_count :])
     for j in range(joints):
         mean = 0.0
-        for place in range(places):
+        for place in range(place_count):
             mean += c.place_joint[h.PLACE_WEIGHT, place, j] * turns[place, j]
-        turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_FRACTION] * (
+        turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_SMOOTHING_FRACTION] * (
             mean - x.joint[s.CONTACT_TURN, j]
         )
         x.joint[s.CONTACT_TURN, j] = turn
-        for place in range(places):
+        for place in range(place_count):
             root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
             # The errors are multiplied by the square root of the probability of their place, so
             # that the sum of their squares is the variance over the places.
             columns[place, j] = root * (turns[place, j] - turn)
-            columns[places + place, j] = root * deviation[place, j]
-    for row in range(places, 2 * places + 2):
+            columns[place_count + place, j] = root * deviation[place, j]
+    for row in range(place_count, 2 * place_count + 2):
         for d in range(x.digit.shape[1]):
             fraction = max(
                 _largest_turn_fraction(x, c, d, columns[row], 1.0),
                 _largest_turn_fraction(x, c, d, columns[row], -1.0),
             )
-            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 columns[row, j] *= fraction
     for j in range(joints):
         variance = 0.0
@@ -192,10 +192,10 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turn of each joint by a contact at each assumed place, and the standard deviation (H, J) [rad]."""
-    places = c.place_joint.shape[1]
+    place_count = c.place_joint.shape[1]
     joints = x.joint.shape[1]
-    turns = np.zeros((places, joints))
-    deviation = np.zeros((places, joints))
+    turns = np.zeros((place_count, joints))
+    deviation = np.zeros((place_count, joints))
     torque = np.zeros(joints)
     error = np.zeros(joints)
     for j in range(joints):
@@ -211,7 +211,7 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     for j in range(joints):
         q[j] = x.joint[s.Q, j] + x.joint[s.CONTACT_TURN, j]
     pose = link_poses_of_hand(c, q)
-    for place in range(places):
+    for place in range(place_count):
         for d in range(x.digit.shape[1]):
             _write_levers_at_contact_place(c, d, place, pose, lever)
             _write_digit_turn(x, c, d, lever, torque, error, turns[place], deviation[place])
@@ -227,14 +227,18 @@ def _write_levers_at_contact_place(
     Place i is the middle of link i. The place after the last link is the tip. At all further
     places, the levers are 0.
     """
-    first = c.digit_int[h.JOINTS_FIRST, d]
-    end = c.digit_int[h.JOINTS_END, d]
-    for j in range(first, end):
+    first_joint = c.digit_int[h.FIRST_JOINT, d]
+    end = c.digit_int[h.END_JOINT, d]
+    for j in range(first_joint, end):
         lever[j] = 0.0
-    touched_link = first + place_index
+    touched_link = first_joint + place_index
     if touched_link < end:
         write_levers(
-            pose, first, touched_link, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched_link], lever
+            pose,
+            first_joint,
+            touched_link,
+            0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched_link],
+            lever,
         )
     elif touched_link == end:
         write_tip_levers(c, d, pose, lever)
@@ -263,26 +267,30 @@ def _write_digit_turn(
         turns: (J,) result: turn of each joint [rad].
         deviation: (J,) result: standard deviation of each turn [rad].
     """
-    first = c.digit_int[h.JOINTS_FIRST, d]
-    end = c.digit_int[h.JOINTS_END, d]
+    first_joint = c.digit_int[h.FIRST_JOINT, d]
+    end = c.digit_int[h.END_JOINT, d]
     size = 0.0
-    work = 0.0
+    virtual_work = 0.0
     work_error = 0.0
-    for j in range(first, end):
-        work += lever[j] * torque[j]
+    for j in range(first_joint, end):
+        virtual_work += lever[j] * torque[j]
         work_error += lever[j] * error[j]
-        for other in range(first, end):
-            size += lever[j] * c.joint_joint[h.COORDINATE_PROJECTION, j, other] * lever[other]
+        for other_joint in range(first_joint, end):
+            size += (
+                lever[j]
+                * c.joint_joint[h.COORDINATE_PROJECTION, j, other_joint]
+                * lever[other_joint]
+            )
     size = max(size, MIN_SQUARED_LEVER_M2)
-    for j in range(first, end):
+    for j in range(first_joint, end):
         compliance = 0.0
-        for other in range(first, end):
-            compliance += lever[other] * c.joint_joint[h.COMPLIANCE, other, j]
+        for other_joint in range(first_joint, end):
+            compliance += lever[other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
         # Unexplained tension is positive if the object pushes the digit open.
-        turns[j] = -work / size * compliance
+        turns[j] = -virtual_work / size * compliance
         deviation[j] = work_error / size * compliance
     fraction = _largest_turn_fraction(x, c, d, turns, 1.0)
-    for j in range(first, end):
+    for j in range(first_joint, end):
         # the turns of all joints are reduced by the same fraction, so that the excursion does not
         # change
         turns[j] *= fraction
@@ -297,7 +305,7 @@ def _largest_turn_fraction(
     The turn starts at the joint angles of the free digit.
     """
     fraction = 1.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         signed_turn = sign * joint_turn[j]
         q = x.joint[s.Q, j]
         margin = max(
@@ -316,7 +324,7 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         wrap_angle = wrap_before_digit(c, n, x.joint[s.Q])
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrap_angle += wrap_of_joint(c, j, x.joint[s.Q, j])
@@ -327,8 +335,10 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
     for row in range(2):
         for j in range(joints):
             turn[row, j] = 0.0
-            for other in range(joints):
-                turn[row, j] += torque[row, other] * c.joint_joint[h.COMPLIANCE, other, j]
+            for other_joint in range(joints):
+                turn[row, j] += (
+                    torque[row, other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
+                )
 
 
 @kernel_helper
@@ -358,30 +368,30 @@ def _fuse_encoders(
                 covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
             for n in range(spread.shape[1]):
                 covariance[a, b] += spread[a, n] * spread[b, n]
-            covariance[a, b] *= c.joint_joint[h.SAME_DIGIT, a, b]
-    used = False
+            covariance[a, b] *= c.joint_joint[h.IS_SAME_DIGIT, a, b]
+    has_reading = False
     gain = np.zeros(joints)
-    before = np.zeros(joints)
+    covariance_row = np.zeros(joints)
     for j in range(joints):
         if not c.joint_int[h.IS_FUSED, j]:
             continue
-        heard_ns = x.group_int[s.GROUP_NS, c.joint_int[h.JOINT_GROUP, j]]
-        age = (t_ns - heard_ns) / 1e9
-        if heard_ns < 0 or age >= MAX_READING_AGE_S:
+        last_heard_ns = x.group_int[s.GROUP_NS, c.joint_int[h.JOINT_GROUP, j]]
+        age = (t_ns - last_heard_ns) / 1e9
+        if last_heard_ns < 0 or age >= MAX_READING_AGE_S:
             continue
-        used = True
-        moved = x.joint[s.DQ, j] * age
-        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * moved)
-        residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
+        has_reading = True
+        motion_since_reading = x.joint[s.DQ, j] * age
+        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * motion_since_reading)
+        residual = x.joint[s.JOINT_ANGLE, j] + motion_since_reading - x.joint[s.Q, j]
         for a in range(joints):
             # A row of the covariance is copied before the loop below changes it.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
-            before[a] = covariance[j, a]
+            covariance_row[a] = covariance[j, a]
         for a in range(joints):
             x.joint[s.Q, a] += gain[a] * residual
             for b in range(joints):
-                covariance[a, b] -= gain[a] * before[b]
-    if used:
+                covariance[a, b] -= gain[a] * covariance_row[b]
+    if has_reading:
         for j in range(joints):
             if c.joint_int[h.IS_FUSED, j]:
                 x.joint[s.Q_SIGMA, j] = math.sqrt(max(covariance[j, j], 0.0))
@@ -410,9 +420,9 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
             torque[k] += x.tendon[s.EXTERNAL_TENSION, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
     pose = link_poses_of_hand(c, q)
     for d in range(x.digit.shape[1]):
-        first = c.digit_int[h.JOINTS_FIRST, d]
-        last = c.digit_int[h.JOINTS_END, d] - 1
-        length = c.joint[h.LINK_TABLE + LENGTH_ROW, last]
+        first_joint = c.digit_int[h.FIRST_JOINT, d]
+        last_joint = c.digit_int[h.END_JOINT, d] - 1
+        length = c.joint[h.LINK_TABLE + LENGTH_ROW, last_joint]
         write_tip_levers(c, d, pose, joint_levers)
         _reduce_levers(c, d, joint_levers, lever)
         force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(
@@ -420,13 +430,13 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
         )
         x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
-        for j in range(first, last + 1):
+        for j in range(first_joint, last_joint + 1):
             # The derivative is computed numerically, with a step of one standard deviation of the
             # joint angle.
-            for i in range(first, last + 1):
+            for i in range(first_joint, last_joint + 1):
                 turned_joint_levers[i] = joint_levers[i]
             write_levers_after_turn(
-                pose, first, last, length, j, x.joint[s.Q_SIGMA, j], turned_joint_levers
+                pose, first_joint, last_joint, length, j, x.joint[s.Q_SIGMA, j], turned_joint_levers
             )
             _reduce_levers(c, d, turned_joint_levers, turned_lever)
             change = (
@@ -456,9 +466,9 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
 @kernel_helper
 def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
     """Write the levers (C,) [m] about a digit's coordinates, computed from the levers (J,) [m] about its joints."""
-    for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
+    for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         result[k] = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             result[k] += c.joint_coordinate[h.COUPLING, j, k] * lever[j]
 
 
@@ -466,6 +476,6 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
 def _dot_over_coordinates(c: ConstantTables, d: int, vector: Vector, other_vector: Vector) -> float:
     """Return the dot product of two vectors (C,), summed over the coordinates of a digit."""
     total = 0.0
-    for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
+    for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         total += vector[k] * other_vector[k]
     return total

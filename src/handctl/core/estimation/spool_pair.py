@@ -28,9 +28,9 @@ def net_tension_at_joint(net_tension: float, pretension: float, tension_ratio: f
 
     Source: capstan equation.
     """
-    first = max(pretension + 0.5 * net_tension, net_tension, 0.0)
-    second = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
-    return first * tension_ratio - second / tension_ratio
+    first_tension = max(pretension + 0.5 * net_tension, net_tension, 0.0)
+    second_tension = max(pretension - 0.5 * net_tension, -net_tension, 0.0)
+    return first_tension * tension_ratio - second_tension / tension_ratio
 
 
 @kernel_helper

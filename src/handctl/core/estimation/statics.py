@@ -99,10 +99,10 @@ def pulley_torque(
             paid out.
         wrap_angle: wrap angle of the tendon up to and including the pulley [rad].
     """
-    passed = capstan_ratio(c, n, friction_state, wrap_angle)
+    passed_ratio = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        return moment_arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed)
-    return moment_arm * tension * passed
+        return moment_arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed_ratio)
+    return moment_arm * tension * passed_ratio
 
 
 @kernel_helper
@@ -153,12 +153,12 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
 @kernel_helper
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
     """Write the levers (J,) of a force at a digit's tip about its joints [m], see ``rigid_body.write_levers``."""
-    last = c.digit_int[h.JOINTS_END, d] - 1
+    last_joint = c.digit_int[h.END_JOINT, d] - 1
     rigid_body.write_levers(
         pose,
-        c.digit_int[h.JOINTS_FIRST, d],
-        last,
-        c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last],
+        c.digit_int[h.FIRST_JOINT, d],
+        last_joint,
+        c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last_joint],
         lever,
     )
 
@@ -169,7 +169,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             tension[n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * torque[j]
 
 
@@ -196,7 +196,7 @@ def write_tensions_at_joints(
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         wrap_angle = wrap_before_digit(c, n, q)
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrap_angle += wrap_of_joint(c, j, q[j])
@@ -212,14 +212,16 @@ def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -
         c: constants of the hand.
         n: index of the tendon.
         tendon_values: (N,) values v, one for each tendon, for example excursions or tensions. If the
-            values are excursions, the caller must add ``EXPLAINED_OFFSET`` to the result.
+            values are excursions, the caller must add ``EXCURSION_MODEL_OFFSET`` to the result.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     total = 0.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         angle = 0.0
-        for other in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
-            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other] * tendon_values[other]
+        for other_tendon in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
+            angle += (
+                c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other_tendon] * tendon_values[other_tendon]
+            )
         total += c.tendon_joint[h.MOMENT_ARMS, n, j] * angle
     return total
 
@@ -239,18 +241,20 @@ def value_from_other_tendons(
         c: constants of the hand.
         n: index of the tendon.
         tendon_values: (N,) values, one for each tendon, for example excursions [m].
-        offset: ``EXPLAINED_OFFSET`` if the values are excursions, 0 if they are rates of
+        offset: ``EXCURSION_MODEL_OFFSET`` if the values are excursions, 0 if they are rates of
             excursions.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    own = 0.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        own += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
-    if own > MAX_DIAGONAL_ELEMENT:
+    own_term = 0.0
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
+        own_term += (
+            c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
+        )
+    if own_term > MAX_DIAGONAL_ELEMENT:
         return math.nan
-    return (part_explained_by_motion(c, n, tendon_values) + offset - own * tendon_values[n]) / (
-        1.0 - own
-    )
+    return (
+        part_explained_by_motion(c, n, tendon_values) + offset - own_term * tendon_values[n]
+    ) / (1.0 - own_term)
 
 
 @kernel_helper
@@ -268,7 +272,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     wrap_angle = wrap_before_digit(c, n, q)
     efficiency = 0.0
-    for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+    for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
             wrap_angle += wrap_of_joint(c, j, q[j])
             efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(

@@ -128,12 +128,12 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 
 
 @kernel_helper
-def is_regime_over(regime: int, evidence_count: int, without_cell: bool) -> bool:
+def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
     """Return True if the number of points or ticks is large enough to end a regime.
 
-    A taut tendon without load cell (``without_cell``) counts as slack only after more ticks.
+    A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks.
     """
-    slack_ticks = SLACK_TICKS_WITHOUT_CELL if without_cell else SLACK_TICKS
+    slack_ticks = SLACK_TICKS_WITHOUT_CELL if has_no_cell else SLACK_TICKS
     return evidence_count >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
 
 
@@ -159,7 +159,7 @@ def set_offset_of_newly_taut_tendon(
     excursion = x.tendon[s.TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
     low = c.tendon[h.EXCURSION_LOW, n] - EXCURSION_MARGIN_M
     high = c.tendon[h.EXCURSION_HIGH, n] + EXCURSION_MARGIN_M
-    if c.tendon_int[h.KEEPS_LENGTH, n] and low <= excursion <= high:
+    if c.tendon_int[h.HAS_CONSTANT_LENGTH, n] and low <= excursion <= high:
         x.tendon[s.EXCURSION, n] = excursion
     else:
         x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch

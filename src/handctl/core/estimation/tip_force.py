@@ -20,9 +20,9 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
         digit: model of the digit.
         q: (n,) joint angles [rad].
     """
-    last = digit.joint_count - 1
+    last_joint = digit.joint_count - 1
     return rigid_body.tip_levers(
-        digit.table, digit.parent, np.asarray(q), last, digit.lengths[last]
+        digit.table, digit.parent, np.asarray(q), last_joint, digit.lengths[last_joint]
     )
 
 

@@ -61,10 +61,10 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the moment arm of tendon n about joint j, when this joint is at the angle q [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j]
-    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
-        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
+        value = value * clamped_angle + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
     return value
 
 
@@ -73,11 +73,13 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the part of tendon n's excursion [m] that joint j causes: the integral of the moment arm."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
-    held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
-        value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
-    return value * held + moment_arm(c, n, j, held) * (q - held)
+        value = value * clamped_angle + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (
+            order + 1.0
+        )
+    return value * clamped_angle + moment_arm(c, n, j, clamped_angle) * (q - clamped_angle)
 
 
 @kernel_helper
@@ -127,25 +129,25 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
     """Compute the tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
-        if not c.digit_int[h.DIGIT_VARYING, d]:
+        if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
             continue
-        first = c.digit_int[h.JOINTS_FIRST, d]
-        end = c.digit_int[h.JOINTS_END, d]
-        for j in range(first, end):
+        first_joint = c.digit_int[h.FIRST_JOINT, d]
+        end = c.digit_int[h.END_JOINT, d]
+        for j in range(first_joint, end):
             q[j] = c.joint[h.JOINT_MIN, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
         for _ in range(NEWTON_STEPS):
             _write_structure(c, d, q)
             change = 0.0
-            for j in range(first, end):
+            for j in range(first_joint, end):
                 angle = c.joint[h.ANGLE_OFFSET, j]
-                for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+                for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
                     angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[s.EXCURSION, n]
                 change = max(change, abs(angle - q[j]))
                 q[j] = angle
             if change < NEWTON_TOLERANCE_RAD:
                 break
         _write_weights(c, d)
-        if c.joint_joint[h.COMPLIANCE, first, first] > 0.0:
+        if c.joint_joint[h.COMPLIANCE, first_joint, first_joint] > 0.0:
             _write_compliance(c, d)
 
 
@@ -153,28 +155,28 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
 def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
     """Correct joint angles of digits with varying moment arms, to agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
-        if not c.digit_int[h.DIGIT_VARYING, d]:
+        if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
             continue
-        first = c.digit_int[h.TENDONS_FIRST, d]
-        excursion_errors = np.empty(c.digit_int[h.TENDONS_END, d] - first)
+        first_tendon = c.digit_int[h.FIRST_TENDON, d]
+        excursion_errors = np.empty(c.digit_int[h.END_TENDON, d] - first_tendon)
         for i in range(len(excursion_errors)):
-            excursion_errors[i] = x.tendon[s.EXCURSION, first + i]
-            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                excursion_errors[i] -= joint_excursion(c, first + i, j, x.joint[s.Q, j])
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            excursion_errors[i] = x.tendon[s.EXCURSION, first_tendon + i]
+            for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
+                excursion_errors[i] -= joint_excursion(c, first_tendon + i, j, x.joint[s.Q, j])
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             for i in range(len(excursion_errors)):
                 x.joint[s.Q, j] += (
-                    c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * excursion_errors[i]
+                    c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first_tendon + i] * excursion_errors[i]
                 )
 
 
 @kernel_helper
 def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
     """Write the tables R, R B and B (R B)^+ and the offsets of a digit, for joint angles q (J,) [rad]."""
-    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
-    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
-    first = c.digit_int[h.COORDINATES_FIRST, d]
-    count = c.digit_int[h.COORDINATES_END, d] - first
+    joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
+    tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
+    first_coordinate = c.digit_int[h.FIRST_COORDINATE, d]
+    count = c.digit_int[h.END_COORDINATE, d] - first_coordinate
     gram = np.zeros((count, count))
     offsets = np.zeros(tendons[1] - tendons[0])  # excursion minus the product R q
     for n in range(tendons[0], tendons[1]):
@@ -187,30 +189,41 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             for j in range(joints[0], joints[1]):
                 reduced_arm += (
                     c.tendon_joint[h.MOMENT_ARMS, n, j]
-                    * c.joint_coordinate[h.COUPLING, j, first + k]
+                    * c.joint_coordinate[h.COUPLING, j, first_coordinate + k]
                 )
-            c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced_arm
+            c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + k] = reduced_arm
         for k in range(count):
-            for other in range(count):
-                product = c.tendon_coordinate[h.REDUCED_ARMS, n, first + k]
-                gram[k, other] += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+            for other_coordinate in range(count):
+                product = c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + k]
+                gram[k, other_coordinate] += (
+                    product
+                    * c.tendon_coordinate[h.REDUCED_ARMS, n, first_coordinate + other_coordinate]
+                )
     _invert_matrix(gram)
     for j in range(joints[0], joints[1]):
         c.joint[h.ANGLE_OFFSET, j] = 0.0
         for n in range(tendons[0], tendons[1]):
             angle = 0.0
             for k in range(count):
-                for other in range(count):
-                    product = c.joint_coordinate[h.COUPLING, j, first + k] * gram[k, other]
-                    angle += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
+                for other_coordinate in range(count):
+                    product = (
+                        c.joint_coordinate[h.COUPLING, j, first_coordinate + k]
+                        * gram[k, other_coordinate]
+                    )
+                    angle += (
+                        product
+                        * c.tendon_coordinate[
+                            h.REDUCED_ARMS, n, first_coordinate + other_coordinate
+                        ]
+                    )
             c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[
                 h.TORQUE_TO_TENSION, n, j
             ] = angle
             c.joint[h.ANGLE_OFFSET, j] -= angle * offsets[n - tendons[0]]
     for n in range(tendons[0], tendons[1]):
-        c.tendon[h.EXPLAINED_OFFSET, n] = offsets[n - tendons[0]]
+        c.tendon[h.EXCURSION_MODEL_OFFSET, n] = offsets[n - tendons[0]]
         for j in range(joints[0], joints[1]):
-            c.tendon[h.EXPLAINED_OFFSET, n] += (
+            c.tendon[h.EXCURSION_MODEL_OFFSET, n] += (
                 c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
             )
 
@@ -218,23 +231,23 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
 @kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
     """Write pulley weights, ``POSTURE_TORQUE`` and balance tensions of a digit, from its present moment arms R."""
-    for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
+    for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         total = 0.0
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
-        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+        for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = (
                 abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
             )
             torque = 0.0
-            for i in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            for i in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
                 torque += (
                     c.joint_joint[h.COORDINATE_PROJECTION, j, i]
                     * c.tendon_joint[h.MOMENT_ARMS, n, i]
                 )
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
-        if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
+        if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and mean > 0.0:
             # The balance tensions for the mean moment arms are known. The part of these tensions
             # that makes no torque with the present moment arms becomes the new balance.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
@@ -246,8 +259,8 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 @kernel_helper
 def _write_compliance(c: ConstantTables, d: int) -> None:
     """Write the turn of the joints per torque at constant excursions: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
-    joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
-    tendons = (c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d])
+    joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
+    tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
     count = tendons[1] - tendons[0]
     tendon_compliance = np.zeros((count, count))
     joint_compliance = np.empty(joints[1])

@@ -132,8 +132,8 @@ def _continuous_model(
     space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
     """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the row (7,) that computes the tension."""
-    taut = regime != TendonRegime.SLACK
-    k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
+    is_taut = regime != TendonRegime.SLACK
+    k, c = (space.stiffness[i], space.damping[i]) if is_taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
     A = np.zeros((STATE_COUNT, STATE_COUNT))
     B = np.zeros((STATE_COUNT, INPUT_COUNT))
@@ -209,12 +209,12 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
         stiffness: stiffness of the tendon [N/m].
         regime: regime of the tendon, free or held.
     """
-    free = regime == TendonRegime.FREE
+    is_free = regime == TendonRegime.FREE
     process_noise[D, D] *= (
-        DISTURBANCE_FACTOR_WITH_ADDED_NOISE if free else HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE
+        DISTURBANCE_FACTOR_WITH_ADDED_NOISE if is_free else HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE
     ) ** 2
     process_noise[S, S] += (
-        (ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness
+        (ADDED_TENSION_WALK if is_free else ADDED_HELD_TENSION_WALK) / stiffness
     ) ** 2
 
 
@@ -227,11 +227,13 @@ def _discretise_model(
     """
     n, m = B.shape
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    held = linalg.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
-    loan = linalg.expm(np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s)
-    F = held[:n, :n]
-    noise = loan[n:, n:].T @ loan[:n, n:]
-    return F, held[:n, n:], (noise + noise.T) / 2
+    zero_order_hold = linalg.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period_s)
+    van_loan_matrix = linalg.expm(
+        np.block([[-A, process_noise], [np.zeros((n, n)), A.T]]) * period_s
+    )
+    F = zero_order_hold[:n, :n]
+    noise = van_loan_matrix[n:, n:].T @ van_loan_matrix[:n, n:]
+    return F, zero_order_hold[:n, n:], (noise + noise.T) / 2
 
 
 def _design_filter_block(
@@ -265,7 +267,7 @@ def _design_filter_block(
     if has_added_noise:
         _add_process_noise(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE
-    F, held, Q = _discretise_model(A, B, intensity, period_s)
+    F, held_input_matrix, Q = _discretise_model(A, B, intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
@@ -302,10 +304,10 @@ def _design_filter_block(
         innovation[:measurement_count, :measurement_count]
     )
     sigma = math.sqrt(innovation[1, 1])
-    require_finite_solution(F, held, K, P, information)
+    require_finite_solution(F, held_input_matrix, K, P, information)
     return FilterBlock(
         F,
-        held,
+        held_input_matrix,
         H,
         K,
         Q,

@@ -35,8 +35,8 @@ class GainBounds:
         high: largest allowed value of the key.
         is_low_excluded: True if the value must be greater than ``low``.
         default: default value of the key.
-        whole: True if the value must be an integer.
-        live: True if the value may be changed while the controller runs.
+        is_integer: True if the value must be an integer.
+        is_live_changeable: True if the value may be changed while the controller runs.
         meaning: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
@@ -45,14 +45,14 @@ class GainBounds:
     high: float
     is_low_excluded: bool
     default: float
-    whole: bool
-    live: bool
+    is_integer: bool
+    is_live_changeable: bool
     meaning: str
 
     def __str__(self) -> str:
         """Return the bounds of the value in words."""
         lower = f"more than {self.low:g}" if self.is_low_excluded else f"at least {self.low:g}"
-        return f"{'a whole number, ' if self.whole else ''}{lower}, at most {self.high:g}"
+        return f"{'a whole number, ' if self.is_integer else ''}{lower}, at most {self.high:g}"
 
 
 class TendonKey(NamedTuple):
@@ -61,12 +61,12 @@ class TendonKey(NamedTuple):
     Attributes:
         tendon: name of the tendon.
         field: name of the force in ``TendonForces``.
-        shared: key of the same force for all tendons.
+        shared_key: key of the same force for all tendons.
     """
 
     tendon: str
     field: str
-    shared: str
+    shared_key: str
 
 
 SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
@@ -75,8 +75,8 @@ SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.f
 
 def tendon_key(key: str) -> TendonKey | None:
     """Return the parts of a key for the force of a single tendon, or None for any other key."""
-    section, _, rest = key.partition(".")
-    tendon, _, field = rest.rpartition(".")
+    section, _, key_name = key.partition(".")
+    tendon, _, field = key_name.rpartition(".")
     if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
         return None
     return TendonKey(tendon, field, SHARED_KEYS[field])
@@ -91,7 +91,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
         for name, field in model.model_fields.items():
             low, high, is_low_excluded = _range_of_field(field.metadata)
             key = f"{section}.{name}"
-            whole = field.annotation is int
+            is_integer = field.annotation is int
             meaning = key_description(model, name)
             result[key] = GainBounds(
                 key,
@@ -99,7 +99,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
                 high,
                 is_low_excluded,
                 field.default,
-                whole,
+                is_integer,
                 section in LIVE_SECTIONS,
                 meaning,
             )
@@ -128,7 +128,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
     if parts is None:
         return gain_bounds().get(key)
     meaning = key_description(TendonForces, parts.field)
-    return replace(gain_bounds()[parts.shared], key=key, meaning=meaning)
+    return replace(gain_bounds()[parts.shared_key], key=key, meaning=meaning)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
@@ -137,10 +137,10 @@ def values_by_key(gains: Gains) -> dict[str, float]:
         key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
         for key in gain_bounds()
     }
-    for one in gains.tendon:
-        forces = {field: getattr(one, field) for field in SHARED_KEYS}
+    for tendon_gains in gains.tendon:
+        forces = {field: getattr(tendon_gains, field) for field in SHARED_KEYS}
         values |= {
-            f"{TENDON_SECTION}.{one.name}.{field}": force
+            f"{TENDON_SECTION}.{tendon_gains.name}.{field}": force
             for field, force in forces.items()
             if force
         }
@@ -152,9 +152,12 @@ def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[f
 
     A tendon without a separate force has the force that holds for all tendons.
     """
-    old = values_by_key(old_gains)
-    new = values_by_key(new_gains)
-    pairs = {key: (_gain_of_key(old, key), _gain_of_key(new, key)) for key in {**old, **new}}
+    old_values = values_by_key(old_gains)
+    new_values = values_by_key(new_gains)
+    pairs = {
+        key: (_gain_of_key(old_values, key), _gain_of_key(new_values, key))
+        for key in {**old_values, **new_values}
+    }
     return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
 
@@ -164,7 +167,7 @@ def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     If a single tendon has no value, return the value for all tendons.
     """
     parts = tendon_key(key)
-    return gain_values[parts.shared] if parts and key not in gain_values else gain_values[key]
+    return gain_values[parts.shared_key] if parts and key not in gain_values else gain_values[key]
 
 
 def gains_with_values(
@@ -185,18 +188,18 @@ def gains_with_values(
     content = gains.model_dump(by_alias=True)
     for key, value in gain_values.items():
         bound = checked_gain_bounds(key, value, source_name)
-        if is_live and not bound.live:
-            right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
+        if is_live and not bound.is_live_changeable:
+            expected = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
                 "is designed before arming and cannot change in a run",
                 f"{source_name}: {key}",
-                right,
+                expected,
             )
         if parts := tendon_key(key):
             _set_force_weight_of_tendon(content, parts, float(value))
             continue
         section, _, name = key.partition(".")
-        content[section][name] = int(value) if bound.whole else float(value)
+        content[section][name] = int(value) if bound.is_integer else float(value)
     return validate_content(content, Gains, source_name)
 
 
@@ -205,7 +208,9 @@ def _set_force_weight_of_tendon(
 ) -> None:
     """Set a force of a single tendon in the content of the gains [N]."""
     entries = [dict(entry) for entry in gains_content[TENDON_SECTION]]
-    entry = next((one for one in entries if one["name"] == parts.tendon), None)
+    entry = next(
+        (tendon_entry for tendon_entry in entries if tendon_entry["name"] == parts.tendon), None
+    )
     if entry is None:
         entries.append(entry := {"name": parts.tendon})
     entry[parts.field] = force
@@ -222,11 +227,13 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
     Raises:
         ConfigError: the gains contain a tendon that the hand does not have.
     """
-    for one in gains.tendon:
-        if one.name not in tendons:
-            near = similar_name(one.name, tendons, min_similarity=0.5)
-            right = f"{near}?" if near else f"one of {', '.join(tendons)}"
-            raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
+    for tendon_gains in gains.tendon:
+        if tendon_gains.name not in tendons:
+            similar_word = similar_name(tendon_gains.name, tendons, min_similarity=0.5)
+            expected = f"{similar_word}?" if similar_word else f"one of {', '.join(tendons)}"
+            raise ConfigError(
+                f"no tendon {tendon_gains.name!r}", f"gains: {TENDON_SECTION}", expected
+            )
 
 
 def checked_gain_bounds(key: str, value: float, source_name: str) -> GainBounds:
@@ -235,12 +242,18 @@ def checked_gain_bounds(key: str, value: float, source_name: str) -> GainBounds:
     Raises:
         ConfigError: the key is unknown, or the value is out of bounds.
     """
-    known = bounds_of_key(key)
-    if known is None:
-        near = similar_name(key, gain_bounds(), min_similarity=0.5)
-        right = f"{near}?" if near else "one of those that handctl gains show lists"
-        raise ConfigError("no such gain", f"{source_name}: {key}", right)
-    inside = known.low < value if known.is_low_excluded else known.low <= value
-    if not (inside and value <= known.high) or (known.whole and value != int(value)):
-        raise ConfigError(f"{value:g}", f"{source_name}: {key}", str(known))
-    return known
+    known_bounds = bounds_of_key(key)
+    if known_bounds is None:
+        similar_word = similar_name(key, gain_bounds(), min_similarity=0.5)
+        expected = (
+            f"{similar_word}?" if similar_word else "one of those that handctl gains show lists"
+        )
+        raise ConfigError("no such gain", f"{source_name}: {key}", expected)
+    is_above_low = (
+        known_bounds.low < value if known_bounds.is_low_excluded else known_bounds.low <= value
+    )
+    if not (is_above_low and value <= known_bounds.high) or (
+        known_bounds.is_integer and value != int(value)
+    ):
+        raise ConfigError(f"{value:g}", f"{source_name}: {key}", str(known_bounds))
+    return known_bounds

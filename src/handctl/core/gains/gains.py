@@ -148,7 +148,7 @@ class Gains(Document):
 
     @model_validator(mode="after")
     def _refuse_repeated_names(self) -> "Gains":
-        names = [one.name for one in self.tendon]
+        names = [tendon_gains.name for tendon_gains in self.tendon]
         if repeated := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(
                 f"tendon {repeated[0]!r} is there twice, expected one entry for each tendon"
@@ -157,9 +157,20 @@ class Gains(Document):
 
     def force_weights_of_tendon(self, tendon: str) -> tuple[float, float]:
         """Return the force weights of a tendon in the motion loop and in the tension loop [N]."""
-        one = next((one for one in self.tendon if one.name == tendon), TendonForces(name=tendon))
-        motion = self.motion.force_N if one.motion_force_N is None else one.motion_force_N
-        tension = self.tension.force_N if one.tension_force_N is None else one.tension_force_N
+        tendon_gains = next(
+            (tendon_gains for tendon_gains in self.tendon if tendon_gains.name == tendon),
+            TendonForces(name=tendon),
+        )
+        motion = (
+            self.motion.force_N
+            if tendon_gains.motion_force_N is None
+            else tendon_gains.motion_force_N
+        )
+        tension = (
+            self.tension.force_N
+            if tendon_gains.tension_force_N is None
+            else tendon_gains.tension_force_N
+        )
         return motion, tension
 
 
@@ -204,8 +215,10 @@ class GainsFile(Gains):
 
         If the file does not set a value, the value stays unset.
         """
-        given = {name: getattr(self, name) for name in self.model_fields_set - {"provenance"}}
-        return Gains(**given)
+        value_by_key = {
+            name: getattr(self, name) for name in self.model_fields_set - {"provenance"}
+        }
+        return Gains(**value_by_key)
 
 
 def load_gains(path: Path | None) -> Gains:
@@ -238,9 +251,11 @@ def load_gains_file(path: Path) -> GainsFile:
 
 def gains_text(gains: Gains, provenance: GainsProvenance) -> str:
     """Return the text of a gains file with every value, defaults included."""
-    every = provenance.model_dump()
-    given = {
-        key: value for key, value in every.items() if value or (key == "restores" and value == 0)
+    provenance_fields = provenance.model_dump()
+    section_texts = {
+        key: value
+        for key, value in provenance_fields.items()
+        if value or (key == "restores" and value == 0)
     }
     content = gains.model_dump(by_alias=True, include=set(Gains.model_fields))
-    return toml_text(content | ({"provenance": given} if given else {}))
+    return toml_text(content | ({"provenance": section_texts} if section_texts else {}))

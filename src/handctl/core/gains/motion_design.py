@@ -70,8 +70,8 @@ def design_motion(space: TendonSpace, gains: Gains, period_s: float) -> MotionDe
     return combine_loop_designs(
         space,
         [
-            design_control_loop(space, gains, period_s, piece)
-            for piece in range(control_loop_count(space))
+            design_control_loop(space, gains, period_s, piece_index)
+            for piece_index in range(control_loop_count(space))
         ],
     )
 
@@ -125,9 +125,9 @@ def _sampled_lqr_gain(
 ) -> Vector:
     """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
-    sampled = linalg.expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
-    F = sampled[:2, :2]
-    G = sampled[:2, 2:]
+    transition = linalg.expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
+    F = transition[:2, :2]
+    G = transition[:2, 2:]
     K = solve_lqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]))
     require_finite_solution(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:

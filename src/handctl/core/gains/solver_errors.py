@@ -30,9 +30,9 @@ def solver_failures_as_errors(gains_section: str) -> Iterator[None]:
         ArithmeticError,
         TypeError,
     ) as error:  # the exceptions above are those of scipy, numpy and control
-        right = "weights nearer to the packaged ones (handctl gains show)"
+        expected = "weights nearer to the packaged ones (handctl gains show)"
         raise ConfigError(
-            "no controller follows from these values", f"gains: {gains_section}", right
+            "no controller follows from these values", f"gains: {gains_section}", expected
         ) from error
 
 
@@ -42,5 +42,5 @@ def require_finite_solution(*solutions: NDArray[np.float64]) -> None:
     Raises:
         ValueError: a number is not finite.
     """
-    if not all(np.isfinite(one).all() for one in solutions):
+    if not all(np.isfinite(solution).all() for solution in solutions):
         raise ValueError("not finite")

@@ -127,10 +127,10 @@ def receive_frames(
     signal_reals: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
-    first: int,
-    fresh_ns: int,
+    first_frame: int,
+    min_receive_ns: int,
 ) -> int:
-    """Decode received frames from index ``first`` on, until a frame that a state machine must handle.
+    """Decode received frames from index ``first_frame`` on, until a frame that a state machine must handle.
 
     Args:
         block: state block.
@@ -144,8 +144,8 @@ def receive_frames(
         signal_reals: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
-        first: index of the first frame.
-        fresh_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The time is
+        first_frame: index of the first frame.
+        min_receive_ns: earliest time at which an answer to the latest SYNC can arrive [ns]. The time is
             negative if answers contain the counter of the SYNC.
 
     Returns:
@@ -161,15 +161,15 @@ def receive_frames(
     signal_reals = borrowed_array(signal_reals, 0, signal_reals.shape)
     recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
-    for r in range(first, len(frame_rows)):
+    for r in range(first_frame, len(frame_rows)):
         # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
-        head = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
-        can_id = head & ID_MASK & ~ERROR_FLAG
-        bus = head >> BUS_BIT & BYTE_MASK
-        length = head >> LENGTH_BIT & BYTE_MASK
+        head_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
+        can_id = head_word & ID_MASK & ~ERROR_FLAG
+        bus = head_word >> BUS_BIT & BYTE_MASK
+        length = head_word >> LENGTH_BIT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
-        is_error_frame = head & ERROR_FLAG != 0
+        is_error_frame = head_word & ERROR_FLAG != 0
         if entry == NO_ENTRY or (
             is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
         ):
@@ -188,7 +188,7 @@ def receive_frames(
                 continue
             if reply == WRONG_REPLY:
                 return r
-        if kind == SENSOR_FRAMES and has_expected_length and t_ns < fresh_ns:
+        if kind == SENSOR_FRAMES and has_expected_length and t_ns < min_receive_ns:
             _count_stale_frame(x, entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
             _decode_sensor_frame(
@@ -209,10 +209,10 @@ def receive_frames(
 @kernel_helper
 def _is_steady(x: StateTables, n: Any) -> bool:
     """Return True if a drive is enabled and its state machine has nothing to do."""
-    steady: bool = (
+    is_steady: bool = (
         x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
     )
-    return steady
+    return is_steady
 
 
 @kernel_helper
@@ -241,15 +241,21 @@ def _compare_recheck(
     Returns:
         ``RIGHT_REPLY``, ``WRONG_REPLY`` if the value or the length differs, or ``OTHER_FRAME``.
     """
-    first = ranges[n, 0]
-    count = ranges[n, 1] - first
+    first_row = ranges[n, 0]
+    count = ranges[n, 1] - first_row
     if count == 0 or not _is_steady(x, n):
         return OTHER_FRAME
-    one = rechecks[first + x.tendon_int[s.RECHECK_STEP, n]]
-    difference = payload ^ one[REPLY_WORD]
-    if np.int64(one[REPLY_ENTRY_WORD]) != entry or difference & one[REPLY_KEY_MASK_WORD]:
+    recheck_row = rechecks[first_row + x.tendon_int[s.RECHECK_STEP, n]]
+    difference = payload ^ recheck_row[REPLY_WORD]
+    if (
+        np.int64(recheck_row[REPLY_ENTRY_WORD]) != entry
+        or difference & recheck_row[REPLY_KEY_MASK_WORD]
+    ):
         return OTHER_FRAME
-    if np.int64(one[REPLY_BYTES_WORD]) != length or difference & one[REPLY_MASK_WORD]:
+    if (
+        np.int64(recheck_row[REPLY_BYTES_WORD]) != length
+        or difference & recheck_row[REPLY_MASK_WORD]
+    ):
         return WRONG_REPLY
     x.tendon_int[s.RECHECK_STEP, n] = (x.tendon_int[s.RECHECK_STEP, n] + 1) % count
     x.tendon_int[s.RECHECK_TRIES, n] = 0
@@ -259,8 +265,8 @@ def _compare_recheck(
 @kernel_helper
 def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bool:
     """Return True if a setting of an enabled drive is to be requested again in the present tick."""
-    due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
-    return due
+    is_due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
+    return is_due
 
 
 @kernel_helper
@@ -420,10 +426,10 @@ def _decode_drive_frame(
     position = velocity = torque = temperature = math.nan
     status = 0
     payload = frame_row[PAYLOAD_WORD]
-    opposite = bytes_reversed(payload)
+    reversed_payload = bytes_reversed(payload)
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
         if signal_integers[i, WINDOW_COLUMN] == 0:
-            window = opposite if signal_integers[i, ORDER_COLUMN] else payload
+            window = reversed_payload if signal_integers[i, ORDER_COLUMN] else payload
         else:
             window = read_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
             window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
@@ -527,8 +533,8 @@ def _write_torque_command(
     _copy_record(template, frame_row)
     if signal >= 0:
         bits = encode_signal(torque, signal_integers, signal_reals, signal)
-        ordered = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered)
+        ordered_bits = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
+        write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits)
 
 
 @kernel(
@@ -550,7 +556,7 @@ def encode_commands(
     servo_signal_reals: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
-    first: int,
+    first_drive: int,
     count: int,
 ) -> tuple[int, int]:
     """Encode the commands of steady drives, and the requests of their repeated read-back.
@@ -570,7 +576,7 @@ def encode_commands(
         servo_signal_reals: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
-        first: index of the first drive whose command is encoded.
+        first_drive: index of the first drive whose command is encoded.
         count: number of records that ``frame_words`` already contains.
 
     Returns:
@@ -582,7 +588,7 @@ def encode_commands(
     now_ns = x.run_int[s.T_NS]
     for i in range(len(commands)):
         n = commands[i, 0]
-        if n < first:
+        if n < first_drive:
             continue
         feedback_ns = x.tendon_int[s.FEEDBACK_NS, n]
         timeout_ns = commands[i, 2]
@@ -595,16 +601,25 @@ def encode_commands(
         signal = commands[i, 1]
         if signal >= 0 and not abs(torque[n]) <= signal_reals[signal, 2]:
             return n, count
-        begin = servos[n, 0]
+        first_servo_row = servos[n, 0]
         end = servos[n, 1]
-        use_position_command = begin < end and x.servo[s.SERVO_KP, n] > 0.0
-        if use_position_command and not _can_be_encoded(x, n, servo_signal_reals, begin, end):
+        use_position_command = first_servo_row < end and x.servo[s.SERVO_KP, n] > 0.0
+        if use_position_command and not _can_be_encoded(
+            x, n, servo_signal_reals, first_servo_row, end
+        ):
             command_torque_only(x, n)
             use_position_command = False
         row = frame_words[count]
         if use_position_command:
             _write_position_command(
-                x, n, row, servo_templates[n], servo_signal_integers, servo_signal_reals, begin, end
+                x,
+                n,
+                row,
+                servo_templates[n],
+                servo_signal_integers,
+                servo_signal_reals,
+                first_servo_row,
+                end,
             )
         else:
             _write_torque_command(

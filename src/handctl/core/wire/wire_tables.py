@@ -176,9 +176,9 @@ class WireTables:
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
         """Add the signals of a message to the tables. Return the range of their rows."""
-        first = sum(len(table.signal_integers) for table in self._signals)
+        first_signal = sum(len(table.signal_integers) for table in self._signals)
         self._signals.append(SignalTable(message))
-        return first, first + len(self._signals[-1].signal_integers)
+        return first_signal, first_signal + len(self._signals[-1].signal_integers)
 
     def _build_torque_commands(self, drives: Sequence[Drive]) -> None:
         rows = list[list[int]]()
@@ -222,8 +222,8 @@ class WireTables:
             if not is_loop_closed_by_drive[n] or message is None:
                 continue
             signals = SignalTable(message).signal_integers
-            first = sum(len(one) for one in signal_integers)
-            servos[n] = first, first + len(signals)
+            first_row = sum(len(signal_rows) for signal_rows in signal_integers)
+            servos[n] = first_row, first_row + len(signals)
             templates[n] = _frame_template(message, drive.bus)
             signal_integers.append(signals)
             gain = 1.0 if torque_gain is None else float(torque_gain[n])
@@ -240,9 +240,9 @@ class WireTables:
         for drive in drives:
             rechecks = drive.rechecks
             ranges.append((len(rows), len(rows) + len(rechecks)))
-            for one in rechecks:
-                key = _frame_key(one.reply.bus, one.reply.can_id)
-                rows.append(_recheck_row(one, int(np.searchsorted(self.keys, key))))
+            for recheck in rechecks:
+                key = _frame_key(recheck.reply.bus, recheck.reply.can_id)
+                rows.append(_recheck_row(recheck, int(np.searchsorted(self.keys, key))))
         self.recheck_ranges: IntArray = np.array(ranges, dtype=np.int64).reshape(-1, 2)
         self.rechecks: WordRows = np.array(rows, dtype=np.uint64).reshape(-1, WORDS_PER_RECHECK)
 
@@ -256,8 +256,8 @@ def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     """
     request, reply = frames_as_records((recheck.request, recheck.reply)).rows
     key_mask, mask = (
-        sum(0xFF << 8 * i for i in range(first, end))
-        for first, end in (recheck.key_bytes, recheck.compared_bytes)
+        sum(0xFF << 8 * i for i in range(first_byte, end))
+        for first_byte, end in (recheck.key_bytes, recheck.compared_bytes)
     )
     row = np.empty(WORDS_PER_RECHECK, dtype=np.uint64)
     row[:WORDS_PER_RECORD] = request
@@ -280,7 +280,7 @@ def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray
             if signal.quantity in (SignalQuantity.POSITION, SignalQuantity.VELOCITY)
             else torque_gain
         )
-        low, high = signal.ends
+        low, high = signal.value_limits
         if signal.quantity == SignalQuantity.TORQUE:
             low = max(low, -message.limit)
             high = min(high, message.limit)

@@ -36,7 +36,7 @@ _RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
 """Identifiers of the four RPDOs, before the node number is added."""
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads the device type of every node number. Round 3 reads the serial number of each
@@ -48,10 +48,10 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
             for number in NODE_NUMBERS
         )
     if scan_round == 3:
-        found = discovered_nodes(received)
-        requested_objects = [(node, SERIAL_NUMBER) for node in found]
+        nodes = discovered_nodes(received_frames)
+        requested_objects = [(node, SERIAL_NUMBER) for node in nodes]
         requested_objects += [
-            (node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404_PROTOCOL
+            (node, CHANNEL_COUNT_OBJECT) for node in nodes if node.protocol == CIA404_PROTOCOL
         ]
         return tuple(
             Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry))
@@ -60,17 +60,17 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     return ()
 
 
-def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return all nodes that have reported a device type, or have sent heartbeats."""
     types: dict[int, int] = {}
     channels: dict[int, int] = {}
     states: dict[int, int] = {}
-    answers: dict[int, dict[int, list[bytes]]] = {}
-    for frame in received:
+    answers_by_node: dict[int, dict[int, list[bytes]]] = {}
+    for frame in received_frames:
         if frame.can_id - codec.SDO_REPLY in NODE_NUMBERS and len(frame.data) == 8:
             reply = codec.decode_sdo_reply(frame.data)
             if reply and reply[:2] in ((DEVICE_TYPE, 0), SERIAL_NUMBER):
-                answers_by_object = answers.setdefault(frame.can_id - codec.SDO_REPLY, {})
+                answers_by_object = answers_by_node.setdefault(frame.can_id - codec.SDO_REPLY, {})
                 answers_by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
@@ -83,7 +83,7 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
             number,
             types.get(number),
             states.get(number),
-            is_number_used_by_two_drives(answers.get(number, {}), SERIAL_NUMBER[0]),
+            is_number_used_by_two_drives(answers_by_node.get(number, {}), SERIAL_NUMBER[0]),
             channels.get(number, 0),
         )
         for number in sorted(types | states)
@@ -136,10 +136,10 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames from another host: SYNC, NMT, and heartbeats of another handctl."""
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
-    return tuple(frame for frame in received if frame.can_id & ~REMOTE_FLAG in identifiers)
+    return tuple(frame for frame in received_frames if frame.can_id & ~REMOTE_FLAG in identifiers)
 
 
 def ping_request(node: DiscoveredNode) -> Frame:

@@ -98,7 +98,7 @@ def feedback_message(
         rated_torque: rated torque of the drive at the shaft [N m].
         zero_angle: angle of the shaft when the spool angle is zero [rad].
     """
-    count = math.tau / counts_per_turn / gear_ratio
+    rad_per_count = math.tau / counts_per_turn / gear_ratio
     offset = -zero_angle / gear_ratio
     torque = rated_torque / 1000 * gear_ratio
     return CyclicMessage("tpdo1", TPDO + node_id, 8, (
@@ -108,7 +108,7 @@ def feedback_message(
         Signal("voltage", SignalQuantity.UNUSED, 4, 1),
         Signal("stop", SignalQuantity.STATUS, 5, 2),
         Signal("status", SignalQuantity.UNUSED, 7, 9),
-        Signal("position", SignalQuantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, offset, "rad"),
+        Signal("position", SignalQuantity.POSITION, 16, 32, False, SignalCoding.SIGNED, rad_per_count, offset, "rad"),
         Signal("torque", SignalQuantity.TORQUE, 48, 16, False, SignalCoding.SIGNED, torque, 0.0, "N m"),
     ))  # fmt: skip
 
@@ -157,7 +157,7 @@ def position_message(
     Raises:
         ValueError: the largest position does not fit into the object of the drive.
     """
-    count = math.tau / counts_per_turn / gear_ratio
+    rad_per_count = math.tau / counts_per_turn / gear_ratio
     signal = Signal(
         "position",
         SignalQuantity.POSITION,
@@ -165,7 +165,7 @@ def position_message(
         32,
         False,
         SignalCoding.SIGNED,
-        count,
+        rad_per_count,
         -zero_angle / gear_ratio,
         "rad",
     )

@@ -131,13 +131,13 @@ class Cia402Drive:
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        sent = codec.command_message(
+        sent_message = codec.command_message(
             self.node_id, self.ratio, self.rated_torque, self.command_limit
         )
         feedback = codec.feedback_message(
             self.node_id, self.counts, self.ratio, self.rated_torque, self.zero
         )
-        object.__setattr__(self, "command", SignalTable(sent))
+        object.__setattr__(self, "command", SignalTable(sent_message))
         object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
@@ -160,26 +160,28 @@ class Cia402Drive:
                 torque limit is too large.
         """
         options = dict(motor.options if options_override is None else options_override)
-        where = f"motor[{motor.name}].options"
+        location = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.HOST_NODE:
             raise ConfigError(
                 str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.HOST_NODE - 1}"
             )
-        ratio = checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        ratio = checked_positive(options.pop("gear_ratio", 1.0), f"{location}.gear_ratio", 1000)
         rated = checked_positive(
-            options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000
+            options.pop("rated_torque_N_m", None), f"{location}.rated_torque_N_m", 1000
         )
         counts = checked_whole_number(
-            options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24
+            options.pop("counts_per_turn", None), f"{location}.counts_per_turn", 1 << 24
         )
         heartbeat = checked_whole_number(
-            options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000
+            options.pop("heartbeat_ms", 50), f"{location}.heartbeat_ms", 1000
         )
         unit = options.pop("rated_torque_unit", "mN_m")
-        sync = checked_boolean(options.pop("sync", False), f"{where}.sync")
+        sync = checked_boolean(options.pop("sync", False), f"{location}.sync")
         if unit not in TORQUE_UNITS:
-            raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(TORQUE_UNITS))
-        refuse_unknown_options(options, where, OPTIONS)
+            raise ConfigError(
+                repr(unit), f"{location}.rated_torque_unit", " or ".join(TORQUE_UNITS)
+            )
+        refuse_unknown_options(options, location, OPTIONS)
         max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
         if max_torque > codec.MAX_TORQUE_COUNT:
             raise ConfigError(
@@ -188,7 +190,7 @@ class Cia402Drive:
                 "32 x rated at most",
             )
         if round(rated * TORQUE_UNITS[unit]) < 1:
-            raise ConfigError(f"{rated:g}", f"{where}.rated_torque_N_m", f"at least one {unit}")
+            raise ConfigError(f"{rated:g}", f"{location}.rated_torque_N_m", f"at least one {unit}")
         watchdog = round(motor.watchdog_ms)
         return Cia402Drive(
             name=motor.name,
@@ -287,8 +289,10 @@ class Cia402Drive:
     def steady_status(self, state: DriveState) -> int:
         """Return the status of the drive after this host has enabled it, or NO_STEADY_STATUS."""
         progress = progress_of(state)
-        steady = state.phase == ENABLED and progress.enable_sent and progress.disable_command_ns < 0
-        return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
+        is_steady = (
+            state.phase == ENABLED and progress.enable_sent and progress.disable_command_ns < 0
+        )
+        return codec.ENABLED_STATUS if is_steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which this host must send its heartbeat [ns]."""
@@ -441,7 +445,7 @@ class Cia402Drive:
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (self._rpdo_frame(codec.ENABLE_OPERATION, command), *recheck)
         if state.phase == FAULT:
-            return state, self.cut_frames() if progress.may_be_enabled else ()
+            return state, self.torque_cut_frames() if progress.may_be_enabled else ()
         progress = progress._replace(disable_command_ns=-1)
         if progress.cursor.step < len(self.steps):
             return self._configure(state, progress, t_ns)
@@ -465,8 +469,10 @@ class Cia402Drive:
         the NMT start as long as no feedback arrives.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
-        since = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
-        progress = progress._replace(disable_command_ns=since)
+        disabling_start_ns = (
+            progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
+        )
+        progress = progress._replace(disable_command_ns=disabling_start_ns)
         start: tuple[Frame, ...] = ()
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
@@ -550,7 +556,7 @@ class Cia402Drive:
         """Return an RPDO with a target torque [N m at the spool], whose control word keeps the power stage off."""
         return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque: DISABLE_VOLTAGE, then NMT pre-operational.
 
         When the node enters the NMT state pre-operational, object 0x6007 makes the drive go into

@@ -93,9 +93,11 @@ def make_mode_drive(
         raise ConfigError(mode.value, "mode", "position, velocity or torque for a CiA 402 drive")
     options = dict(motor.options)
     unit = options.pop("velocity_unit", VELOCITY_UNITS[0])
-    where = f"motor[{motor.name}]"
+    location = f"motor[{motor.name}]"
     if unit not in VELOCITY_UNITS:
-        raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
+        raise ConfigError(
+            repr(unit), f"{location}.options.velocity_unit", " or ".join(VELOCITY_UNITS)
+        )
     fields = constructor_arguments(
         Cia402Drive.from_motor(motor, bus, options, _OPERATION_MODES[mode])
     )
@@ -106,11 +108,13 @@ def make_mode_drive(
     fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )
-    one = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]
+    unit_rad_s = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields[
+        "ratio"
+    ]
     try:
-        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=one)
+        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=unit_rad_s)
     except ValueError as error:
-        raise ConfigError(str(error), where, "a smaller limit or range") from None
+        raise ConfigError(str(error), location, "a smaller limit or range") from None
 
 
 def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.SetupStep, ...]:

@@ -85,16 +85,16 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     if power == codec.FAULT:
         return _state_when_fault(next_state, progress)
     if progress.disable_command_ns >= 0:
-        off = (
+        is_off = (
             power in codec.STATES_WITHOUT_TORQUE
             and state.feedback_t_ns >= progress.disable_command_ns
         )
-        if not off:
+        if not is_off:
             return next_state._replace(phase=ENABLED)
-        quiet = next_state._replace(
+        quiet_state = next_state._replace(
             private=progress._replace(enable_sent=False, disable_command_ns=-1)
         )
-        return quiet._replace(phase=FAULT if state.error else READY)
+        return quiet_state._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
         return enter_fault(
             next_state._replace(private=progress._replace(enable_sent=False)),
@@ -120,13 +120,15 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
     """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(enable_sent=False, disable_command_ns=-1))
+    state_when_off = state._replace(
+        private=progress._replace(enable_sent=False, disable_command_ns=-1)
+    )
     text = (
         codec.error_text(progress.code)
         if progress.code
         else "fault, and its emergency message was not heard"
     )
-    return enter_fault(off, progress.code or DROPPED_OUT_ERROR, text)
+    return enter_fault(state_when_off, progress.code or DROPPED_OUT_ERROR, text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:

@@ -134,9 +134,10 @@ class Cia404LoadCells:
         )
         cells = [tendons.index(name) for name in node.tendons]
         for node_id, count in zip(node.node_ids, node.amplifier_channels, strict=True):
-            own, cells = cells[:count], cells[count:]
+            own_cells, cells = cells[:count], cells[count:]
             frames = [
-                tuple(own[i : i + CHANNELS_PER_TPDO]) for i in range(0, count, CHANNELS_PER_TPDO)
+                tuple(own_cells[i : i + CHANNELS_PER_TPDO])
+                for i in range(0, count, CHANNELS_PER_TPDO)
             ]
             tpdo_ids = tuple(base + node_id for base in TPDO_BASES[: len(frames)])
             steps = required_steps(node_id, count, node.process_value, node.decimal_digits)
@@ -171,7 +172,9 @@ class Cia404LoadCells:
     @property
     def service_ids(self) -> frozenset[int]:
         """Return the identifiers of the amplifiers' SDO replies, emergencies and heartbeats."""
-        return frozenset(can_id for one in self.amplifiers for can_id in one.service_ids)
+        return frozenset(
+            can_id for amplifier in self.amplifiers for can_id in amplifier.service_ids
+        )
 
     @property
     def node_ids(self) -> frozenset[int]:
@@ -181,7 +184,7 @@ class Cia404LoadCells:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of frames that only a host sends: NMT, SYNC, and SDO requests."""
-        requests = {codec.SDO_REQUEST + one.node_id for one in self.amplifiers}
+        requests = {codec.SDO_REQUEST + amplifier.node_id for amplifier in self.amplifiers}
         return frozenset(requests | {codec.NMT, self.sync_id} if self.amplifiers else ())
 
     @property
@@ -259,12 +262,12 @@ class Cia404LoadCells:
         """Return True, because a payload does not show which SYNC it answers."""
         return True
 
-    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
+    def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of lost frames.
 
         Missing answers to the last SYNC are not counted, because they may still arrive.
         """
-        return max(0, (syncs - 1) * len(self.ids) - accepted_count - stale_count)
+        return max(0, (sync_count - 1) * len(self.ids) - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""

@@ -59,15 +59,21 @@ def required_steps(
         # and negative overload.
         steps.append(SetupStep(ObjectCheck.EQUAL_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
-        first = CHANNELS_PER_TPDO * i
-        mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channel_count) + 1)
-        entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
+        first_channel = CHANNELS_PER_TPDO * i
+        mapped_channels = range(
+            first_channel + 1, min(first_channel + CHANNELS_PER_TPDO, channel_count) + 1
+        )
+        entries = tuple(
+            number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped_channels
+        )
         if entries:
             # An inhibit time of the PDO could delay answers. The inhibit time is set to 0 while the
             # PDO is off.
             inhibit_time_step = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
-            off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
-            steps += [off, inhibit_time_step, *rest]
+            disable_step, *other_steps = pdo_steps(
+                0x1800 + i, 0x1A00 + i, base + node_id, 1, entries
+            )
+            steps += [disable_step, inhibit_time_step, *other_steps]
         else:
             steps.append(
                 SetupStep(

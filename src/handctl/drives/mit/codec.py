@@ -294,14 +294,14 @@ def force_position_message(
 def _float_signal(
     name: str,
     quantity: SignalQuantity,
-    first_byte: int,
+    byte_offset: int,
     unit: str,
     scale: float = 1.0,
     offset: float = 0.0,
 ) -> Signal:
-    """Return the description of a float32 signal that begins at byte ``first_byte``."""
+    """Return the description of a float32 signal that begins at byte ``byte_offset``."""
     return Signal(
-        name, quantity, 8 * first_byte, 32, False, SignalCoding.FLOAT, scale, offset, unit
+        name, quantity, 8 * byte_offset, 32, False, SignalCoding.FLOAT, scale, offset, unit
     )
 
 
@@ -365,8 +365,8 @@ def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:
         data: payload of the frame.
         table: signal table of the feedback frame.
     """
-    state, position, velocity, torque, mosfet, winding = table.unpack(data)
-    return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
+    state, position, velocity, torque, mosfet_temperature, winding_temperature = table.unpack(data)
+    return int(state) >> 4, position, velocity, torque, max(mosfet_temperature, winding_temperature)
 
 
 def special_command(command_code: int) -> bytes:
@@ -385,8 +385,8 @@ def register_request(
         register: number of the register.
         value: value to write. Operations other than WRITE ignore the value.
     """
-    raw = register_bytes(register, value) if operation_code == WRITE else bytes(4)
-    return struct.pack("<HBB", node_id, operation_code, register) + raw
+    raw_bytes = register_bytes(register, value) if operation_code == WRITE else bytes(4)
+    return struct.pack("<HBB", node_id, operation_code, register) + raw_bytes
 
 
 def register_bytes(register: int, value: float) -> bytes:

@@ -210,8 +210,8 @@ class CubemarsDrive:
                 full scale of the model.
         """
         options = dict(motor.options)
-        where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
+        location = f"motor[{motor.name}]"
+        ranges = pop_motor_model(options, location, MOTOR_MODEL_RANGES)
         temperature_offset = options.pop("temperature_offset_C", ZERO_COUNT_TEMPERATURE_C)
         if isinstance(temperature_offset, bool) or temperature_offset not in (
             ZERO_COUNT_TEMPERATURE_C,
@@ -219,10 +219,10 @@ class CubemarsDrive:
         ):
             raise ConfigError(
                 repr(temperature_offset),
-                f"{where}.options.temperature_offset_C",
+                f"{location}.options.temperature_offset_C",
                 f"{ZERO_COUNT_TEMPERATURE_C:g} or 0",
             )
-        refuse_unknown_options(options, f"{where}.options", OPTIONS)
+        refuse_unknown_options(options, f"{location}.options", OPTIONS)
         check_full_scale(motor, ranges)
         command_limit = motor.torque_max_N_m
         zero = motor.zero_rad
@@ -360,13 +360,13 @@ class CubemarsDrive:
         if progress.last_command == ENABLE:
             if progress.answers >= REQUIRED_ANSWER_COUNT:
                 return state  # the command counts as obeyed, and further answers change nothing
-            done = state.phase != FAULT and progress.answers + 1 >= REQUIRED_ANSWER_COUNT
+            is_done = state.phase != FAULT and progress.answers + 1 >= REQUIRED_ANSWER_COUNT
             return state._replace(
-                phase=ENABLED if done else state.phase,
+                phase=ENABLED if is_done else state.phase,
                 private=progress._replace(answers=progress.answers + 1),
             )
-        quiet = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
-        progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
+        is_torque_free = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
+        progress = progress._replace(answers=progress.answers + 1 if is_torque_free else 0)
         if progress.answers < REQUIRED_ANSWER_COUNT:
             feedback = CONFIGURING if state.phase == SILENT else state.phase
             return state._replace(phase=feedback, private=progress)
@@ -399,7 +399,7 @@ class CubemarsDrive:
         )
         return self._state_after_command(
             state._replace(phase=phase), DISABLE, t_ns
-        ), self.cut_frames()
+        ), self.torque_cut_frames()
 
     def _state_after_command(
         self, state: DriveState, new_command: DriveTarget, t_ns: int
@@ -435,7 +435,7 @@ class CubemarsDrive:
         """
         return (self._frame_to_motor(self._torque_payload(torque)),)
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
@@ -446,13 +446,13 @@ class CubemarsDrive:
         again.
         """
         progress: CubemarsProgress = state.private
-        fresh = state._replace(
+        fresh_state = state._replace(
             phase=SILENT,
             error=0,
             error_text="",
             private=CubemarsProgress(enable_sent=progress.enable_sent),
         )
-        return fresh, self.cut_frames()
+        return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the motor has no watchdog."""

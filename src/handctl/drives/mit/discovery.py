@@ -59,7 +59,7 @@ _RANGE_REGISTERS = (
 _STATE_TEXTS = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads register MST_ID of every node number. Round 3 reads the other registers and the
@@ -70,7 +70,7 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     if scan_round != 3:
         return ()
     frames = []
-    for motor in discovered_motors(received):
+    for motor in discovered_motors(received_frames):
         frames += [_read_request(motor.node_id, register) for register in _DETAIL_REGISTERS]
         frames.append(
             Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH))
@@ -78,45 +78,52 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     return tuple(frames)
 
 
-def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have reported their MST_ID, if a frame with this identifier was received."""
     replies: dict[int, dict[int, list[bytes]]] = {}
-    for frame in received:
+    for frame in received_frames:
         if (
             len(frame.data) == 8
             and frame.data[2] == codec.READ
             and int.from_bytes(frame.data[:2], "little") in MOTOR_NUMBERS
         ):
-            answers = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
-            answers.setdefault(frame.data[3], []).append(frame.data[4:])
+            answers_by_node = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
+            answers_by_node.setdefault(frame.data[3], []).append(frame.data[4:])
     reply_ids = {
-        number: _decode_integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw
+        number: _decode_integer(payloads[MST_ID][-1])
+        for number, payloads in replies.items()
+        if MST_ID in payloads
     }
-    identifiers = {frame.can_id for frame in received}
-    present = sorted(number for number, reply_id in reply_ids.items() if reply_id in identifiers)
+    identifiers = {frame.can_id for frame in received_frames}
+    present_numbers = sorted(
+        number for number, reply_id in reply_ids.items() if reply_id in identifiers
+    )
     return tuple(
-        _describe_motor(number, reply_ids, replies[number], received) for number in present
+        _describe_motor(number, reply_ids, replies[number], received_frames)
+        for number in present_numbers
     )
 
 
 def _describe_motor(
     node_number: int,
     reply_ids: dict[int, int],
-    answers: dict[int, list[bytes]],
-    received: ReceivedFrames,
+    payloads_by_command: dict[int, list[bytes]],
+    received_frames: ReceivedFrames,
 ) -> DiscoveredNode:
     """Return a discovered motor, with the data in its registers."""
     reply_id = reply_ids[node_number]
-    raw = {register: payloads[-1] for register, payloads in answers.items()}
+    payload_by_register = {
+        register: payloads[-1] for register, payloads in payloads_by_command.items()
+    }
     values = {
         register: _decode_integer(data)
-        for register, data in raw.items()
+        for register, data in payload_by_register.items()
         if register in _INTEGER_REGISTERS
     }
     settings = {
-        key: struct.unpack("<f", raw[register])[0]
+        key: struct.unpack("<f", payload_by_register[register])[0]
         for key, register in _RANGE_REGISTERS
-        if register in raw
+        if register in payload_by_register
     }
     # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = (
@@ -124,19 +131,21 @@ def _describe_motor(
     )
     if values.get(CAN_BIT_RATE_REGISTER, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
-    is_number_used_twice = is_number_used_by_two_drives(answers, SERIAL_NUMBER)
+    is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, SERIAL_NUMBER)
     notes = [TWO_DRIVES_WARNING] if is_number_used_twice else []
-    if others := [
-        other for other, used in reply_ids.items() if used == reply_id and other != node_number
+    if other_nodes := [
+        other_node_number
+        for other_node_number, other_reply_id in reply_ids.items()
+        if other_reply_id == reply_id and other_node_number != node_number
     ]:
         notes.append(
-            f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)"
+            f"answers on {reply_id:#x} as motor {other_nodes[0]} does: give each an MST_ID of its own (register 7)"
         )
     if values.get(codec.TIMEOUT) == 0:
         notes.append("its watchdog is off; handctl sets it before arming")
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
         notes.append("not in MIT mode; handctl sets it before arming")
-    state, error = _state_and_error(node_number, reply_id, received)
+    state, error = _state_and_error(node_number, reply_id, received_frames)
     firmware = f"{values[SOFTWARE_VERSION]:#x}" if SOFTWARE_VERSION in values else ""
     serial = f"{values[SERIAL_NUMBER]:#x}" if SERIAL_NUMBER in values else ""
     return DiscoveredNode(
@@ -154,18 +163,20 @@ def _describe_motor(
     )
 
 
-def _state_and_error(node_number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
+def _state_and_error(
+    node_number: int, reply_id: int, received_frames: ReceivedFrames
+) -> tuple[str, str]:
     """Return the state and the error in the latest feedback of a motor, as texts.
 
     The state and the error are empty texts if there is no feedback.
     """
-    for frame in reversed(received):
-        matches = (
+    for frame in reversed(received_frames):
+        is_reply = (
             frame.can_id == reply_id
             and len(frame.data) == 8
             and frame.data[0] & 0xF == node_number & 0xF
         )
-        if matches and codec.decode_register_reply(frame.data, node_number) is None:
+        if is_reply and codec.decode_register_reply(frame.data, node_number) is None:
             nibble = frame.data[0] >> 4
             values = _STATE_TEXTS.get(nibble)
             return (
@@ -183,11 +194,11 @@ def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that only a host sends: register requests, MIT commands, special commands."""
     return tuple(
         frame
-        for frame in received
+        for frame in received_frames
         if frame.can_id == codec.BROADCAST_ID
         or (0 < frame.can_id < 0x20 and len(frame.data) == 8)
         or (len(frame.data) == 8 and frame.data[:7] == b"\xff" * 7)

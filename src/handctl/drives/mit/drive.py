@@ -119,12 +119,12 @@ class MitDrive:
             ConfigError: an option is unknown, or has a wrong value.
         """
         options = dict(motor.options if options_override is None else options_override)
-        where = f"motor[{motor.name}].options"
+        location = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
-        fd = checked_boolean(options.pop("fd", False), f"{where}.fd")
-        refuse_unknown_options(options, where, OPTIONS)
+        fd = checked_boolean(options.pop("fd", False), f"{location}.fd")
+        refuse_unknown_options(options, location, OPTIONS)
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
-            raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
+            raise ConfigError(repr(reply), f"{location}.reply_id", "an identifier from 1 to 0x7fe")
         return MitDrive(
             name=motor.name,
             bus=bus,
@@ -337,15 +337,15 @@ class MitDrive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: MitProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            sent = self._command_frame(command)
+            sent_command_frame = self._command_frame(command)
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
-            return state, (sent, *recheck)
+            return state, (sent_command_frame, *recheck)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return start_disabling(state, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
-            return state, self.cut_frames()
+            return state, self.torque_cut_frames()
         progress = progress._replace(disabling=False)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh_frame(),)
@@ -360,7 +360,7 @@ class MitDrive:
                 state._replace(phase=CONFIGURING), progress, t_ns
             )
             return next_state, (
-                *(clear or self.cut_frames()),
+                *(clear or self.torque_cut_frames()),
                 *requests,
             ) if watchdog_needs_commands else requests
         if (
@@ -371,7 +371,7 @@ class MitDrive:
             enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
         if watchdog_needs_commands and not clear:
-            return state._replace(private=progress), self.cut_frames()
+            return state._replace(private=progress), self.torque_cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(private=progress), (*clear, self._refresh_frame())
 
@@ -386,7 +386,7 @@ class MitDrive:
             next_state = state._replace(
                 error_text="enabled, and does not disable", private=progress
             )
-            return next_state, self.cut_frames()
+            return next_state, self.torque_cut_frames()
         if progress.cursor.step >= len(self.required):
             cursor, data, unanswered = registers.next_serial_request(
                 progress.cursor, self.node_id, t_ns
@@ -435,7 +435,7 @@ class MitDrive:
         """Return the frame of a command, in the unit of ``command_limit``."""
         return self._frame_to_motor(self._command_payload(command))
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the disable command."""
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
@@ -444,13 +444,13 @@ class MitDrive:
 
         After the clear command, the host verifies the registers again.
         """
-        fresh = state._replace(
+        fresh_state = state._replace(
             phase=SILENT,
             error=0,
             error_text="",
             private=MitProgress(clearing=IGNORED_FAULT_COUNT),
         )
-        return fresh, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
+        return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a disabled motor is not active."""

@@ -53,11 +53,13 @@ class MitModeDrive(MitDrive):
             return codec.velocity_message(
                 self.node_id, self.limits.speed, self.direction, self.flags
             )
-        last = self.direction, self.zero, self.flags
+        last_fields = self.direction, self.zero, self.flags
         if self.mode == DriveMode.POSITION:
-            return codec.position_message(self.node_id, self.ranges, self.limits.speed, *last)
+            return codec.position_message(
+                self.node_id, self.ranges, self.limits.speed, *last_fields
+            )
         limits = self.limits.speed, self.fraction
-        return codec.force_position_message(self.node_id, self.ranges, limits, *last)
+        return codec.force_position_message(self.node_id, self.ranges, limits, *last_fields)
 
     @property
     def command_limit(self) -> float:
@@ -106,8 +108,8 @@ def make_mode_drive(
         ConfigError: an option is unknown or wrong, or a limit does not fit in the command.
     """
     options = dict(motor.options)
-    where = f"motor[{motor.name}].options.current_fraction"
-    fraction = checked_positive(options.pop("current_fraction", 1.0), where, 1.0)
+    location = f"motor[{motor.name}].options.current_fraction"
+    fraction = checked_positive(options.pop("current_fraction", 1.0), location, 1.0)
     base = MitDrive.from_motor(motor, bus, options)
     try:
         return MitModeDrive(

@@ -109,10 +109,16 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
             private=progress._replace(clearing=IGNORED_FAULT_COUNT),
         )
     if status_nibble in codec.ERROR_TEXTS:
-        off = state._replace(
+        off_state = state._replace(
             private=progress._replace(enable_sent=False, enabled_by_other_host=False)
         )
-        return enter_fault(off, status_nibble, codec.ERROR_TEXTS[status_nibble])
-    unknown = state._replace(private=progress._replace(enabled_by_other_host=True))
-    unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}")
-    return unknown._replace(phase=ENABLED) if progress.disabling else unknown
+        return enter_fault(off_state, status_nibble, codec.ERROR_TEXTS[status_nibble])
+    enabled_by_other_state = state._replace(private=progress._replace(enabled_by_other_host=True))
+    enabled_by_other_state = enter_fault(
+        enabled_by_other_state, UNKNOWN_STATUS_ERROR, f"unknown state {status_nibble:#x}"
+    )
+    return (
+        enabled_by_other_state._replace(phase=ENABLED)
+        if progress.disabling
+        else enabled_by_other_state
+    )

@@ -174,8 +174,8 @@ def padded_payload(payload: bytes) -> bytes:
 
 def write_floats_subframe(first_register: int, *values: float) -> bytes:
     """Return a subframe that writes up to three consecutive registers as float32."""
-    head = bytes((WRITE | FLOAT << 2 | len(values), first_register))
-    return head + struct.pack(f"<{len(values)}f", *values)
+    subframe_start = bytes((WRITE | FLOAT << 2 | len(values), first_register))
+    return subframe_start + struct.pack(f"<{len(values)}f", *values)
 
 
 def write_bytes_subframe(first_register: int, *values: int) -> bytes:
@@ -190,11 +190,11 @@ def read_subframe(value_type: int, register: int) -> bytes:
 
 def encode_varuint(value: int) -> bytes:
     """Return a number as varuint, in groups of seven bits with the lowest group first."""
-    out = bytearray()
+    encoded = bytearray()
     while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
+        encoded.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes((*out, value))
+    return bytes((*encoded, value))
 
 
 def limits_subframes(torque: float, timeout_s: float) -> bytes:
@@ -353,11 +353,11 @@ def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> Cyc
 
 
 def _float_signal(
-    name: str, quantity: SignalQuantity, first_byte: int, scale: float, unit: str
+    name: str, quantity: SignalQuantity, byte_offset: int, scale: float, unit: str
 ) -> Signal:
     """Return the description of a float32 signal that begins at a byte."""
     return Signal(
-        name, quantity, 8 * first_byte, 32, coding=SignalCoding.FLOAT, scale=scale, unit=unit
+        name, quantity, 8 * byte_offset, 32, coding=SignalCoding.FLOAT, scale=scale, unit=unit
     )
 
 
@@ -395,7 +395,7 @@ class DriveReply(NamedTuple):
 def decode_reply(data: bytes) -> DriveReply | None:
     """Decode a payload as a reply of the drive, or return None if it is no reply."""
     values = dict[int, float]()
-    refused = dict[int, int]()
+    error_by_register = dict[int, int]()
     text = None
     reader = _SubframeReader(data)
     try:
@@ -407,7 +407,7 @@ def decode_reply(data: bytes) -> DriveReply | None:
                 values.update(reader.registers(kind))
             elif kind in (WRITE_REFUSED, READ_REFUSED):
                 register = reader.varuint()
-                refused[register] = reader.varuint()
+                error_by_register[register] = reader.varuint()
             elif kind == TEXT_OUT:
                 reader.varuint()
                 text = reader.bytes(reader.varuint())
@@ -415,7 +415,11 @@ def decode_reply(data: bytes) -> DriveReply | None:
                 return None
     except IndexError:
         return None
-    return DriveReply(values, refused, text) if values or refused or text is not None else None
+    return (
+        DriveReply(values, error_by_register, text)
+        if values or error_by_register or text is not None
+        else None
+    )
 
 
 class _SubframeReader:
@@ -457,6 +461,6 @@ class _SubframeReader:
         """Yield the (register, value) pairs of a register subframe."""
         coding = _VALUE_STRUCTS[value_type >> 2 & 3]
         count = value_type & 3 or self.varuint()
-        first = self.varuint()
-        for register in range(first, first + count):
+        first_value = self.varuint()
+        for register in range(first_value, first_value + count):
             yield register, coding.unpack(self.bytes(coding.size))[0]

@@ -42,7 +42,7 @@ _MODE_TEXTS = {
 }
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads the mode from every node number. Round 3 reads other registers of the discovered
@@ -53,39 +53,41 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     if scan_round == 3:
         return tuple(
             Frame(codec.request_id(drive.node_id), data)
-            for drive in discovered_drives(received)
+            for drive in discovered_drives(received_frames)
             for data in DETAIL_REQUESTS
         )
     return ()
 
 
-def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the drives that have reported their mode to this host."""
-    answers: dict[int, dict[int, list[bytes]]] = {}
+    answers_by_node: dict[int, dict[int, list[bytes]]] = {}
     number_by_reply_id = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
-    for frame in received:
+    for frame in received_frames:
         number = number_by_reply_id.get(frame.can_id)
         reply = codec.decode_reply(frame.data) if number is not None else None
         # Each request of a scan reads one register. A reply with more registers answers another
         # host.
         if number is not None and reply is not None and len(reply.values) == 1:
-            answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(
+            answers_by_node.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(
                 frame.data
             )
     return tuple(
-        _describe_drive(number, answers[number])
-        for number in sorted(answers)
-        if codec.MODE in answers[number]
+        _describe_drive(number, answers_by_node[number])
+        for number in sorted(answers_by_node)
+        if codec.MODE in answers_by_node[number]
     )
 
 
-def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
+def _describe_drive(
+    node_number: int, payloads_by_command: dict[int, list[bytes]]
+) -> DiscoveredNode:
     """Return a discovered drive with all data.
 
-    The argument ``answers`` contains the payloads from the drive, by register.
+    The argument ``payloads_by_command`` contains the payloads from the drive, by register.
     """
     values: dict[int, int] = {}
-    for register, payloads in answers.items():
+    for register, payloads in payloads_by_command.items():
         reply = codec.decode_reply(payloads[-1])
         if reply is not None and math.isfinite(reply.values[register]):
             values[register] = int(reply.values[register])
@@ -97,7 +99,7 @@ def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> Discov
     firmware = ".".join(str(version >> shift & 0xFF) for shift in (16, 8, 0)) if version else ""
     words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
-    is_number_used_twice = is_number_used_by_two_drives(answers, codec.SERIAL_NUMBER)
+    is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, codec.SERIAL_NUMBER)
     notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
         "needs a bus with CAN FD: data_bitrate = 5_000_000",
     )
@@ -123,14 +125,14 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     )
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that another host has sent as requests to a drive.
 
     The identifier of a request has 29 bits, the reply bit, and no prefix.
     """
     return tuple(
         frame
-        for frame in received
+        for frame in received_frames
         if frame.can_id & EXTENDED_FLAG
         and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
         and (frame.can_id & ~EXTENDED_FLAG) >> 15 == 1

@@ -326,7 +326,7 @@ class MoteusDrive:
         A text that is not a number counts as a wrong value.
         """
         is_equal = value is not None and setting.is_required_value(value)
-        shown = text if value is None else f"{value:g}"
+        shown_text = text if value is None else f"{value:g}"
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
             return state_after_recheck_reply(
@@ -335,7 +335,7 @@ class MoteusDrive:
                 len(self.configuration),
                 is_equal,
                 setting.name,
-                f"reads {shown}",
+                f"reads {shown_text}",
                 expected,
             )
         if progress.cursor.writing:
@@ -344,7 +344,7 @@ class MoteusDrive:
             return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
         write_count = items.WRITE_TRIES if value is not None else 0
         cursor, problem = readback.on_wrong_value(
-            progress.cursor, setting.name, shown, expected, write_count
+            progress.cursor, setting.name, shown_text, expected, write_count
         )
         next_state = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
@@ -364,18 +364,18 @@ class MoteusDrive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: MoteusProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            sent = self._frame_to_drive(self._torque_payload(command))
+            sent_frame = self._frame_to_drive(self._torque_payload(command))
             # In a running hand this is the usual case: one command, and no change of the state.
             if t_ns < state.recheck.due_ns and not state.recheck.waiting:
-                return state, (sent,)
+                return state, (sent_frame,)
             state, requests = self._next_recheck(state, progress, t_ns)
-            return state, (sent, *requests)
+            return state, (sent_frame, *requests)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return start_disabling(state, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT and progress.may_be_enabled:
-            return state, self.cut_frames()
+            return state, self.torque_cut_frames()
         progress = progress._replace(disabling=False)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=MoteusProgress()), (
@@ -387,7 +387,7 @@ class MoteusDrive:
             enabling_state = start_enabling(state._replace(private=progress), self.node_id, t_ns)
             return enabling_state, (self._frame_to_drive(self._torque_payload(0.0)),)
         question = (
-            self.cut_frames()[0]
+            self.torque_cut_frames()[0]
             if progress.clearing
             else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
@@ -426,7 +426,7 @@ class MoteusDrive:
         """
         if progress.enabled_by_other_host:
             text = f"in mode {progress.mode} without a command, and does not stop"
-            return state._replace(error_text=text, private=progress), self.cut_frames()
+            return state._replace(error_text=text, private=progress), self.torque_cut_frames()
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
@@ -502,7 +502,7 @@ class MoteusDrive:
         """Return no frames, because every torque command enables the drive."""
         return ()
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
         return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
@@ -511,13 +511,13 @@ class MoteusDrive:
 
         After the clear command, the host reads back the settings again.
         """
-        fresh = state._replace(
+        fresh_state = state._replace(
             phase=SILENT,
             error=0,
             error_text="",
             private=MoteusProgress(clearing=IGNORED_FAULT_COUNT),
         )
-        return fresh, self.cut_frames()
+        return fresh_state, self.torque_cut_frames()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a stopped drive is not active."""
@@ -546,11 +546,14 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
     """
     if not motor.closes_position_loop:
         return None
-    given = {"kp_N_m_per_rad": motor.kp_N_m_per_rad, "kd_N_m_s_per_rad": motor.kd_N_m_s_per_rad}
-    for key, value in given.items():
+    gain_by_key = {
+        "kp_N_m_per_rad": motor.kp_N_m_per_rad,
+        "kd_N_m_s_per_rad": motor.kd_N_m_s_per_rad,
+    }
+    for key, value in gain_by_key.items():
         if value is None:
-            right = 'a number, because control = "position" writes this gain into a moteus'
-            raise ConfigError("missing", f"motor[{motor.name}].{key}", right)
+            expected = 'a number, because control = "position" writes this gain into a moteus'
+            raise ConfigError("missing", f"motor[{motor.name}].{key}", expected)
     return codec.PositionGains(
-        *(items.gain_of_drive(value) for value in given.values() if value is not None)
+        *(items.gain_of_drive(value) for value in gain_by_key.values() if value is not None)
     )

@@ -120,8 +120,10 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: 
     """
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other_host=False))
-    return enter_fault(off, error_code, error_text(error_code))
+    off_state = state._replace(
+        private=progress._replace(enable_sent=False, enabled_by_other_host=False)
+    )
+    return enter_fault(off_state, error_code, error_text(error_code))
 
 
 def error_text(error_code: int) -> str:

@@ -72,9 +72,9 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
     motor. Every second item has a default that is not the required value, see
     ``REQUIRED_CONFIGURATION``.
     """
-    lowest, fixed_voltage, timeout_mode, highest = REQUIRED_CONFIGURATION
+    min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (
-        lowest,
+        min_position_key,
         fixed_voltage,
         timeout_mode,
         MoteusSetting("servo.default_velocity_limit", math.nan),
@@ -82,7 +82,7 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
         MoteusSetting("servo.max_position_slip", math.nan),
         MoteusSetting("servo.pid_position.kd", gains.kd),
         MoteusSetting("servo.default_accel_limit", math.nan),
-        highest,
+        max_position_key,
     )
 
 
@@ -160,10 +160,10 @@ class DiagnosticChannel(NamedTuple):
 
     def is_awaiting_answer(self, t_ns: int) -> bool:
         """Return True if the host must read the answer of the open request in this tick."""
-        late = (
+        is_late = (
             t_ns - self.request_sent_ns > REQUEST_TIMEOUT_NS and self.poll_count >= UNANSWERED_READS
         )
-        return 0 <= self.request_sent_ns < t_ns and not late
+        return 0 <= self.request_sent_ns < t_ns and not is_late
 
     def poll(self) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the payload that reads the answer of the open request."""

@@ -140,14 +140,14 @@ def result_text(result_code: int) -> str:
 def _float_signal(
     name: str,
     quantity: SignalQuantity,
-    first_byte: int,
+    byte_offset: int,
     scale: float,
     offset: float = 0.0,
     unit: str = "",
 ) -> Signal:
-    """Return the description of a float32 signal that begins at byte ``first_byte``."""
+    """Return the description of a float32 signal that begins at byte ``byte_offset``."""
     return Signal(
-        name, quantity, 8 * first_byte, 32, False, SignalCoding.FLOAT, scale, offset, unit
+        name, quantity, 8 * byte_offset, 32, False, SignalCoding.FLOAT, scale, offset, unit
     )
 
 
@@ -275,8 +275,12 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 def decode_float_pair(data: bytes) -> tuple[float, float] | None:
     """Decode two float32 values. Return None if one of them is not finite."""
-    first, second = struct.unpack("<ff", data)
-    return (first, second) if math.isfinite(first) and math.isfinite(second) else None
+    first_value, second_value = struct.unpack("<ff", data)
+    return (
+        (first_value, second_value)
+        if math.isfinite(first_value) and math.isfinite(second_value)
+        else None
+    )
 
 
 def decode_highest_temperature(data: bytes) -> float | None:

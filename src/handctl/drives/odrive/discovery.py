@@ -47,7 +47,7 @@ _CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 1 requests the message Address from all nodes. Round 2 requests the version of the
@@ -58,13 +58,16 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)
     if scan_round == 2:
         return tuple(
-            _remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received)
+            _remote_request(drive, codec.GET_VERSION)
+            for drive in discovered_drives(received_frames)
         )
     if scan_round == 3:
-        silent = [drive for drive in discovered_drives(received) if not drive.firmware]
+        silent_discovered_drives = [
+            drive for drive in discovered_drives(received_frames) if not drive.firmware
+        ]
         return tuple(
             _remote_request(drive, command)
-            for drive in silent
+            for drive in silent_discovered_drives
             for command in (codec.GET_VERSION, *_REQUEST_ONLY_MESSAGES)
         )
     return ()
@@ -75,23 +78,28 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
     return Frame(codec.message_id(drive.node_id, command) | REMOTE_FLAG, b"")
 
 
-def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
     messages = {
-        command: _payloads_by_node(received, command)
+        command: _payloads_by_node(received_frames, command)
         for command in (codec.HEARTBEAT, *_MESSAGES_SENT_ONCE)
     }
-    present = {
+    present_nodes = {
         node
         for node, data in messages[codec.HEARTBEAT].items()
         if len(data) >= MIN_HEARTBEATS and all(map(_is_heartbeat, data))
     }
-    present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
+    present_nodes |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
     return tuple(
         _describe_drive(
-            node, {command: sent[node] for command, sent in messages.items() if node in sent}
+            node,
+            {
+                command: message_by_node[node]
+                for command, message_by_node in messages.items()
+                if node in message_by_node
+            },
         )
-        for node in sorted(present)
+        for node in sorted(present_nodes)
     )
 
 
@@ -100,12 +108,18 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
 
     The argument ``messages`` contains the payloads from the drive, by command number.
     """
-    latest = {command: payloads[-1] for command, payloads in messages.items()}
+    last_payloads = {command: payloads[-1] for command, payloads in messages.items()}
     heartbeat = (
-        codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
+        codec.decode_heartbeat(last_payloads[codec.HEARTBEAT])
+        if codec.HEARTBEAT in last_payloads
+        else None
     )
-    serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
-    version = latest.get(codec.GET_VERSION, b"")
+    serial = (
+        f"{int.from_bytes(last_payloads[ADDRESS][1:7], 'little'):012X}"
+        if ADDRESS in last_payloads
+        else ""
+    )
+    version = last_payloads.get(codec.GET_VERSION, b"")
     is_number_used_twice = is_number_used_by_two_drives(
         {command: messages.get(command, []) for command in _MESSAGES_SENT_ONCE}, ADDRESS
     )
@@ -121,8 +135,10 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     if node == BROADCAST:
         notes.append("has no node number yet: give it one")
     elif node == 0:
-        first, last = UNSHARED_NODE_NUMBERS[0][0], UNSHARED_NODE_NUMBERS[0][-1]
-        notes.append(f"node 0 shares its identifiers with CANopen's NMT: give it {first} to {last}")
+        first_number, last_number = UNSHARED_NODE_NUMBERS[0][0], UNSHARED_NODE_NUMBERS[0][-1]
+        notes.append(
+            f"node 0 shares its identifiers with CANopen's NMT: give it {first_number} to {last_number}"
+        )
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = (
         _AXIS_STATE_TEXTS.get(heartbeat.state, f"axis state {heartbeat.state}")
@@ -176,13 +192,13 @@ def with_unknown_firmware(drive: DiscoveredNode) -> DiscoveredNode:
     return dataclasses.replace(drive, options={}, origins={}, error="", notes=notes)
 
 
-def _payloads_by_node(received: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
+def _payloads_by_node(received_frames: ReceivedFrames, command: int) -> dict[int, list[bytes]]:
     """Return the payloads of one message, by node number.
 
     Older firmware sends Address with 7 bytes.
     """
     by_node: dict[int, list[bytes]] = {}
-    for frame in received:
+    for frame in received_frames:
         is_standard = (
             not frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG) and not frame.flags & FDF
         )
@@ -217,12 +233,12 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     )
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that only another host can have sent to the discovered drives."""
-    numbers = {drive.node_id for drive in discovered_drives(received)}
+    numbers = {drive.node_id for drive in discovered_drives(received_frames)}
     return tuple(
         frame
-        for frame in received
+        for frame in received_frames
         if (frame.can_id & ~REMOTE_FLAG) >> 5 in numbers
         and (
             frame.can_id & REMOTE_FLAG

@@ -118,16 +118,16 @@ class OdriveDrive:
             ConfigError: an option is unknown or wrong, or the node number is not from 1 to 0x3e.
         """
         options = dict(motor.options)
-        where = f"motor[{motor.name}].options"
+        location = f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(
                 str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
             )
-        motor_options = pop_options(options, where)
+        motor_options = pop_options(options, location)
         settings = endpoints.pop_settings(
-            options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / motor_options.ratio
+            options, location, motor.watchdog_ms / 1e3, motor.torque_max_N_m / motor_options.ratio
         )
-        refuse_unknown_options(options, where, OPTIONS)
+        refuse_unknown_options(options, location, OPTIONS)
         return OdriveDrive(
             name=motor.name,
             bus=bus,
@@ -262,13 +262,13 @@ class OdriveDrive:
         """Return request and reply for each endpoint that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
-                one.name,
-                self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, one.endpoint)),
-                self._data_frame(codec.TX_SDO, codec.sdo_reply(one.endpoint, one.raw)),
+                setting.name,
+                self._data_frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
+                self._data_frame(codec.TX_SDO, codec.sdo_reply(setting.endpoint, setting.raw)),
                 key_bytes=(1, 3),
-                compared_bytes=(1, 4 + len(one.raw)),
+                compared_bytes=(1, 4 + len(setting.raw)),
             )
-            for one in self.settings
+            for setting in self.settings
         )
 
     def initial_state(self) -> DriveState:
@@ -286,8 +286,8 @@ class OdriveDrive:
             return state
         # A TxSdo that confirms a write contains no value (firmware 0.6.11 and later). The message
         # Address has 7 bytes before firmware 0.6.11.
-        shortest = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
-        if not shortest <= len(frame.data) <= 8:
+        min_payload_size = {codec.TX_SDO: 4, codec.ADDRESS: 7}.get(command, 8)
+        if not min_payload_size <= len(frame.data) <= 8:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
         if command == codec.HEARTBEAT:
             return on_heartbeat(state, frame, self.firmware_05)
@@ -357,11 +357,11 @@ class OdriveDrive:
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
         """Compare the value of a setting, read again from the enabled drive, with the required value."""
         setting = self.settings[state.recheck.step]
-        endpoint, raw = codec.decode_sdo_reply(data)
-        if endpoint != setting.endpoint or len(raw) < len(setting.raw):
+        endpoint, raw_bytes = codec.decode_sdo_reply(data)
+        if endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
             return state
-        is_equal = raw[: len(setting.raw)] == setting.raw
-        answer = f"reads {endpoints.value_as_text(raw, setting)}"
+        is_equal = raw_bytes[: len(setting.raw)] == setting.raw
+        answer = f"reads {endpoints.value_as_text(raw_bytes, setting)}"
         expected = endpoints.value_as_text(setting.raw, setting)
         return state_after_recheck_reply(
             state,
@@ -396,7 +396,7 @@ class OdriveDrive:
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
             return state, (self._command_frame(command), *recheck, *requests)
         if state.phase == FAULT:
-            return state, self.cut_frames() if progress.may_be_enabled else ()
+            return state, self.torque_cut_frames() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disable_command_ns=-1))
         if state.phase == READY and progress.configured:
             return self._advance_configured_drive(state, t_ns, target)
@@ -450,8 +450,10 @@ class OdriveDrive:
             return self._next_setting(state, progress, t_ns)
         if progress.heartbeat_ns < 0:
             return state, ()
-        done = progress._replace(configured=True, just_verified=True)
-        return state._replace(phase=READY, error_text="", private=done), self._setup_frames()
+        configured_progress = progress._replace(configured=True, just_verified=True)
+        return state._replace(
+            phase=READY, error_text="", private=configured_progress
+        ), self._setup_frames()
 
     def _next_setting(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
@@ -565,7 +567,7 @@ class OdriveDrive:
         """
         return (self._command_frame(torque),)
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame Estop, after which the drive is disabled and latches an error."""
         return (self._data_frame(codec.ESTOP, b""),)
 

@@ -180,14 +180,16 @@ def _state_when_disabled(
 
     Shortly after a command, the heartbeat may be older than the command.
     """
-    off = state._replace(private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1))
+    state_when_off = state._replace(
+        private=progress._replace(enable_sent_ns=-1, disable_command_ns=-1)
+    )
     if progress.disable_command_ns >= 0:
         if progress.heartbeat_ns < progress.disable_command_ns + SETTLE_TIME_NS:
             return state
-        return off._replace(phase=FAULT if state.error else READY)
+        return state_when_off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
         reason = f": {codec.result_text(heartbeat.result)}" if heartbeat.result else ""
-        return enter_fault(off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
+        return enter_fault(state_when_off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
     if (
         0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS
         and heartbeat.result != codec.PROCEDURE_BUSY
@@ -207,14 +209,18 @@ def _state_when_enable_failed(
     before the next enable command.
     """
     if heartbeat.result != codec.PROCEDURE_SUCCESS:
-        off = state._replace(private=progress._replace(enable_sent_ns=-1))
+        state_when_off = state._replace(private=progress._replace(enable_sent_ns=-1))
         return enter_fault(
-            off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(heartbeat.result)}"
+            state_when_off,
+            ENABLE_REFUSED_ERROR,
+            f"refuses to enable: {codec.result_text(heartbeat.result)}",
         )
     if progress.enable_commands >= ENABLE_COMMANDS:
-        off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))
+        state_when_off = state._replace(
+            private=progress._replace(enable_sent_ns=-1, enable_commands=0)
+        )
         return enter_fault(
-            off,
+            state_when_off,
             ENABLE_REFUSED_ERROR,
             f"stays idle after {ENABLE_COMMANDS} enable commands: it restarts, or ignores commands",
         )
@@ -249,8 +255,10 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     A drive that may be enabled counts as enabled until a heartbeat reports idle.
     """
     phase = ENABLED if progress.may_be_enabled else state.phase
-    since = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
-    return state._replace(phase=phase, private=progress._replace(disable_command_ns=since))
+    disabling_start_ns = progress.disable_command_ns if progress.disable_command_ns >= 0 else t_ns
+    return state._replace(
+        phase=phase, private=progress._replace(disable_command_ns=disabling_start_ns)
+    )
 
 
 def cause_of_error(error_code: int) -> DriveFaultCause:

@@ -60,7 +60,7 @@ def pop_settings(
         codec.encode_floats(-torque),
     )
     settings = []
-    for key, raw in zip(ENDPOINT_KEYS, values, strict=True):
+    for key, raw_bytes in zip(ENDPOINT_KEYS, values, strict=True):
         endpoint = options.pop(key, None)
         if endpoint is None:
             continue
@@ -68,7 +68,7 @@ def pop_settings(
             raise ConfigError(
                 repr(endpoint), f"{key_path}.{key}", "a number from flat_endpoints.json, 1 to 65535"
             )
-        settings.append(OdriveSetting(endpoint, raw, key.removeprefix("endpoint_")))
+        settings.append(OdriveSetting(endpoint, raw_bytes, key.removeprefix("endpoint_")))
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
         raise ConfigError(
@@ -112,11 +112,11 @@ def unchecked_properties(
     if firmware_05:
         return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
     names = {setting.name for setting in settings}
-    missing = [key for key in ENDPOINT_KEYS if key.removeprefix("endpoint_") not in names]
+    missing_names = [key for key in ENDPOINT_KEYS if key.removeprefix("endpoint_") not in names]
     reasons = {}
-    if missing:
-        reasons[DriveProperty.READBACK] = f"missing options {', '.join(missing)}"
-    if set(WATCHDOG_KEYS) & set(missing):
+    if missing_names:
+        reasons[DriveProperty.READBACK] = f"missing options {', '.join(missing_names)}"
+    if set(WATCHDOG_KEYS) & set(missing_names):
         reasons[DriveProperty.WATCHDOG] = (
             f"handctl cannot switch the watchdog on: missing options {', '.join(WATCHDOG_KEYS)}"
         )
@@ -132,15 +132,15 @@ def on_reply(
         The new position in the read-back, and the problem in words (empty if there is no problem).
     """
     setting = settings[cursor.step]
-    endpoint, raw = codec.decode_sdo_reply(data)
-    if not cursor.waiting or endpoint != setting.endpoint or len(raw) < len(setting.raw):
+    endpoint, raw_bytes = codec.decode_sdo_reply(data)
+    if not cursor.waiting or endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
         return cursor, ""
-    if raw[: len(setting.raw)] == setting.raw:
+    if raw_bytes[: len(setting.raw)] == setting.raw:
         return cursor.next_setting(), ""
     return readback.on_wrong_value(
         cursor,
         setting.name,
-        value_as_text(raw, setting),
+        value_as_text(raw_bytes, setting),
         value_as_text(setting.raw, setting),
         WRITE_TRIES,
     )

@@ -300,5 +300,5 @@ def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
 
     Return the parameter number and the four bytes of the value.
     """
-    number, _, raw = _PARAMETER_STRUCT.unpack(data)
-    return number, raw
+    number, _, raw_bytes = _PARAMETER_STRUCT.unpack(data)
+    return number, raw_bytes

@@ -26,7 +26,7 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
 """Types of frames by which another host is detected."""
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 requests the identity of every motor number. Round 3 repeats the request for the
@@ -35,7 +35,9 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     if scan_round == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
     if scan_round == 3:
-        return tuple(_identity_request(motor.node_id) for motor in discovered_motors(received))
+        return tuple(
+            _identity_request(motor.node_id) for motor in discovered_motors(received_frames)
+        )
     return ()
 
 
@@ -44,13 +46,13 @@ def _identity_request(node_number: int) -> Frame:
     return Frame(codec.request_id(codec.GET_ID, node_number, codec.HOST_ID), codec.EMPTY_DATA)
 
 
-def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have answered with their identity."""
     number_by_reply_id = {
         codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS
     }
     serials: dict[int, set[bytes]] = {}
-    for frame in received:
+    for frame in received_frames:
         number = number_by_reply_id.get(frame.can_id)
         if number is not None and len(frame.data) == 8:
             serials.setdefault(number, set()).add(frame.data)
@@ -81,11 +83,11 @@ def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     )
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that only another host can have sent to a motor."""
     return tuple(
         frame
-        for frame in received
+        for frame in received_frames
         if frame.can_id & EXTENDED_FLAG
         and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
         and (frame.can_id & ~EXTENDED_FLAG) >> 24 in HOST_REQUEST_TYPES

@@ -132,15 +132,15 @@ class RobstrideDrive:
                 full scale of the model.
         """
         options = dict(motor.options)
-        where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, codec.MOTOR_MODEL_RANGES)
+        location = f"motor[{motor.name}]"
+        ranges = pop_motor_model(options, location, codec.MOTOR_MODEL_RANGES)
         host = checked_whole_number(
-            options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID
+            options.pop("host_id", codec.HOST_ID), f"{location}.options.host_id", codec.HOST_ID
         )
-        refuse_unknown_options(options, f"{where}.options", OPTIONS)
+        refuse_unknown_options(options, f"{location}.options", OPTIONS)
         if host <= codec.LAST_NODE:
             raise ConfigError(
-                str(host), f"{where}.options.host_id", "128 to 253, no number of a motor"
+                str(host), f"{location}.options.host_id", "128 to 253, no number of a motor"
             )
         check_full_scale(motor, ranges)
         return RobstrideDrive(
@@ -218,18 +218,18 @@ class RobstrideDrive:
         """Return request and reply for each parameter that the host reads again, see ``contract.Drive``."""
         return tuple(
             SettingRecheck(
-                one.name,
-                self._request_frame(codec.READ, codec.parameter_request(one.number)),
+                parameter.name,
+                self._request_frame(codec.READ, codec.parameter_request(parameter.number)),
                 Frame(
                     codec.reply_id(codec.READ, self.node_id, self.host),
-                    codec.parameter_request(one.number, one.raw),
+                    codec.parameter_request(parameter.number, parameter.raw),
                     0,
                     self.bus,
                 ),
                 key_bytes=(0, 2),
-                compared_bytes=(0, 4 + struct.calcsize(one.coding)),
+                compared_bytes=(0, 4 + struct.calcsize(parameter.coding)),
             )
-            for one in self.required
+            for parameter in self.required
         )
 
     def steady_status(self, state: DriveState) -> int:
@@ -269,12 +269,12 @@ class RobstrideDrive:
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
         """Return the state after feedback, with the values and the effect of the status in its identifier."""
-        position, velocity, torque, winding = self.feedback.unpack(data)
+        position, velocity, torque, winding_temperature = self.feedback.unpack(data)
         next_state = state._replace(
             position=position,
             velocity=velocity,
             torque=torque,
-            temperature=winding,
+            temperature=winding_temperature,
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
@@ -293,34 +293,44 @@ class RobstrideDrive:
     def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
         """Return the state after a parameter reply, whose value is compared with the required value."""
         progress = progress_of(state)
-        number, raw = codec.decode_parameter_reply(data)
+        number, raw_bytes = codec.decode_parameter_reply(data)
         if state.phase == ENABLED and state.recheck.waiting:
-            one = self.required[state.recheck.step]
-            if number != one.number:
+            required_parameter = self.required[state.recheck.step]
+            if number != required_parameter.number:
                 return state
-            is_equal = one.is_required_value(raw) and not has_failed
-            answer = "cannot be read" if has_failed else f"reads {one.value_text(raw)}"
+            is_equal = required_parameter.is_required_value(raw_bytes) and not has_failed
+            answer = (
+                "cannot be read"
+                if has_failed
+                else f"reads {required_parameter.value_text(raw_bytes)}"
+            )
             return state_after_recheck_reply(
                 state,
                 SETTING_MISMATCH_ERROR,
                 len(self.required),
                 is_equal,
-                one.name,
+                required_parameter.name,
                 answer,
-                f"{one.value:g}",
+                f"{required_parameter.value:g}",
             )
         cursor = progress.cursor
         if state.phase != CONFIGURING or not cursor.waiting or cursor.step >= len(self.required):
             return state
-        one = self.required[cursor.step]
-        if number != one.number:
+        required_parameter = self.required[cursor.step]
+        if number != required_parameter.number:
             return state
         if has_failed:
-            return enter_fault(state, SETTING_MISMATCH_ERROR, f"{one.name} cannot be read")
-        if one.is_required_value(raw):
+            return enter_fault(
+                state, SETTING_MISMATCH_ERROR, f"{required_parameter.name} cannot be read"
+            )
+        if required_parameter.is_required_value(raw_bytes):
             return state._replace(private=progress._replace(cursor=cursor.next_setting()))
         cursor, problem = readback.on_wrong_value(
-            cursor, one.name, one.value_text(raw), f"{one.value:g}", parameters.WRITE_TRIES
+            cursor,
+            required_parameter.name,
+            required_parameter.value_text(raw_bytes),
+            f"{required_parameter.value:g}",
+            parameters.WRITE_TRIES,
         )
         next_state = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
@@ -331,15 +341,15 @@ class RobstrideDrive:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``."""
         progress: RobstrideProgress = state.private
         if target == ENABLE and state.phase == ENABLED and not progress.disabling:
-            sent = self._torque_frame(command)
+            sent_torque_frame = self._torque_frame(command)
             state, recheck = request_recheck(state, self, SETTING_MISMATCH_ERROR, t_ns)
-            return state, (sent, *recheck)
+            return state, (sent_torque_frame, *recheck)
         if target == LISTEN:
             return state, ()
         if target == DISABLE or state.phase == ENABLED:
-            return start_disabling(state, t_ns), self.cut_frames()
+            return start_disabling(state, t_ns), self.torque_cut_frames()
         if state.phase == FAULT:
-            return state, self.cut_frames()
+            return state, self.torque_cut_frames()
         progress = progress._replace(disabling=False)
         if may_have_lost_power(state, t_ns):
             return state._replace(phase=SILENT, private=RobstrideProgress()), (
@@ -372,27 +382,32 @@ class RobstrideDrive:
         """
         if progress.enabled_by_other_host:
             next_state = state._replace(error_text="enabled, and does not stop", private=progress)
-            return next_state, self.cut_frames()
+            return next_state, self.torque_cut_frames()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
             next_state = state._replace(private=progress)
-            return state_after_configuration(next_state, t_ns, progress.serial), self.cut_frames()
-        one = self.required[cursor.step]
+            return state_after_configuration(
+                next_state, t_ns, progress.serial
+            ), self.torque_cut_frames()
+        required_parameter = self.required[cursor.step]
         if cursor.writing:
             next_state = state._replace(
                 private=progress._replace(cursor=cursor.cursor_after_write())
             )
             return next_state, (
-                self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),
+                self._request_frame(
+                    codec.WRITE,
+                    codec.parameter_request(required_parameter.number, required_parameter.raw),
+                ),
             )
-        cursor, send, problem = readback.request_setting(cursor, one.name, t_ns)
+        cursor, send, problem = readback.request_setting(cursor, required_parameter.name, t_ns)
         if problem:
             return enter_fault(
                 state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
             ), ()
         next_state = state._replace(error_text="", private=progress._replace(cursor=cursor))
         return next_state, (
-            self._request_frame(codec.READ, codec.parameter_request(one.number)),
+            self._request_frame(codec.READ, codec.parameter_request(required_parameter.number)),
         ) if send else ()
 
     def _torque_frame(self, torque: float) -> Frame:
@@ -417,7 +432,7 @@ class RobstrideDrive:
         """
         return (self._torque_frame(torque),)
 
-    def cut_frames(self) -> tuple[Frame, ...]:
+    def torque_cut_frames(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
         return (self._request_frame(codec.STOP),)
 
@@ -426,13 +441,13 @@ class RobstrideDrive:
 
         After the stop command, the host reads back the parameters again.
         """
-        fresh = state._replace(
+        fresh_state = state._replace(
             phase=SILENT,
             error=0,
             error_text="",
             private=RobstrideProgress(clearing=IGNORED_FAULT_COUNT),
         )
-        return fresh, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
+        return fresh_state, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a stopped motor is not active."""

@@ -70,7 +70,7 @@ MOTOR_MODEL_RANGES = {
     for name in ("rs00", "rs01", "rs05")
 }
 """Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
-HOST_OFFSET = 0x10
+HOST_ID_OFFSET = 0x10
 """Default of the host's number minus the motor's number, on a bus with several motors."""
 FACTORY_HOST = 0
 """Factory setting of the host's number."""
@@ -119,7 +119,7 @@ class RobstrideMitDrive(CubemarsDrive):
         command = mit.command_message(self.node_id, self.ranges, self.direction)
         feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
-        winding = Signal(
+        temperature_signal = Signal(
             "winding",
             SignalQuantity.TEMPERATURE,
             55,
@@ -130,7 +130,7 @@ class RobstrideMitDrive(CubemarsDrive):
             unit="degC",
         )
         # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
-        signals = (state._replace(name="node"), position, velocity, torque, winding)
+        signals = (state._replace(name="node"), position, velocity, torque, temperature_signal)
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.command_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
@@ -143,16 +143,18 @@ class RobstrideMitDrive(CubemarsDrive):
                 is too large.
         """
         options = dict(motor.options)
-        where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
+        location = f"motor[{motor.name}]"
+        ranges = pop_motor_model(options, location, MOTOR_MODEL_RANGES)
         if not 0 < motor.node_id <= codec.LAST_NODE:
-            raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
-        host = options.pop("host_id", motor.node_id + HOST_OFFSET)
+            raise ConfigError(str(motor.node_id), f"{location}.node_id", f"1 to {codec.LAST_NODE}")
+        host = options.pop("host_id", motor.node_id + HOST_ID_OFFSET)
         if host != FACTORY_HOST:
-            host = checked_whole_number(host, f"{where}.options.host_id", codec.LAST_NODE)
-        refuse_unknown_options(options, f"{where}.options", OPTIONS)
+            host = checked_whole_number(host, f"{location}.options.host_id", codec.LAST_NODE)
+        refuse_unknown_options(options, f"{location}.options", OPTIONS)
         if host == motor.node_id:
-            raise ConfigError(str(host), f"{where}.options.host_id", "another number than node_id")
+            raise ConfigError(
+                str(host), f"{location}.options.host_id", "another number than node_id"
+            )
         check_full_scale(motor, ranges)
         return RobstrideMitDrive(
             name=motor.name,
@@ -203,9 +205,9 @@ class RobstrideMitDrive(CubemarsDrive):
         # torque near the negative full scale.
         if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
             return self._on_faults(next_state, int.from_bytes(data[1:4], "little"))
-        _, position, velocity, torque, winding = self.feedback.unpack(data)
+        _, position, velocity, torque, winding_temperature = self.feedback.unpack(data)
         next_state = next_state._replace(
-            position=position, velocity=velocity, torque=torque, temperature=winding
+            position=position, velocity=velocity, torque=torque, temperature=winding_temperature
         )
         return self._on_answer(next_state, state.private)
 
@@ -242,8 +244,8 @@ class RobstrideMitDrive(CubemarsDrive):
 
         The motor then starts again with stop commands.
         """
-        fresh, stop = CubemarsDrive.clear(self, state)
-        return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
+        cleared_state, stop = CubemarsDrive.clear(self, state)
+        return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""

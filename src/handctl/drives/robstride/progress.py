@@ -101,12 +101,12 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = mode == codec.RESET_MODE
+    is_off = mode == codec.RESET_MODE
     next_progress = progress._replace(
-        enable_sent=progress.enable_sent and not off, enabled_by_other_host=not off
+        enable_sent=progress.enable_sent and not is_off, enabled_by_other_host=not is_off
     )
     fault_state = enter_fault(state._replace(private=next_progress), fault, fault_text(fault))
-    return fault_state._replace(phase=ENABLED) if progress.disabling and not off else fault_state
+    return fault_state._replace(phase=ENABLED) if progress.disabling and not is_off else fault_state
 
 
 def fault_text(fault: int) -> str:

@@ -139,7 +139,7 @@ class SensorInterface(Protocol):
         """Return True if a payload can be the answer to the SYNC with the given counter."""
         ...
 
-    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
+    def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of lost tension frames, see ``SensorNode.lost_frame_count``."""
         ...
 

@@ -24,38 +24,42 @@ MAX_FRAME_BYTES = 8
 """Largest payload of an answer of the sensor node [bytes]."""
 
 
-def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan: two SYNC frames in round 3, none in the others."""
     return (
         tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if scan_round == 3 else ()
     )
 
 
-def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes: the identifiers with an answer to both SYNC frames.
 
     Consecutive identifiers count as one node.
     """
     ids = sorted(
-        {frame.can_id for frame in received if _answers_both_sync_frames(received, frame.can_id)}
+        {
+            frame.can_id
+            for frame in received_frames
+            if _answers_both_sync_frames(received_frames, frame.can_id)
+        }
     )
-    first = [can_id for can_id in ids if can_id - 1 not in ids]
-    return tuple(_describe_node(can_id, received) for can_id in first)
+    first_ids = [can_id for can_id in ids if can_id - 1 not in ids]
+    return tuple(_describe_node(can_id, received_frames) for can_id in first_ids)
 
 
-def _answers_both_sync_frames(received: ReceivedFrames, can_id: int) -> bool:
+def _answers_both_sync_frames(received_frames: ReceivedFrames, can_id: int) -> bool:
     """Return True if the frames with an identifier repeat the counters of both SYNC frames, in the order sent."""
     counters = [
         frame.data[0] & 0xF
-        for frame in received
+        for frame in received_frames
         if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
     ]
     return can_id < SYNC_ID << 3 and counters == [counter & 0xF for counter in PROBE_COUNTERS]
 
 
-def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
+def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNode:
     """Return the discovered sensor node whose first identifier is ``can_id``."""
-    size = next(len(frame.data) for frame in received if frame.can_id == can_id)
+    size = next(len(frame.data) for frame in received_frames if frame.can_id == can_id)
     channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
     note = (
         f"answers SYNC 0x{SYNC_ID:03x}: a sensor node with base_id "
@@ -69,7 +73,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
     return frozenset()
 
 
-def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
+def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
     """Return no frames, because the discovery of CANopen drives already reports a SYNC of another host."""
     return ()
 

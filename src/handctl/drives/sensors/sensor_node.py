@@ -295,17 +295,17 @@ class SensorNode:
         """Return the SYNC frame of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
-    def lost_frame_count(self, syncs: int, accepted_count: int, stale_count: int) -> int:
+    def lost_frame_count(self, sync_count: int, accepted_count: int, stale_count: int) -> int:
         """Return the number of tension frames that the host has not received.
 
         Answers to the last SYNC are not counted, because they may still arrive.
 
         Args:
-            syncs: number of sent SYNC frames.
+            sync_count: number of sent SYNC frames.
             accepted_count: number of accepted tension frames.
             stale_count: number of received tension frames that answered an older SYNC.
         """
-        return max(0, (syncs - 1) * self.tension_frames - accepted_count - stale_count)
+        return max(0, (sync_count - 1) * self.tension_frames - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
@@ -346,28 +346,29 @@ def sync_counters(decimation: int) -> bytes:
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
     chance = 1
-    recent = list[int]()
+    recent_counters = list[int]()
     result = bytearray()
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
         chance = (
             chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
         )  # Knuth's MMIX
         fit = sorted(byte_by_nibble[k % decimation])
-        for old in reversed(recent):  # the counter of the latest tick is excluded first
-            if len(fit) > 2 and old in fit:
-                fit.remove(old)
+        # The counter of the latest tick is excluded first.
+        for old_counter in reversed(recent_counters):
+            if len(fit) > 2 and old_counter in fit:
+                fit.remove(old_counter)
         # Only the high bits of a linear congruential generator are random.
         nibble = fit[(chance >> 33) % len(fit)]
         result.append(byte_by_nibble[k % decimation][nibble])
-        recent = [*recent[2 - DISTINCT_COUNTERS :], nibble]
+        recent_counters = [*recent_counters[2 - DISTINCT_COUNTERS :], nibble]
     return bytes(result)
 
 
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
     """Return the channels in groups. Each group is the content of one frame."""
     return [
-        tuple(channels[first : first + CHANNELS_PER_FRAME])
-        for first in range(0, len(channels), CHANNELS_PER_FRAME)
+        tuple(channels[first_channel : first_channel + CHANNELS_PER_FRAME])
+        for first_channel in range(0, len(channels), CHANNELS_PER_FRAME)
     ]
 
 

@@ -116,14 +116,14 @@ def check_hand(hand: Hand) -> MistakeIterator:
     Args:
         hand: hand whose single sections are already valid.
     """
-    wrong = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
-    wrong += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
-    yield from wrong
-    if wrong:
+    hand_mistakes = [*check_names(hand), *check_sections(hand.digit, hand.tendon)]
+    hand_mistakes += check_mesh_keys(hand.mount, "palm_mesh", PALM_POSE_KEYS, "mount")
+    yield from hand_mistakes
+    if hand_mistakes:
         return
-    wrong = [*_check_references(hand), *_check_mounts(hand)] or [*_check_tendon_order(hand)]
-    yield from wrong
-    if wrong:
+    hand_mistakes = [*_check_references(hand), *_check_mounts(hand)] or [*_check_tendon_order(hand)]
+    yield from hand_mistakes
+    if hand_mistakes:
         return
     yield from check_sensor_node(hand)
     for digit in hand.digit:
@@ -161,77 +161,79 @@ def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
 
     In the key path ``key_path``, this name takes the place of {}.
     """
-    seen: set[str] = set()
+    seen_names: set[str] = set()
     for name in names:
-        if name in seen:
+        if name in seen_names:
             yield FileMistake(f'"{name}" twice', key_path.format(name), "every name once")
-        seen.add(name)
+        seen_names.add(name)
 
 
 def _check_digit(digit: Digit) -> MistakeIterator:
     """Check a digit: the lengths of its lists, the order of its joint limits, and its links."""
-    where = f"digit[{digit.name}]"
+    location = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
-    wrong = [
-        FileMistake(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
+    size_mistakes = [
+        FileMistake(f"{len(values)} values", f"{location}.{key}", f"{links}, one per link_length_m")
         for key in (*KEYS_PER_LINK, *OPTIONAL_KEYS_PER_LINK)
         if (values := getattr(digit, key)) is not None and len(values) != links
     ]
     if digit.joint_type is None or len(digit.joint_type) == links:
-        wrong += _check_joint_values(digit, where)
-    yield from wrong
-    yield from check_mesh_keys(digit, "link_mesh", MESH_POSE_KEYS, where)
-    for i in range(links) if not wrong else ():
-        yield from _check_body(digit, i, where)
-    for min_key, max_key in (REVOLUTE_KEYS[:2], PRISMATIC_KEYS[:2]) if not wrong else ():
+        size_mistakes += _check_joint_values(digit, location)
+    yield from size_mistakes
+    yield from check_mesh_keys(digit, "link_mesh", MESH_POSE_KEYS, location)
+    for i in range(links) if not size_mistakes else ():
+        yield from _check_body(digit, i, location)
+    for min_key, max_key in (REVOLUTE_KEYS[:2], PRISMATIC_KEYS[:2]) if not size_mistakes else ():
         pairs = zip(getattr(digit, min_key), getattr(digit, max_key), strict=True)
         for i, (low, high) in enumerate(pairs):
             if low >= high:
                 yield FileMistake(
-                    f"{high:g}", f"{where}.{max_key}[{i}]", f"more than {min_key}[{i}] = {low:g}"
+                    f"{high:g}", f"{location}.{max_key}[{i}]", f"more than {min_key}[{i}] = {low:g}"
                 )
     for i, axis in enumerate(digit.joint_axis or ()):
         length = float(np.linalg.norm(axis))
         if abs(length - 1.0) > RELATIVE_ROUNDING_TOLERANCE:
             yield FileMistake(
                 f"a vector of length {length:.3g}",
-                f"{where}.joint_axis[{i}]",
+                f"{location}.joint_axis[{i}]",
                 "a unit vector, of length 1",
             )
     if digit.link_length_m[-1] == 0.0:
         yield FileMistake(
             "0",
-            f"{where}.link_length_m[{links - 1}]",
+            f"{location}.link_length_m[{links - 1}]",
             "more than 0, as the tip is at the end of the last link",
         )
     if digit.coupling is not None:
-        yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
-        yield from _check_coupled_types(digit, digit.coupling, f"{where}.coupling")
+        yield from _check_coupling(digit.coupling, f"{location}.coupling", links)
+        yield from _check_coupled_types(digit, digit.coupling, f"{location}.coupling")
 
 
 def _check_joint_values(digit: Digit, key_path: str) -> MistakeIterator:
     """Check that the keys of revolute and of prismatic joints have a value per joint of their type."""
-    sliding = digit.is_prismatic.count(True)
-    turning = len(digit.is_prismatic) - sliding
+    prismatic_count = digit.is_prismatic.count(True)
+    revolute_count = len(digit.is_prismatic) - prismatic_count
     keys = [
-        *((key, turning, "revolute") for key in (*REVOLUTE_KEYS, "joint_rated_torque_N_m")),
-        *((key, sliding, "prismatic") for key in (*PRISMATIC_KEYS, "joint_rated_force_N")),
+        *((key, revolute_count, "revolute") for key in (*REVOLUTE_KEYS, "joint_rated_torque_N_m")),
+        *((key, prismatic_count, "prismatic") for key in (*PRISMATIC_KEYS, "joint_rated_force_N")),
     ]
     for key, count, kind in keys:
         values = getattr(digit, key)
         if values is None or len(values) == count:
             continue
-        right = f"{count}, one per {kind} joint"
-        if not sliding and kind == "revolute":
-            right = f"{count}, one per link_length_m"
-        elif not sliding:
-            right = 'joint_type with a joint "prismatic", or no such key'
+        expected = f"{count}, one per {kind} joint"
+        if not prismatic_count and kind == "revolute":
+            expected = f"{count}, one per link_length_m"
+        elif not prismatic_count:
+            expected = 'joint_type with a joint "prismatic", or no such key'
         elif not count:
-            right = f"no such key, as all joints are {'revolute' if turning else 'prismatic'}"
+            expected = (
+                f"no such key, as all joints are {'revolute' if revolute_count else 'prismatic'}"
+            )
         elif not values:
             yield FileMistake("missing", f"{key_path}.{key}", f"{count}, one per {kind} joint")
             continue
-        yield FileMistake(f"{len(values)} values", f"{key_path}.{key}", right)
+        yield FileMistake(f"{len(values)} values", f"{key_path}.{key}", expected)
 
 
 def _check_coupled_types(
@@ -280,22 +282,24 @@ def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
                 f"at most the link's length, {length:g} m",
             )
     elif np.linalg.norm(com) > size:
-        right = f"at most {size:g} m from the joint, the link's length or width"
-        yield FileMistake(f"{np.linalg.norm(com):g} m", f"{key_path}.link_com_m[{i}]", right)
+        expected = f"at most {size:g} m from the joint, the link's length or width"
+        yield FileMistake(f"{np.linalg.norm(com):g} m", f"{key_path}.link_com_m[{i}]", expected)
     moments = np.linalg.eigvalsh(link_inertia(digit, i))
     largest = digit.link_mass_kg[i] * size**2
     if moments[-1] > largest:
-        right = f"at most mass x length^2 = {largest:.3g} kg m2"
-        yield FileMistake(f"{moments[-1]:g}", f"{key_path}.link_inertia_kg_m2[{i}]", right)
+        expected = f"at most mass x length^2 = {largest:.3g} kg m2"
+        yield FileMistake(f"{moments[-1]:g}", f"{key_path}.link_inertia_kg_m2[{i}]", expected)
     elif moments[0] <= 0.0:
-        what = f"a principal moment of {moments[0]:.3g} kg m2"
+        problem_text = f"a principal moment of {moments[0]:.3g} kg m2"
         yield FileMistake(
-            what, f"{key_path}.link_inertia_kg_m2[{i}]", "a positive definite inertia"
+            problem_text, f"{key_path}.link_inertia_kg_m2[{i}]", "a positive definite inertia"
         )
     elif moments[-1] > (moments[0] + moments[1]) * (1.0 + RELATIVE_ROUNDING_TOLERANCE):
-        what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
+        problem_text = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
         yield FileMistake(
-            what, f"{key_path}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two"
+            problem_text,
+            f"{key_path}.link_inertia_kg_m2[{i}]",
+            "none larger than the sum of the other two",
         )
 
 
@@ -305,10 +309,12 @@ def _check_coupling(
     """Check the shape of a coupling matrix."""
     if len(coupling) != link_count:
         yield FileMistake(f"{len(coupling)} rows", key_path, f"{link_count}, one per joint")
-    widths = {len(row) for row in coupling}
-    if len(widths) != 1 or not 1 <= min(widths) <= link_count:
+    row_lengths = {len(row) for row in coupling}
+    if len(row_lengths) != 1 or not 1 <= min(row_lengths) <= link_count:
         yield FileMistake(
-            f"rows of {sorted(widths)} values", key_path, f"rows of equal length, 1 to {link_count}"
+            f"rows of {sorted(row_lengths)} values",
+            key_path,
+            f"rows of equal length, 1 to {link_count}",
         )
 
 
@@ -328,44 +334,44 @@ def _check_references(hand: Hand) -> MistakeIterator:
     for tendon in hand.tendon:
         for key in ("moment_arm_m", "excursion_ratio"):
             for joint in getattr(tendon, key):
-                where = f"tendon[{tendon.name}].{key}.{joint}"
-                wrong = [*_check_name(where, joint, hand.joints)]
-                yield from wrong or _check_joint_type(hand, key, joint, where)
+                location = f"tendon[{tendon.name}].{key}.{joint}"
+                reference_mistakes = [*_check_name(location, joint, hand.joints)]
+                yield from reference_mistakes or _check_joint_type(hand, key, joint, location)
     yield from _check_motors(hand)
 
 
 def _check_joint_type(hand: Hand, key: str, joint: str, key_path: str) -> MistakeIterator:
     """Check that a tendon has moment arms at revolute joints, and excursion ratios at prismatic joints."""
-    slides = hand.is_prismatic[hand.joints.index(joint)]
-    if slides and key == "moment_arm_m":
+    is_prismatic = hand.is_prismatic[hand.joints.index(joint)]
+    if is_prismatic and key == "moment_arm_m":
         yield FileMistake(
             f"{joint} is prismatic",
             key_path,
             f"excursion_ratio.{joint}, in metres of tendon per metre",
         )
-    elif not slides and key == "excursion_ratio":
+    elif not is_prismatic and key == "excursion_ratio":
         yield FileMistake(f"{joint} is revolute", key_path, f"moment_arm_m.{joint}, in metres")
 
 
 def _check_motors(hand: Hand) -> MistakeIterator:
     """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
     tendon_by_motor: dict[str, str] = {}
-    wrong: list[FileMistake] = []
+    motor_mistakes: list[FileMistake] = []
     for tendon in hand.tendon:
-        where = f"tendon[{tendon.name}].motor"
-        wrong += _check_name(where, tendon.motor, hand.motor_names)
+        location = f"tendon[{tendon.name}].motor"
+        motor_mistakes += _check_name(location, tendon.motor, hand.motor_names)
         if tendon.motor in tendon_by_motor:
-            what = f'"{tendon.motor}" drives {tendon_by_motor[tendon.motor]} already'
-            right = (
+            problem_text = f'"{tendon.motor}" drives {tendon_by_motor[tendon.motor]} already'
+            expected = (
                 "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
             )
-            wrong.append(FileMistake(what, where, right))
+            motor_mistakes.append(FileMistake(problem_text, location, expected))
         tendon_by_motor[tendon.motor] = tendon.name
-    yield from wrong
+    yield from motor_mistakes
     for motor in hand.motor:
         # If a tendon names a wrong motor, the right motor has no tendon as a consequence. In this
         # case, only the wrong name is reported.
-        if motor.name not in tendon_by_motor and not wrong:
+        if motor.name not in tendon_by_motor and not motor_mistakes:
             yield FileMistake(
                 "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
             )
@@ -386,15 +392,15 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
     """
     line: list[str] = []
     for digit in hand.digit:
-        where = f"digit[{digit.name}].mount_on"
+        location = f"digit[{digit.name}].mount_on"
         carrier = digit.mount_on
         if carrier is not None and carrier not in line:
-            yield from _check_name(where, carrier, hand.digit_names)
+            yield from _check_name(location, carrier, hand.digit_names)
             if carrier in hand.digit_names:
-                what = f"{digit.name} does not follow {carrier}"
+                problem_text = f"{digit.name} does not follow {carrier}"
                 yield FileMistake(
-                    what,
-                    where,
+                    problem_text,
+                    location,
                     "each digit right after the one that carries it, or after others on it",
                 )
         # The next digit may be carried by this digit, or by one of the digits that carry this
@@ -408,9 +414,9 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
     A tendon may cross the joints of its digit, and otherwise only joints of digits that carry its
     digit.
     """
-    latest = 0
+    last_digit_index = 0
     for tendon in hand.tendon:
-        where = f"tendon[{tendon.name}].moment_arm_m"
+        location = f"tendon[{tendon.name}].moment_arm_m"
         for joint in tendon.arms:
             yield from _check_arm(hand, tendon, joint)
         name = hand.digit_of_tendon(tendon)
@@ -420,19 +426,27 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
                 for digit in hand.digit
                 if not tendon.arms.keys().isdisjoint(digit.joints)
             ]
-            right = "joints of one digit, and of digits that carry it (mount_on)"
-            yield FileMistake(f"moves {' and '.join(crossed_digits) or 'no digit'}", where, right)
+            expected = "joints of one digit, and of digits that carry it (mount_on)"
+            yield FileMistake(
+                f"moves {' and '.join(crossed_digits) or 'no digit'}", location, expected
+            )
             continue
-        passed = [joint for joint in tendon.arms if joint not in hand.digit_named(name).joints]
-        for joint in passed:
+        passed_joints = [
+            joint for joint in tendon.arms if joint not in hand.digit_named(name).joints
+        ]
+        for joint in passed_joints:
             if is_arm_varying(tendon.arms[joint]):
-                right = f"a number: {name} is carried by this joint"
-                yield FileMistake("an arm that depends on the angle", f"{where}.{joint}", right)
+                expected = f"a number: {name} is carried by this joint"
+                yield FileMistake(
+                    "an arm that depends on the angle", f"{location}.{joint}", expected
+                )
         digit = hand.digit_names.index(name)
-        if digit < latest:
-            what = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[latest].name}"
-            yield FileMistake(what, where, "tendons digit by digit, in the order of the digits")
-        latest = max(latest, digit)
+        if digit < last_digit_index:
+            problem_text = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[last_digit_index].name}"
+            yield FileMistake(
+                problem_text, location, "tendons digit by digit, in the order of the digits"
+            )
+        last_digit_index = max(last_digit_index, digit)
 
 
 def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
@@ -441,22 +455,24 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     A table of moment arms must cover the whole range and must be smooth.
     """
     arm = tendon.arms[joint]
-    where = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
+    location = f"tendon[{tendon.name}].{tendon.arm_key(joint)}.{joint}"
     if joint in tendon.excursion_ratio:
         if abs(arm) < SMALLEST_RATIO:
-            right = f"{SMALLEST_RATIO:g} to 5 m/m either way, or no such key"
-            yield FileMistake(f"{arm:g}", where, right)
+            expected = f"{SMALLEST_RATIO:g} to 5 m/m either way, or no such key"
+            yield FileMistake(f"{arm:g}", location, expected)
         return
     if not isinstance(arm, dict):
         if abs(arm) < SMALLEST_ARM_M:
-            yield FileMistake(f"{arm:g}", where, "0.0001 to 0.05 m either way, or no such key")
+            yield FileMistake(f"{arm:g}", location, "0.0001 to 0.05 m either way, or no such key")
         return
     low, high = np.degrees(hand.joint_limits[:, hand.joints.index(joint)]).tolist()
     range_text = f"the joint's range, {low:g} to {high:g} deg"
-    first, *_, last = arm.get("angle_deg", (low, high))
-    if first > low + ROUNDING_DEG or last < high - ROUNDING_DEG:
+    first_angle, *_, last_angle = arm.get("angle_deg", (low, high))
+    if first_angle > low + ROUNDING_DEG or last_angle < high - ROUNDING_DEG:
         yield FileMistake(
-            f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}"
+            f"angle_deg from {first_angle:g} to {last_angle:g}",
+            location,
+            f"a table over {range_text}",
         )
         return
     angle = np.linspace(low, high, ARM_SAMPLES)
@@ -464,28 +480,30 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     smallest_index = int(np.argmin(np.abs(values)))
     size = float(np.abs(values).max())
     if values.min() < 0.0 < values.max():
-        turned = int(np.argmax(values * values[0] < 0.0))
-        what = f"the arm changes its sign at {angle[turned]:.0f} deg"
+        sign_change_index = int(np.argmax(values * values[0] < 0.0))
+        problem_text = f"the arm changes its sign at {angle[sign_change_index]:.0f} deg"
         yield FileMistake(
-            what, where, f"one sign over {range_text}: a tendon either closes or opens a joint"
+            problem_text,
+            location,
+            f"one sign over {range_text}: a tendon either closes or opens a joint",
         )
     elif abs(values[smallest_index]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
-        worst = (
+        worst_arm = (
             values[smallest_index]
             if abs(values[smallest_index]) < SMALLEST_ARM_M
             else values[np.argmax(np.abs(values))]
         )
-        place = angle[np.argmin(np.abs(values - worst))]
+        place = angle[np.argmin(np.abs(values - worst_arm))]
         yield FileMistake(
-            f"an arm of {worst:.3g} m at {place:.0f} deg",
-            where,
+            f"an arm of {worst_arm:.3g} m at {place:.0f} deg",
+            location,
             f"0.0001 to 0.05 m over {range_text}",
         )
     elif (residual := arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
-        what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
+        problem_text = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
-            what,
-            where,
+            problem_text,
+            location,
             f"a smoother table, within {1e2 * MAX_TABLE_RESIDUAL_FRACTION:g} % of the arm, or polynomial_m",
         )
 
@@ -502,16 +520,18 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
         limits = hand.joint_limits[:, joints]
         postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
         rank = min(
-            _moment_arm_rank(one @ coupling)
-            for one in moment_arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
+            _moment_arm_rank(moment_arm @ coupling)
+            for moment_arm in moment_arms_at(
+                hand.arm_polynomials[tendons, joints], limits, postures
+            )
         )
     if rank < columns:
-        where = f"digit[{digit.name}].coupling"
-        right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
+        location = f"digit[{digit.name}].coupling"
+        expected = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
         yield FileMistake(
             f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates",
-            where,
-            right,
+            location,
+            expected,
         )
     for joint, column in zip(digit.joints, arms.T, strict=True):
         if not column.any():
@@ -524,8 +544,8 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
 
 def arm_key_of(hand: Hand, joint: str) -> str:
     """Return the key of a tendon for a joint: ``excursion_ratio`` for a prismatic one."""
-    slides = hand.is_prismatic[hand.joints.index(joint)]
-    return "excursion_ratio" if slides else "moment_arm_m"
+    is_prismatic = hand.is_prismatic[hand.joints.index(joint)]
+    return "excursion_ratio" if is_prismatic else "moment_arm_m"
 
 
 def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
@@ -543,20 +563,22 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     breaking_force = tendon.rated_breaking_force_N
     is_too_high = False
-    for below, key, above in zip(
+    for lower_limit, key, upper_limit in zip(
         (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
     ):
         value = values[key]
-        value_above = values[above]
+        value_above = values[upper_limit]
         # The limit before this one has been reported as too high. Therefore this limit is not also
         # reported as too low.
-        is_too_low = below is not None and value <= values[below] and not is_too_high
-        bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
-        if above == STRENGTH_KEY or breaking_force < value_above:
+        is_too_low = lower_limit is not None and value <= values[lower_limit] and not is_too_high
+        bounds = (
+            [] if lower_limit is None else [f"more than {lower_limit} = {values[lower_limit]:g} N"]
+        )
+        if upper_limit == STRENGTH_KEY or breaking_force < value_above:
             bounds.append(f"at most {STRENGTH_KEY} = {breaking_force:g} N")
             is_too_high = value > breaking_force
         else:
-            bounds.append(f"less than {above} = {value_above:g} N")
+            bounds.append(f"less than {upper_limit} = {value_above:g} N")
             is_too_high = value >= value_above
         if is_too_high or is_too_low:
             breaking_text = (
@@ -580,12 +602,12 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
         return
     largest = 0.5 * tendon.tension_max_N
     if pretension > largest:
-        right = f"at most tension_max_N / 2 = {largest:g} N, so that no tendon of the pair exceeds its limits"
-        yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", right)
+        expected = f"at most tension_max_N / 2 = {largest:g} N, so that no tendon of the pair exceeds its limits"
+        yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", expected)
     if tendon.tension_floor_N != 0.0:
-        right = "0, or no such key: the net tension of a spool pair has both signs"
+        expected = "0, or no such key: the net tension of a spool pair has both signs"
         yield FileMistake(
-            f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right
+            f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", expected
         )
 
 
@@ -595,43 +617,45 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
         return
-    where = f"digit[{digit.name}]"
+    location = f"digit[{digit.name}]"
     coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
-    single = [tendon.name for tendon in tendons if tendon.pretension_N is None]
-    if single:
-        what = f"{pairs[0].name} is a spool pair, and {single[0]} is not"
-        right = f"pretension_N on all tendons of {digit.name}, or on none"
-        yield FileMistake(what, f"tendon[{single[0]}].pretension_N", right)
+    single_tendons = [tendon.name for tendon in tendons if tendon.pretension_N is None]
+    if single_tendons:
+        problem_text = f"{pairs[0].name} is a spool pair, and {single_tendons[0]} is not"
+        expected = f"pretension_N on all tendons of {digit.name}, or on none"
+        yield FileMistake(problem_text, f"tendon[{single_tendons[0]}].pretension_N", expected)
     elif len(pairs) != coordinates:
-        what = f"{len(pairs)} spool pairs for {coordinates} coordinates"
+        problem_text = f"{len(pairs)} spool pairs for {coordinates} coordinates"
         yield FileMistake(
-            what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways"
+            problem_text,
+            f"{location}.tendon",
+            "one spool pair per coordinate: a pair pulls both ways",
         )
     if digit.has_springs:
-        what = "springs beside spool pairs"
+        problem_text = "springs beside spool pairs"
         key = 0 if any(digit.spring_stiffness_N_m_per_rad) else 1
         yield FileMistake(
-            what,
-            f"{where}.{('spring_stiffness_N_m_per_rad', 'spring_stiffness_N_per_m')[key]}",
+            problem_text,
+            f"{location}.{('spring_stiffness_N_m_per_rad', 'spring_stiffness_N_per_m')[key]}",
             "no springs: a spool pair returns the joint",
         )
     for i, name in enumerate(hand.sensor_node.tendons):
         if name in [tendon.name for tendon in pairs]:
-            right = "tendons with one load cell each: the net tension of a spool pair comes from its motor"
-            yield FileMistake(f"{name} is a spool pair", f"sensor_node.tendons[{i}]", right)
+            expected = "tendons with one load cell each: the net tension of a spool pair comes from its motor"
+            yield FileMistake(f"{name} is a spool pair", f"sensor_node.tendons[{i}]", expected)
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
     """Check that a drive's torque limit fits the tendon's ``drive_limit_N``, and that the motor can reach the limit."""
-    where = f"motor[{motor.name}].torque_max_N_m"
+    location = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
-        right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
-        yield FileMistake(f"{motor.torque_max_N_m:g}", where, right)
+        expected = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
+        yield FileMistake(f"{motor.torque_max_N_m:g}", location, expected)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
         yield FileMistake(
             f"{motor.torque_max_N_m:g}",
-            where,
+            location,
             f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m",
         )
 
@@ -641,50 +665,52 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
     Only a drive with ``control = "position"`` may have these keys.
     """
-    where = f"motor[{motor.name}]"
+    location = f"motor[{motor.name}]"
     if not motor.closes_position_loop:
         for key in ("kp_N_m_per_rad", "kd_N_m_s_per_rad"):
             value = getattr(motor, key)
             if value is not None:
-                right = 'no such key without control = "position"'
-                yield FileMistake(f"{value:g}", f"{where}.{key}", right)
+                expected = 'no such key without control = "position"'
+                yield FileMistake(f"{value:g}", f"{location}.{key}", expected)
         return
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
         if tendon in hand.tendon[tendons] and tendons.stop - tendons.start > coordinates:
-            right = '"torque": position loops of antagonistic tendons would pull against each other'
-            yield FileMistake('"position"', f"{where}.control", right)
+            expected = (
+                '"torque": position loops of antagonistic tendons would pull against each other'
+            )
+            yield FileMistake('"position"', f"{location}.control", expected)
     max_stiffness = tendon.stiffness_N_per_m * motor.spool_radius_m**2
     if (motor.kp_N_m_per_rad or 0.0) > max_stiffness:
-        right = f"at most stiffness_N_per_m x spool_radius_m^2 = {max_stiffness:.3g} N m/rad"
-        yield FileMistake(f"{motor.kp_N_m_per_rad:g}", f"{where}.kp_N_m_per_rad", right)
+        expected = f"at most stiffness_N_per_m x spool_radius_m^2 = {max_stiffness:.3g} N m/rad"
+        yield FileMistake(f"{motor.kp_N_m_per_rad:g}", f"{location}.kp_N_m_per_rad", expected)
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
     """Check that the hand holds before it relaxes when a client stops its stream of targets."""
     if stream.relax_after_ms <= stream.hold_after_ms:
-        right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
-        yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
+        expected = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
+        yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", expected)
 
 
 def _check_identifiers(hand: Hand) -> MistakeIterator:
     """Check that no two frames on a bus have the same CAN identifier."""
     owner: dict[tuple[str, object], str] = {}
-    wrong: set[str] = set()
+    duplicate_texts: set[str] = set()
     for motor in hand.motor:
         yield from _check_reply_id(motor)
-    for bus, identifier, where in _frame_identifiers(hand):
-        if (bus, identifier) in owner and where not in wrong:
-            wrong.add(where)
+    for bus, identifier, location in _frame_identifiers(hand):
+        if (bus, identifier) in owner and location not in duplicate_texts:
+            duplicate_texts.add(location)
             text = (
                 f"0x{identifier & ~EXTENDED_ID_FLAG:X}"
                 if isinstance(identifier, int)
                 else str(identifier)
             )
-            right = f"an identifier that is not in use; {owner[bus, identifier]} has it"
-            yield FileMistake(f'{text} on bus "{bus}" is taken', where, right)
-        owner.setdefault((bus, identifier), where)
+            expected = f"an identifier that is not in use; {owner[bus, identifier]} has it"
+            yield FileMistake(f'{text} on bus "{bus}" is taken', location, expected)
+        owner.setdefault((bus, identifier), location)
 
 
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
@@ -693,48 +719,48 @@ def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     If the protocol of a motor is unknown here, protocol and node number take the place of the
     identifier.
     """
-    for protocol, identifier, what in SHARED_IDS:
+    for protocol, identifier, use_text in SHARED_IDS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
-            yield bus, identifier, what
+            yield bus, identifier, use_text
     node = hand.sensor_node
     if node.tendons or node.joints:
         yield node.bus, node.sync_id, "sensor_node.sync_id"
-    for identifier, where in amplifier_identifiers(node):
-        yield node.bus, identifier, where
+    for identifier, location in amplifier_identifiers(node):
+        yield node.bus, identifier, location
     for identifier in () if node.is_cia404 else (*node.tension_ids, *node.joint_ids):
         yield node.bus, identifier, "sensor_node.base_id"
     for motor in hand.motor:
-        for key, where in _motor_identifiers(motor):
-            yield motor.bus, key, where
+        for key, location in _motor_identifiers(motor):
+            yield motor.bus, key, location
 
 
 def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
     """Yield (identifier, key path) for all CAN frames of a motor."""
-    where = f"motor[{motor.name}].node_id"
+    location = f"motor[{motor.name}].node_id"
     if motor.protocol == "mit":
-        yield motor.node_id, where
-        yield _mit_reply_id(motor, where)
+        yield motor.node_id, location
+        yield _mit_reply_id(motor, location)
     elif motor.protocol == "odrive":
         # An ODrive uses the identifiers of all 32 commands with its node number.
         for message in range(32):
-            yield motor.node_id << 5 | message, where
+            yield motor.node_id << 5 | message, location
     elif motor.protocol == "cia402":
         for service_base_id in CANOPEN_SERVICES:
-            yield service_base_id + motor.node_id, where
+            yield service_base_id + motor.node_id, location
     elif motor.protocol == "moteus":
         # These are the identifiers of the requests. They contain the source 0 and the bit that asks
         # for a reply. The identifiers of the replies follow. They have 11 bits if the number is
         # small enough.
-        yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, where
+        yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, location
         number = motor.node_id << 8
-        yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, where
+        yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, location
     elif motor.protocol == "robstride":
         # These are the identifiers of the requests of type 0. The feedback of a running motor to
         # the default host comes after them.
-        yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, where
-        yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, where
+        yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, location
+        yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, location
     else:
-        yield f"{motor.protocol} node {motor.node_id}", where
+        yield f"{motor.protocol} node {motor.node_id}", location
 
 
 def _mit_reply_id(motor: Motor, key_path: str) -> tuple[object, str]:

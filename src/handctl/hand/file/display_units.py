@@ -38,17 +38,17 @@ class DisplayUnits(NamedTuple):
     @classmethod
     def of(cls, is_prismatic: ArrayLike) -> "DisplayUnits":
         """Return the units of positions, given which of them belong to prismatic joints (n,)."""
-        slides = np.asarray(is_prismatic, dtype=np.bool_)
+        prismatic_mask = np.asarray(is_prismatic, dtype=np.bool_)
         # The factors are those of math.degrees and math.radians.
         return cls(
-            slides,
-            np.where(slides, 1000.0, 180.0 / np.pi),
-            np.where(slides, 0.001, np.pi / 180.0),
-            np.where(slides, EQUIVALENT_M_PER_RAD, 1.0),
-            np.where(slides, 1000.0 * EQUIVALENT_M_PER_RAD * np.pi / 180.0, 1.0),
+            prismatic_mask,
+            np.where(prismatic_mask, 1000.0, 180.0 / np.pi),
+            np.where(prismatic_mask, 0.001, np.pi / 180.0),
+            np.where(prismatic_mask, EQUIVALENT_M_PER_RAD, 1.0),
+            np.where(prismatic_mask, 1000.0 * EQUIVALENT_M_PER_RAD * np.pi / 180.0, 1.0),
         )
 
-    def displayed(self, values: ArrayLike) -> Array:
+    def to_displayed(self, values: ArrayLike) -> Array:
         """Convert positions (.., n) [rad or m] to displayed units [deg or mm]."""
         return np.asarray(np.asarray(values, dtype=np.float64) * self.factor)
 
@@ -63,4 +63,4 @@ class DisplayUnits(NamedTuple):
     @property
     def names(self) -> tuple[str, ...]:
         """Return the displayed unit of each position."""
-        return tuple(UNIT_NAMES[int(slides)] for slides in self.is_prismatic)
+        return tuple(UNIT_NAMES[int(unit_is_length)] for unit_is_length in self.is_prismatic)

@@ -76,29 +76,34 @@ def validation_mistakes(
         for error_detail in error_details
         if error_detail["type"] != "too_short" or error_detail["loc"] not in parent_locations
     ]
-    unknown = [
+    unknown_details = [
         error_detail for error_detail in error_details if error_detail["type"] == "extra_forbidden"
     ]
-    found = [_unknown_key_mistake(error_detail["loc"], model, content) for error_detail in unknown]
+    unknown_key_mistakes = [
+        _unknown_key_mistake(error_detail["loc"], model, content)
+        for error_detail in unknown_details
+    ]
     misspelt_keys = {
         (error_detail["loc"][:-1], mistake.right)
-        for error_detail, mistake in zip(unknown, found, strict=True)
+        for error_detail, mistake in zip(unknown_details, unknown_key_mistakes, strict=True)
     }
     for error_detail in error_details:
         location = error_detail["loc"]
         where = key_path(content, location)
         if error_detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt_keys:
-                found.append(
+                unknown_key_mistakes.append(
                     FileMistake("missing", where, _meaning_of_missing_key(location, model))
                 )
         elif error_detail["type"] != "extra_forbidden":
             context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
-            right = EXPECTED_TYPES.get(error_detail["type"], "{right}").format(**context)
+            expected = EXPECTED_TYPES.get(error_detail["type"], "{right}").format(**context)
             if error_detail["input"] == UNMEASURED_PLACEHOLDER:
-                right += _field_meaning(_field_of_key(location, model))
-            found.append(FileMistake(toml_spelling(error_detail["input"]), where, right))
-    return found
+                expected += _field_meaning(_field_of_key(location, model))
+            unknown_key_mistakes.append(
+                FileMistake(toml_spelling(error_detail["input"]), where, expected)
+            )
+    return unknown_key_mistakes
 
 
 SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
@@ -113,14 +118,16 @@ def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseM
     field = _field_of_key(key_location, model)
     if field is None:
         return "a value"
-    form = "a value"
+    expected_form = "a value"
     annotation = field.model.model_fields[field.name].annotation
     if len(key_location) == 1 and _models_in_annotation(annotation):
         name = key_location[0]
         is_section_list = not isinstance(annotation, type)
-        form = f"[[{name}]] sections" if is_section_list else f"a section [{name}]"
-        form += f", or {name}.NAME in each digit" if name in SECTIONS_ALLOWED_IN_DIGITS else ""
-    return form + _field_meaning(field)
+        expected_form = f"[[{name}]] sections" if is_section_list else f"a section [{name}]"
+        expected_form += (
+            f", or {name}.NAME in each digit" if name in SECTIONS_ALLOWED_IN_DIGITS else ""
+        )
+    return expected_form + _field_meaning(field)
 
 
 class _ModelField(NamedTuple):
@@ -199,13 +206,13 @@ def with_paths_in_hand_file(
         mistakes: mistakes whose key paths belong to the resolved content.
         origin_of_path: key path in the file, for each key path in the resolved content.
     """
-    found: dict[FileMistake | str, FileMistake] = {}
+    located_mistakes: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
-        where = _path_in_file(mistake.where, origin_of_path)
-        shared = where != mistake.where and mistake.what != "missing"
-        placed = mistake._replace(where=where)
-        found.setdefault(where if shared else placed, placed)
-    return list(found.values())
+        location = _path_in_file(mistake.where, origin_of_path)
+        is_shared = location != mistake.where and mistake.what != "missing"
+        placed_mistake = mistake._replace(where=location)
+        located_mistakes.setdefault(location if is_shared else placed_mistake, placed_mistake)
+    return list(located_mistakes.values())
 
 
 def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
@@ -223,8 +230,10 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
         )
         names.setdefault(mistake_pattern, []).append(section[2] if section else "")
     return [
-        mistake_pattern._replace(where=mistake_pattern.where.replace("{}", shortened_list(found)))
-        for mistake_pattern, found in names.items()
+        mistake_pattern._replace(
+            where=mistake_pattern.where.replace("{}", shortened_list(matching_names))
+        )
+        for mistake_pattern, matching_names in names.items()
     ]
 
 

@@ -148,109 +148,124 @@ class _SectionLine:
         return f"{self.key} = {self.value}" + (f"   # {self.comment}" if self.comment else "")
 
 
-def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
+def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the tendons of a description that a hand file can contain, and notes about all other tendons.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
     the short names of the joints.
     """
-    places = {
+    joint_indices = {
         joint: (digit.name, f"j{i + 1}")
-        for digit in described.digits
+        for digit in described_hand.digits
         for i, joint in enumerate(digit.joints)
     }
-    sliding = {
-        (digit.name, joint) for digit in described.digits for joint in _sliding_joints(digit)
+    prismatic_joints = {
+        (digit.name, joint) for digit in described_hand.digits for joint in _sliding_joints(digit)
     }
-    usable: list[dict[str, Any]] = []
+    usable_tendons_found: list[dict[str, Any]] = []
     notes = []
-    for tendon in described.tendons:
+    for tendon in described_hand.tendons:
         name = tendon["name"]
-        arms = {places[joint]: arm for joint, arm in tendon["arms"].items() if arm}
+        arms = {joint_indices[joint]: arm for joint, arm in tendon["arms"].items() if arm}
         digits = {digit for digit, _ in arms}
         if len(digits) != 1:
             notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
         elif not all(
             SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M
             for place, arm in arms.items()
-            if place not in sliding
+            if place not in prismatic_joints
         ):
-            right = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
+            expected = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
             notes.append(
-                f"tendon {name} is not read: its coefficients are no moment arms of {right}"
+                f"tendon {name} is not read: its coefficients are no moment arms of {expected}"
             )
         else:
             (digit,) = digits
-            own: dict[str, Any] = {
+            own_values: dict[str, Any] = {
                 "digit": digit,
                 "name": _short_name(name, digit),
                 "motor": _short_name(tendon["motor"] or name, digit),
             }
-            own |= {
+            own_values |= {
                 "arms": {joint: arm for (_, joint), arm in arms.items()},
-                "sliding": {joint for place in sliding & arms.keys() for joint in place[1:]},
+                "sliding": {
+                    joint for place in prismatic_joints & arms.keys() for joint in place[1:]
+                },
                 "tension_max": tendon["tension_max"],
             }
-            usable.append(own)
+            usable_tendons_found.append(own_values)
     # If the tendons together do not move every joint, they only model a mechanism, and other
     # actuators move the hand.
-    moved = {(tendon["digit"], joint) for tendon in usable for joint in tendon["arms"]}
-    if usable and moved != set(places.values()):
+    moved_joints = {
+        (tendon["digit"], joint) for tendon in usable_tendons_found for joint in tendon["arms"]
+    }
+    if usable_tendons_found and moved_joints != set(joint_indices.values()):
         notes.append("the tendons of the file are not read: they do not move every joint")
         return [], notes
-    return usable, notes
+    return usable_tendons_found, notes
 
 
 def imported_hand_text(
-    described: DescribedHand, answers: ImportAnswers, option_words: str, can_fd: bool
+    described_hand: DescribedHand, tendon_answers: ImportAnswers, option_words: str, can_fd: bool
 ) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
-        described: hand of a robot description.
-        answers: the user's answers about values that the robot description does not contain.
+        described_hand: hand of a robot description.
+        tendon_answers: the user's answers about values that the robot description does not contain.
         option_words: line with the options of the drives, or an empty text for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
-    tendons, _ = usable_tendons(described)
+    tendons, _ = usable_tendons(described_hand)
     has_placeholder_tendons = not tendons
     tendons = tendons or [
-        one for digit in described.digits for one in _placeholder_tendons(digit, answers)
+        line
+        for digit in described_hand.digits
+        for line in _placeholder_tendons(digit, tendon_answers)
     ]
-    buses = _bus_by_digit(described, tendons)
-    parts = [_head_text(described, answers, max(buses.values(), default=0) + 1, can_fd)]
+    buses = _bus_by_digit(described_hand, tendons)
+    parts = [_head_text(described_hand, tendon_answers, max(buses.values(), default=0) + 1, can_fd)]
     if has_placeholder_tendons:
         parts[0] = (
-            PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint")
+            PLACEHOLDER_TENDONS_COMMENT.format(
+                "digit" if tendon_answers.tendons == "one" else "joint"
+            )
             + parts[0]
         )
-    common_lines = _common_lines(described, answers)
+    common_lines = _common_lines(described_hand, tendon_answers)
     parts += [_section_text("default.digit", common_lines)] if common_lines else []
     largest = {tendon["tension_max"] for tendon in tendons}
-    if answers.tension_N is None and len(largest) == 1:
-        answers = replace(answers, tension_N=largest.pop())
-    parts.append(_section_text("default.tendon", _tendon_lines(answers)))
-    parts.append(_section_text("default.motor", _motor_lines(answers)) + option_words)
-    nodes: dict[int, int | None] = dict.fromkeys(buses.values(), answers.first_node)
-    for digit in described.digits:
-        own = [tendon for tendon in tendons if tendon["digit"] == digit.name]
-        lines = [*_digit_lines(digit, answers), *_drive_lines(own, buses[digit.name], nodes)]
-        if len(own) < len(digit.joints):
+    if tendon_answers.tension_N is None and len(largest) == 1:
+        tendon_answers = replace(tendon_answers, tension_N=largest.pop())
+    parts.append(_section_text("default.tendon", _tendon_lines(tendon_answers)))
+    parts.append(_section_text("default.motor", _motor_lines(tendon_answers)) + option_words)
+    nodes: dict[int, int | None] = dict.fromkeys(buses.values(), tendon_answers.first_node)
+    for digit in described_hand.digits:
+        own_tendons = [tendon for tendon in tendons if tendon["digit"] == digit.name]
+        lines = [
+            *_digit_lines(digit, tendon_answers),
+            *_drive_lines(own_tendons, buses[digit.name], nodes),
+        ]
+        if len(own_tendons) < len(digit.joints):
             lines.append(_todo_line(Digit, "coupling"))
         parts.append(
-            f"# joints in {described.source}: {', '.join(digit.joints)}\n"
+            f"# joints in {described_hand.source}: {', '.join(digit.joints)}\n"
             + _section_text("[digit]", lines)
         )
     return "\n\n".join(parts) + "\n"
 
 
-def _placeholder_tendons(digit: ModelDigit, answers: ImportAnswers) -> Iterable[dict[str, Any]]:
+def _placeholder_tendons(
+    digit: ModelDigit, tendon_answers: ImportAnswers
+) -> Iterable[dict[str, Any]]:
     """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
-    sliding = _sliding_joints(digit)
-    arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
+    prismatic_joints = _sliding_joints(digit)
+    arm = None if tendon_answers.pulley_mm is None else 1e-3 * tendon_answers.pulley_mm
     crossed_joints = (
-        [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
+        [joints]
+        if tendon_answers.tendons == "one"
+        else [joints[: i + 1] for i in range(len(joints))]
     )
     for i, names in enumerate(crossed_joints):
         yield {
@@ -258,9 +273,9 @@ def _placeholder_tendons(digit: ModelDigit, answers: ImportAnswers) -> Iterable[
             "name": f"t{i + 1}",
             "motor": f"m{i + 1}",
             "arms": None
-            if arm is None and not set(names) <= sliding
-            else {name: 1.0 if name in sliding else arm for name in names},
-            "sliding": sliding & set(names),
+            if arm is None and not set(names) <= prismatic_joints
+            else {name: 1.0 if name in prismatic_joints else arm for name in names},
+            "sliding": prismatic_joints & set(names),
             "tension_max": None,
         }
 
@@ -270,15 +285,17 @@ def _sliding_joints(digit: ModelDigit) -> set[str]:
     return {f"j{i + 1}" for i, link in enumerate(digit.links) if link.is_prismatic}
 
 
-def _bus_by_digit(described: DescribedHand, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def _bus_by_digit(
+    described_hand: DescribedHand, tendons: Sequence[Mapping[str, Any]]
+) -> dict[str, int]:
     """Return the index of the bus for each digit. All motors of a digit are on the same bus."""
     buses = {}
-    bus = used = 0
-    for digit in described.digits:
+    bus = motors_on_bus = 0
+    for digit in described_hand.digits:
         count = sum(tendon["digit"] == digit.name for tendon in tendons)
-        if used and used + count > MOTORS_PER_BUS:
-            bus, used = bus + 1, 0
-        used += count
+        if motors_on_bus and motors_on_bus + count > MOTORS_PER_BUS:
+            bus, motors_on_bus = bus + 1, 0
+        motors_on_bus += count
         buses[digit.name] = bus
     return buses
 
@@ -287,56 +304,63 @@ def _bus_name(bus: int) -> str:
     return "main" if bus == 0 else f"bus_{bus + 1}"
 
 
-def _head_text(described: DescribedHand, answers: ImportAnswers, buses: int, can_fd: bool) -> str:
+def _head_text(
+    described_hand: DescribedHand, tendon_answers: ImportAnswers, buses: int, can_fd: bool
+) -> str:
     """Return the text of the tables before the first digit."""
-    joints = sum(len(digit.joints) for digit in described.digits)
-    turned = (
+    joints = sum(len(digit.joints) for digit in described_hand.digits)
+    turned_text = (
         ""
-        if np.array_equal(described.palm, np.eye(3))
+        if np.array_equal(described_hand.palm, np.eye(3))
         else (
-            f"# The palm frame is the root frame of {described.source} turned by roll, pitch, yaw of "
-            f"{_number_list_text(np.round(np.degrees(rpy_of_rotation(described.palm)), 6))} degrees.\n"
+            f"# The palm frame is the root frame of {described_hand.source} turned by roll, pitch, yaw of "
+            f"{_number_list_text(np.round(np.degrees(rpy_of_rotation(described_hand.palm)), 6))} degrees.\n"
         )
     )
-    gravity = described.gravity
+    gravity = described_hand.gravity
     mount = (
         _todo_line(Mount, "gravity_m_s2")
         if gravity is None
         else _SectionLine("gravity_m_s2", _number_list_text(gravity))
     )
     rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
-    palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(described.palm_mesh))
+    palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(described_hand.palm_mesh))
     lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
     return (
-        f"# From {described.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be measured or\n"
-        f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned}"
-        f'schema = 2\nname = "{answers.name or described.name}"\n'
-        f'description = "{len(described.digits)} digits, {joints} joints, from {described.source}"\n\n'
-        f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(answers)}"
+        f"# From {described_hand.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be "
+        "measured or\n"
+        f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned_text}"
+        f'schema = 2\nname = "{tendon_answers.name or described_hand.name}"\n'
+        f'description = "{len(described_hand.digits)} digits, {joints} joints, from {described_hand.source}"\n\n'
+        f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(tendon_answers)}"
     )
 
 
-def _sensor_node(answers: ImportAnswers) -> str:
+def _sensor_node(tendon_answers: ImportAnswers) -> str:
     """Return the text of the section ``sensor_node``.
 
     If the hand has no sensors, the text is empty.
     """
-    if answers.cells == answers.encoders == "none":
+    if tendon_answers.cells == tendon_answers.encoders == "none":
         return ""
-    sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
+    sync, base = SENSOR_IDS.get(tendon_answers.protocol or "", SENSOR_IDS["mit"])
     lines = [
         _SectionLine("bus", '"main"'),
         _SectionLine("sync_id", sync),
         _SectionLine("base_id", base),
     ]
-    for key, answer in (("tendons", answers.cells), ("joints", answers.encoders)):
-        known = {"all": '"all"', "none": "[]"}.get(answer or "")
-        lines.append(_todo_line(SensorNode, key) if known is None else _SectionLine(key, known))
+    for key, answer in (("tendons", tendon_answers.cells), ("joints", tendon_answers.encoders)):
+        text_by_answer = {"all": '"all"', "none": "[]"}.get(answer or "")
+        lines.append(
+            _todo_line(SensorNode, key)
+            if text_by_answer is None
+            else _SectionLine(key, text_by_answer)
+        )
     lines.append(_SectionLine("joint_decimation", "1"))
     for key, answer in (
-        ("tension_noise_N", answers.cells),
-        ("tension_bias_drift_N", answers.cells),
-        ("joint_noise_rad", answers.encoders),
+        ("tension_noise_N", tendon_answers.cells),
+        ("tension_bias_drift_N", tendon_answers.cells),
+        ("joint_noise_rad", tendon_answers.encoders),
     ):
         value_without_sensor = "0.001" if key == "joint_noise_rad" else "0.0"
         lines.append(
@@ -347,27 +371,31 @@ def _sensor_node(answers: ImportAnswers) -> str:
     return "\n\n" + _section_text("sensor_node", lines)
 
 
-def _common_lines(described: DescribedHand, answers: ImportAnswers) -> list[_SectionLine]:
+def _common_lines(
+    described_hand: DescribedHand, tendon_answers: ImportAnswers
+) -> list[_SectionLine]:
     """Return lines for those values of digits that the robot description does not contain.
 
     The new file contains these values only once, for all digits.
     """
-    everything = [link for digit in described.digits for link in digit.links]
-    known = {"link_radius_m": any(link.radius for link in everything)}
-    for slides in (False, True):
-        links = [link for link in everything if link.is_prismatic == slides]
-        sprung = any(link.stiffness for link in links) or answers.springs == "none"
+    all_links = [link for digit in described_hand.digits for link in digit.links]
+    is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
+    for is_prismatic in (False, True):
+        links = [link for link in all_links if link.is_prismatic == is_prismatic]
+        has_springs = any(link.stiffness for link in links) or tendon_answers.springs == "none"
         values = {
             "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
             "joint_armature_kg_m2": any(link.armature for link in links),
-            "spring_stiffness_N_m_per_rad": sprung,
-            "spring_preload_rad": sprung,
+            "spring_stiffness_N_m_per_rad": has_springs,
+            "spring_preload_rad": has_springs,
         }
-        known |= {_key_of_type(key, slides): not links or value for key, value in values.items()}
-    return [_todo_line(Digit, key) for key, is_known in known.items() if not is_known]
+        is_known_by_key |= {
+            _key_of_type(key, is_prismatic): not links or value for key, value in values.items()
+        }
+    return [_todo_line(Digit, key) for key, is_known in is_known_by_key.items() if not is_known]
 
 
-def _digit_lines(digit: ModelDigit, answers: ImportAnswers) -> list[_SectionLine]:
+def _digit_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for the values of a digit, as far as the description contains them."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
@@ -378,16 +406,16 @@ def _digit_lines(digit: ModelDigit, answers: ImportAnswers) -> list[_SectionLine
         _SectionLine("mount_rpy_deg", _rpy_deg_text(digit.rotation)),
         _SectionLine("link_length_m", _number_list_text(digit.lengths)),
     ]
-    slides = [link.is_prismatic for link in links]
-    if any(slides):
-        kinds = ", ".join(f'"{PRISMATIC if slide else "revolute"}"' for slide in slides)
+    are_prismatic = [link.is_prismatic for link in links]
+    if any(are_prismatic):
+        kinds = ", ".join(f'"{PRISMATIC if slide else "revolute"}"' for slide in are_prismatic)
         lines.append(_SectionLine("joint_type", f"[{kinds}]"))
-    default_axes = [Y_AXIS if slide else Z_AXIS for slide in slides]
+    default_axes = [Y_AXIS if slide else Z_AXIS for slide in are_prismatic]
     if np.abs(digit.axes - default_axes).max() > ROUNDING_TOLERANCE:
         lines.append(_SectionLine("joint_axis", _number_rows_text(digit.axes)))
     if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
-        turned = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
-        lines.append(_SectionLine("joint_rpy_deg", f"[{turned}]"))
+        turned_text = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
+        lines.append(_SectionLine("joint_rpy_deg", f"[{turned_text}]"))
     lines += [
         _SectionLine("link_com_m", _number_rows_text(digit.centres_of_mass)),
         _SectionLine("link_mass_kg", _number_list_text([link.mass for link in links])),
@@ -399,17 +427,17 @@ def _digit_lines(digit: ModelDigit, answers: ImportAnswers) -> list[_SectionLine
     radii = [link.radius for link in links if link.radius]
     if radii:
         lines.append(_SectionLine("link_radius_m", _number_text(float(np.median(radii)))))
-    for slide in sorted(set(slides)):
-        own = [link for link in links if link.is_prismatic == slide]
+    for slide in sorted(set(are_prismatic)):
+        own_links = [link for link in links if link.is_prismatic == slide]
         for side, key in enumerate(("joint_min_deg", "joint_max_deg")):
-            limits = [link.range[side] for link in own if link.range is not None]
+            limits = [link.range[side] for link in own_links if link.range is not None]
             name = _key_of_type(key, slide)
             lines.append(
                 _SectionLine(name, _number_list_text(limits if slide else np.degrees(limits)))
-                if len(limits) == len(own)
+                if len(limits) == len(own_links)
                 else _todo_line(Digit, name)
             )
-    return [*lines, *_joint_lines(digit, answers), *_mesh_lines(digit.meshes)]
+    return [*lines, *_joint_lines(digit, tendon_answers), *_mesh_lines(digit.meshes)]
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
@@ -430,19 +458,22 @@ def _mesh_lines(link_meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLin
     if not any(link_meshes):
         return
     no_mesh = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
-    shown = [mesh or no_mesh for mesh in link_meshes]
-    yield _SectionLine("link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in shown)}]")
-    if any((mesh.scale != 1.0).any() for mesh in shown):
+    mesh_names = [mesh or no_mesh for mesh in link_meshes]
+    yield _SectionLine(
+        "link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in mesh_names)}]"
+    )
+    if any((mesh.scale != 1.0).any() for mesh in mesh_names):
         yield _SectionLine(
-            "link_mesh_scale", f"[{', '.join(_scale_text(mesh.scale) for mesh in shown)}]"
+            "link_mesh_scale", f"[{', '.join(_scale_text(mesh.scale) for mesh in mesh_names)}]"
         )
-    if any(np.abs(mesh.position).max() > ROUNDING_TOLERANCE for mesh in shown):
+    if any(np.abs(mesh.position).max() > ROUNDING_TOLERANCE for mesh in mesh_names):
         yield _SectionLine(
-            "link_mesh_position_m", _number_rows_text(mesh.position for mesh in shown)
+            "link_mesh_position_m", _number_rows_text(mesh.position for mesh in mesh_names)
         )
-    if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE for mesh in shown):
+    if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE for mesh in mesh_names):
         yield _SectionLine(
-            "link_mesh_rpy_deg", f"[{', '.join(_rpy_deg_text(mesh.rotation) for mesh in shown)}]"
+            "link_mesh_rpy_deg",
+            f"[{', '.join(_rpy_deg_text(mesh.rotation) for mesh in mesh_names)}]",
         )
 
 
@@ -458,23 +489,23 @@ def _scale_text(scale: Array) -> str:
     )
 
 
-def _joint_lines(digit: ModelDigit, answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _joint_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the damping, the armature and the springs of a digit.
 
     In a robot description, 0 means that the value is not known.
     """
-    for slides in (False, True):
-        links = [link for link in digit.links if link.is_prismatic == slides]
+    for is_prismatic in (False, True):
+        links = [link for link in digit.links if link.is_prismatic == is_prismatic]
         values = {
             "joint_damping_N_m_s_per_rad": [link.damping for link in links],
             "joint_armature_kg_m2": [link.armature for link in links],
         }
-        if answers.springs != "none" and any(link.stiffness for link in links):
+        if tendon_answers.springs != "none" and any(link.stiffness for link in links):
             values["spring_stiffness_N_m_per_rad"] = [link.stiffness for link in links]
             values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
-        for key, given in values.items():
-            if any(given):
-                yield _SectionLine(_key_of_type(key, slides), _number_list_text(given))
+        for key, joint_values in values.items():
+            if any(joint_values):
+                yield _SectionLine(_key_of_type(key, is_prismatic), _number_list_text(joint_values))
 
 
 def _key_of_type(key: str, is_prismatic: bool) -> str:
@@ -492,15 +523,17 @@ def _drive_lines(
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
-        sliding = tendon["sliding"]
+        prismatic_joints = tendon["sliding"]
         if arms is None:
             words.append(f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"')
-        ratios = dict.fromkeys(sorted(sliding), 1.0)
+        ratios = dict.fromkeys(sorted(prismatic_joints), 1.0)
         if arms is not None:
-            ratios = {joint: arm for joint, arm in arms.items() if joint in sliding}
-            turning = {joint: arm for joint, arm in arms.items() if joint not in sliding}
-            if turning:
-                words.append(f"moment_arm_m = {{ {_inline_table_text(turning)} }}")
+            ratios = {joint: arm for joint, arm in arms.items() if joint in prismatic_joints}
+            revolute_arms = {
+                joint: arm for joint, arm in arms.items() if joint not in prismatic_joints
+            }
+            if revolute_arms:
+                words.append(f"moment_arm_m = {{ {_inline_table_text(revolute_arms)} }}")
         if ratios:
             words.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
         comment = MISSING_ARMS_COMMENT if arms is None else ""
@@ -521,10 +554,10 @@ def _drive_lines(
             last_node_of_bus[bus] = node + 1
 
 
-def _tendon_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _tendon_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all tendons."""
-    tension = answers.tension_N
-    given: dict[str, float | None] = {
+    tension = tendon_answers.tension_N
+    value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,
         "damping_N_s_per_m": None,
         "knee_N": None,
@@ -532,27 +565,27 @@ def _tendon_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
         "knee_width_m": None,
         "friction_coefficient": None,
         "wrap_angle_rad": None,
-        "rated_breaking_force_N": answers.strength_N,
+        "rated_breaking_force_N": tendon_answers.strength_N,
         "tension_floor_N": None if tension is None else TENSION_FLOOR_N,
         "tension_max_N": tension,
         "tension_trip_N": None if tension is None else TENSION_TRIP_RATIO * tension,
         "drive_limit_N": None if tension is None else DRIVE_LIMIT_RATIO * tension,
     }
-    for key, value in given.items():
+    for key, value in value_by_key.items():
         yield _todo_line(Tendon, key) if value is None else _SectionLine(key, _number_text(value))
 
 
-def _motor_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _motor_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all motors."""
     torque = None
-    if answers.tension_N is not None and answers.spool_mm is not None:
-        torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
-    given: dict[str, str | None] = {
-        "protocol": None if answers.protocol is None else f'"{answers.protocol}"',
+    if tendon_answers.tension_N is not None and tendon_answers.spool_mm is not None:
+        torque = DRIVE_LIMIT_RATIO * tendon_answers.tension_N * 1e-3 * tendon_answers.spool_mm
+    text_by_key: dict[str, str | None] = {
+        "protocol": None if tendon_answers.protocol is None else f'"{tendon_answers.protocol}"',
         "bus": '"main"',
         "spool_radius_m": None
-        if answers.spool_mm is None
-        else _number_text(1e-3 * answers.spool_mm),
+        if tendon_answers.spool_mm is None
+        else _number_text(1e-3 * tendon_answers.spool_mm),
         "inertia_kg_m2": None,
         "viscous_N_m_s_per_rad": None,
         "coulomb_N_m": None,
@@ -565,12 +598,12 @@ def _motor_lines(answers: ImportAnswers) -> Iterable[_SectionLine]:
         "zero_rad": "0.0",
         "watchdog_ms": "50",
     }
-    found = {"direction": "commission finds it", "zero_rad": "commission measures it"}
-    for key, value in given.items():
+    measured_keys = {"direction": "commission finds it", "zero_rad": "commission measures it"}
+    for key, value in text_by_key.items():
         yield (
             _todo_line(Motor, key)
             if value is None
-            else _SectionLine(key, value, found.get(key, ""))
+            else _SectionLine(key, value, measured_keys.get(key, ""))
         )
 
 
@@ -596,8 +629,8 @@ def _section_text(name: str, section_lines: Iterable[_SectionLine]) -> str:
 
 def _short_name(name: str, digit: str) -> str:
     """Return the short name of a tendon or motor, which does not contain the name of the digit."""
-    short = name.removeprefix(f"{digit}_")
-    return "".join(c if c.isascii() and c.isalnum() else "_" for c in short)
+    short_name = name.removeprefix(f"{digit}_")
+    return "".join(c if c.isascii() and c.isalnum() else "_" for c in short_name)
 
 
 def _inertia_moments(inertia: Array) -> Array:
@@ -605,12 +638,12 @@ def _inertia_moments(inertia: Array) -> Array:
 
     If the products of inertia are not zero, they follow.
     """
-    mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
+    products_of_inertia = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)
     return (
         principal
-        if np.abs(mixed).max() < 1e-9 * principal.max()
-        else np.concatenate((principal, mixed))
+        if np.abs(products_of_inertia).max() < 1e-9 * principal.max()
+        else np.concatenate((principal, products_of_inertia))
     )
 
 
@@ -640,5 +673,5 @@ def _inline_table_text(table_values: Mapping[str, float]) -> str:
     return ", ".join(f"{key} = {_number_text(value)}" for key, value in table_values.items())
 
 
-IMPORT_ANSWER_NAMES = tuple(one.name for one in fields(ImportAnswers))
+IMPORT_ANSWER_NAMES = tuple(field.name for field in fields(ImportAnswers))
 """Names of all answers of the user."""

@@ -71,8 +71,8 @@ def hand_schema() -> dict[str, Any]:
         properties[key] = _table_array_schema(
             kind, f"Values of each {kind} that names the template."
         )
-    optional = (*DIGIT_KINDS, "sensor_node")
-    schema["required"] = [key for key in schema["required"] if key not in optional]
+    optional_sections = (*DIGIT_KINDS, "sensor_node")
+    schema["required"] = [key for key in schema["required"] if key not in optional_sections]
     return {
         "$schema": SCHEMA_DRAFT,
         **_in_draft_vocabulary(schema),
@@ -94,7 +94,11 @@ def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
         )
     for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
         lists = properties[key]
-        items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
+        items = next(
+            subschema["items"]
+            for subschema in (lists, *lists.get("anyOf", ()))
+            if "items" in subschema
+        )
         properties[key] = {
             "anyOf": [items, {"type": "array", "items": items}],
             "description": lists["description"],

@@ -33,11 +33,11 @@ def key_description(model: type[BaseModel], field_name: str) -> str:
 @cache
 def field_docstrings(model: type[BaseModel]) -> Mapping[str, str]:
     """Return the docstrings of the fields of a model and its base classes, by the name of the attribute."""
-    found: dict[str, str] = {}
+    docstring_by_field: dict[str, str] = {}
     for base in reversed(model.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
-            found |= _docstrings_in(base)
-    return {name: text for name, text in found.items() if name in model.model_fields}
+            docstring_by_field |= _docstrings_in(base)
+    return {name: text for name, text in docstring_by_field.items() if name in model.model_fields}
 
 
 def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:

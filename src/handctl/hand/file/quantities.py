@@ -78,13 +78,13 @@ class NumberRange:
 
     def __call__(self, value: Any) -> float:
         """Return the value as a float."""
-        right = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+        expected = f"a number from {self.low:g} to {self.high:g} {self.unit}".rstrip()
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise validation_error(right)
+            raise validation_error(expected)
         # The comparison is negated so that it also refuses NaN.
         if not self.low <= value <= self.high:
             raise validation_error(
-                f"{right} ({self.hint})" if self.hint and value > self.high else right
+                f"{expected} ({self.hint})" if self.hint and value > self.high else expected
             )
         return float(value)
 
@@ -189,15 +189,17 @@ def number_or_list(
         entry_range: check for each number in a list.
         allowed_counts: valid lengths of a list.
     """
-    right = f"a number, or a list of {' or '.join(str(count) for count in allowed_counts)} numbers"
+    expected = (
+        f"a number, or a list of {' or '.join(str(count) for count in allowed_counts)} numbers"
+    )
 
     def check_value(value: Any) -> float | tuple[float, ...]:
         """Return the number as a float, or the list as a tuple of floats."""
         if not isinstance(value, list | tuple):
             return number_range(value)
         if len(value) not in allowed_counts:
-            raise validation_error(right)
-        return tuple(entry_range(one) for one in value)
+            raise validation_error(expected)
+        return tuple(entry_range(element) for element in value)
 
     lists = [
         {"type": "array", "items": entry_range.schema, "minItems": count, "maxItems": count}
@@ -238,7 +240,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
         raise validation_error(
             f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}"
         )
-    if any(after <= before for before, after in pairwise(angle)):
+    if any(upper_angle <= lower_angle for lower_angle, upper_angle in pairwise(angle)):
         raise validation_error("rising values of angle_deg")
     return {"angle_deg": angle, "arm_m": arm}
 
@@ -247,16 +249,18 @@ def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, max_magnitude: float
 ) -> tuple[float, ...]:
     """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers of limited magnitude."""
-    right = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
+    expected = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
-        raise validation_error(right)
+        raise validation_error(expected)
     # The comparison is negated so that it also refuses NaN.
     if any(
-        isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= max_magnitude
-        for one in values
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not abs(value) <= max_magnitude
+        for value in values
     ):
-        raise validation_error(right)
-    return tuple(float(one) for one in values)
+        raise validation_error(expected)
+    return tuple(float(value) for value in values)
 
 
 def _list_schema(min_length: int, max_length: int, max_magnitude: float) -> dict[str, Any]:

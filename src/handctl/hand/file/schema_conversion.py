@@ -68,15 +68,15 @@ class TomlTable:
 
     Attributes:
         entries: lines of the table, in order.
-        before: comment lines before the header of the table.
+        comments_before: comment lines before the header of the table.
         comment: comment after the header of the table.
-        held: tables of the tendons and motors within a digit, by kind and short name.
+        subtables: tables of the tendons and motors within a digit, by kind and short name.
     """
 
     entries: list[TomlEntry]
-    before: list[str] = field(default_factory=list)
+    comments_before: list[str] = field(default_factory=list)
     comment: str = ""
-    held: dict[str, dict[str, "TomlTable"]] = field(
+    subtables: dict[str, dict[str, "TomlTable"]] = field(
         default_factory=lambda: {kind: {} for kind in DIGIT_KINDS}
     )
 
@@ -86,9 +86,9 @@ class TomlTable:
 
     def take(self, keys: Iterable[str]) -> list[TomlEntry]:
         """Remove the lines with the given keys from the table, and return these lines."""
-        taken = [entry for entry in self.entries if entry.key in set(keys)]
-        self.entries = [entry for entry in self.entries if entry not in taken]
-        return taken
+        entries = [entry for entry in self.entries if entry.key in set(keys)]
+        self.entries = [entry for entry in self.entries if entry not in entries]
+        return entries
 
 
 def convert_to_schema_2(text: str, source_name: str) -> str:
@@ -110,17 +110,17 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
         if entry.key == "schema":
             entry.text = str(WRITTEN_SCHEMA)
     sections = {kind: [block for name, block in tables if name == kind] for kind in SECTION_KINDS}
-    others = [(name, block) for name, block in tables if name not in SECTION_KINDS]
-    _shorten_sensor_node(others, sections)
+    other_blocks = [(name, block) for name, block in tables if name not in SECTION_KINDS]
+    _shorten_sensor_node(other_blocks, sections)
     defaults = {kind: _remove_common_values(kind, sections[kind]) for kind in SECTION_KINDS}
     for kind in DIGIT_KINDS:
         _move_sections_into_digits(kind, sections)
     templates = _remove_values_to_templates(sections["digit"])
     lines = _table_lines(root, "")
-    for name, block in others:
+    for name, block in other_blocks:
         array = isinstance(document[name], AoT)
         header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
-        lines += ["", *block.before, header, *_table_lines(block, name)]
+        lines += ["", *block.comments_before, header, *_table_lines(block, name)]
     for kind in SECTION_KINDS:
         lines += _kind_lines(
             kind, defaults[kind], templates if kind == "digit" else {}, sections[kind]
@@ -135,17 +135,17 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
     """
     root = TomlTable([])
     tables: list[tuple[str, TomlTable]] = []
-    last = root
+    last_table = root
     for key, item in document.body:
         if key is None or not isinstance(item, Table | AoT):
-            last.entries += _parse_entry(key.key if key else "", item)
+            last_table.entries += _parse_entry(key.key if key else "", item)
             continue
         for table in item.body if isinstance(item, AoT) else [item]:
-            block = TomlTable([], _trailing_comments(last), table.trivia.comment)
+            block = TomlTable([], _trailing_comments(last_table), table.trivia.comment)
             for name, value in table.value.body:
                 block.entries += _parse_entry(name.key if name else "", value)
             tables.append((key.key, block))
-            last = block
+            last_table = block
     return root, tables
 
 
@@ -193,22 +193,22 @@ def _remove_shared_values(
     section_tables: Sequence[TomlTable], may_be_shared: Callable[[str, Any], bool]
 ) -> list[TomlEntry]:
     """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
-    first = section_tables[0].values()
-    others = [block.values() for block in section_tables[1:]]
+    first_values = section_tables[0].values()
+    other_values = [block.values() for block in section_tables[1:]]
     keys = [
         key
-        for key, value in first.items()
+        for key, value in first_values.items()
         if may_be_shared(key, value)
-        and all(key in other and _are_equal(other[key], value) for other in others)
+        and all(key in other and _are_equal(other[key], value) for other in other_values)
     ]
     entries = {entry.key: entry for entry in section_tables[0].take(keys)}
     for block in section_tables[1:]:
         for entry in block.take(keys):
-            known = entries[entry.key]
-            if entry.comment and entry.comment not in known.comment:
-                known.comment = (
-                    f"{known.comment}; {entry.comment.lstrip('# ')}"
-                    if known.comment
+            known_entry = entries[entry.key]
+            if entry.comment and entry.comment not in known_entry.comment:
+                known_entry.comment = (
+                    f"{known_entry.comment}; {entry.comment.lstrip('# ')}"
+                    if known_entry.comment
                     else entry.comment
                 )
     return list(entries.values())
@@ -262,7 +262,7 @@ def _move_sections_into_digits(
     section_kind: str, tables_of_kind: dict[str, list[TomlTable]]
 ) -> None:
     """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
-    moved: list[tuple[TomlTable, str, TomlTable]] = []
+    moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
     for block in tables_of_kind[section_kind]:
         name = str(block.values()["name"])
@@ -275,19 +275,19 @@ def _move_sections_into_digits(
             for joint in block.values().get(key, ())
         ):
             return
-        moved.append((digits[owner], name.removeprefix(f"{owner}_"), block))
+        moved_tables.append((digits[owner], name.removeprefix(f"{owner}_"), block))
     if [
         id(block)
-        for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
+        for *_, block in sorted(moved_tables, key=lambda row: list(digits.values()).index(row[0]))
     ] != [id(block) for block in tables_of_kind[section_kind]]:
         return  # moving them would change the order of the tendons or motors
     comments: list[str] = []
     if tables_of_kind[section_kind]:
-        comments, tables_of_kind[section_kind][0].before = (
-            tables_of_kind[section_kind][0].before,
+        comments, tables_of_kind[section_kind][0].comments_before = (
+            tables_of_kind[section_kind][0].comments_before,
             [],
         )
-    for digit, short, block in moved:
+    for digit, short_name, block in moved_tables:
         owner = digit.values()["name"]
         block.take(["name"])
         for entry in block.entries:
@@ -300,7 +300,7 @@ def _move_sections_into_digits(
                 }
                 entry.text = entry.text.replace(f"{owner}_j", "j")
                 assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
-        digit.held[section_kind][short] = block
+        digit.subtables[section_kind][short_name] = block
     tables_of_kind[section_kind].clear()
     if comments:
         tables_of_kind[section_kind].append(TomlTable([], comments))
@@ -322,14 +322,14 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
             # In the resolved file, the tendons and motors of a template come before those of the
             # digit itself. But the order of tendons and motors must not change. Therefore only
             # those before the first difference between the digits are moved into the template.
-            for short in group[0].held[kind]:
-                if not all(short in block.held[kind] for block in group):
+            for short_name in group[0].subtables[kind]:
+                if not all(short_name in block.subtables[kind] for block in group):
                     break
-                tables = [block.held[kind][short] for block in group]
+                tables = [block.subtables[kind][short_name] for block in group]
                 shared_entries = _remove_shared_values(tables, lambda key, value: key != "node_id")
                 if not shared_entries:
                     break
-                template.held[kind][short] = TomlTable(shared_entries)
+                template.subtables[kind][short_name] = TomlTable(shared_entries)
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
         templates[name] = template
         for block in group:
@@ -345,7 +345,7 @@ def _kind_lines(
     section_tables: Sequence[TomlTable],
 ) -> list[str]:
     """Return the lines of the new file for one kind of section: default, templates and sections."""
-    lines = ["", *(section_tables[0].before if section_tables else [])]
+    lines = ["", *(section_tables[0].comments_before if section_tables else [])]
     if default_entries:
         lines += [f"[default.{section_kind}]", *(entry.line() for entry in default_entries), ""]
     for name, template in table_of_template.items():
@@ -355,9 +355,14 @@ def _kind_lines(
             "",
         ]
     for i, block in enumerate(section_tables):
-        if block.entries or any(block.held.values()):
+        if block.entries or any(block.subtables.values()):
             header = f"[[{section_kind}]]" + _header_comment(block)
-            lines += [*(block.before if i else []), header, *_table_lines(block, section_kind), ""]
+            lines += [
+                *(block.comments_before if i else []),
+                header,
+                *_table_lines(block, section_kind),
+                "",
+            ]
     return lines
 
 
@@ -370,36 +375,36 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
     """Return the lines of a table, and of the tendons and motors in it."""
     lines = [entry.line() for entry in block.entries]
     tables: list[str] = []
-    for kind, held in block.held.items():
-        for short, table in held.items():
+    for kind, subtables in block.subtables.items():
+        for short_name, table in subtables.items():
             key_entries = [entry for entry in table.entries if entry.key]
             comments = "; ".join(
                 entry.comment.lstrip("# ") for entry in key_entries if entry.comment
             )
-            behind = f"   # {comments}" if comments else ""
+            comment_text = f"   # {comments}" if comments else ""
             line = (
-                f"{kind}.{short} = {{ "
+                f"{kind}.{short_name} = {{ "
                 + ", ".join(f"{entry.key} = {entry.text}" for entry in key_entries)
                 + " }"
-                + behind
+                + comment_text
             )
             comment_entries = [entry for entry in table.entries if not entry.key]
-            if len(key_entries) == 1 and not comment_entries and not table.before:
-                lines.append(f"{kind}.{short}.{key_entries[0].line()}")
+            if len(key_entries) == 1 and not comment_entries and not table.comments_before:
+                lines.append(f"{kind}.{short_name}.{key_entries[0].line()}")
             elif key_entries and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
                 lines += (
-                    [*table.before, *(entry.text for entry in comment_entries), line]
+                    [*table.comments_before, *(entry.text for entry in comment_entries), line]
                     if comment_entries or not lines
                     else [line]
                 )
             elif key_entries:
                 tables += [
                     "",
-                    f"[{header}.{kind}.{short}]",
+                    f"[{header}.{kind}.{short_name}]",
                     *(entry.line() for entry in table.entries),
                 ]
             elif kind == "motor":
-                lines.append(f"{kind}.{short} = {{}}")
+                lines.append(f"{kind}.{short_name} = {{}}")
     return lines + tables
 
 

@@ -384,14 +384,14 @@ class Digit(Section):
         types = section_content.get("joint_type")
         count = len(links) if isinstance(links, list | tuple) else 0
         kinds = list(types) if isinstance(types, list | tuple) else ["revolute"] * count
-        sliding = kinds.count(PRISMATIC)
+        prismatic_count = kinds.count(PRISMATIC)
         filled: dict[str, Any] = {}
         if kinds and "revolute" not in kinds:
             filled |= dict.fromkeys(REVOLUTE_KEYS, ())
         elif not section_content.keys() & set(SPRING_KEYS):
-            filled |= dict.fromkeys(SPRING_KEYS, (0.0,) * max(count - sliding, 0))
-        if sliding and not section_content.keys() & set(LINEAR_SPRINGS):
-            filled |= dict.fromkeys(LINEAR_SPRINGS, (0.0,) * sliding)
+            filled |= dict.fromkeys(SPRING_KEYS, (0.0,) * max(count - prismatic_count, 0))
+        if prismatic_count and not section_content.keys() & set(LINEAR_SPRINGS):
+            filled |= dict.fromkeys(LINEAR_SPRINGS, (0.0,) * prismatic_count)
         return filled | section_content
 
     @property
@@ -411,7 +411,9 @@ class Digit(Section):
         """Return the axis of each joint in the frame of its link, from the file or by default."""
         if self.joint_axis is not None:
             return self.joint_axis
-        return tuple(Y_AXIS if slides else Z_AXIS for slides in self.is_prismatic)
+        return tuple(
+            Y_AXIS if joint_is_prismatic else Z_AXIS for joint_is_prismatic in self.is_prismatic
+        )
 
     def joint_values(self, key: str) -> tuple[float, ...]:
         """Return a value for each joint, from a key for revolute joints or from the corresponding key in metres.
@@ -420,9 +422,12 @@ class Digit(Section):
             key: one of ``REVOLUTE_KEYS``. The values of prismatic joints are in SI units. Those of
                 revolute joints have the unit of the key.
         """
-        turning = iter(getattr(self, key))
-        sliding = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
-        return tuple(next(sliding if slides else turning) for slides in self.is_prismatic)
+        revolute_values = iter(getattr(self, key))
+        prismatic_values = iter(getattr(self, PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)]))
+        return tuple(
+            next(prismatic_values if joint_is_prismatic else revolute_values)
+            for joint_is_prismatic in self.is_prismatic
+        )
 
     @property
     def display_units(self) -> DisplayUnits:
@@ -444,7 +449,7 @@ class Digit(Section):
         """Return the smallest and the largest position of each joint in displayed units [deg or mm]."""
         units = self.display_units
         low, high = (
-            tuple(np.where(self.is_prismatic, units.displayed(values), values).tolist())
+            tuple(np.where(self.is_prismatic, units.to_displayed(values), values).tolist())
             for values in map(self.joint_values, REVOLUTE_KEYS[:2])
         )
         return low, high
@@ -452,13 +457,15 @@ class Digit(Section):
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
         """Return the largest torque or force that each joint withstands [N m or N], or None if one is not known."""
-        turning = self.joint_rated_torque_N_m
-        sliding = self.joint_rated_force_N
-        slides = self.is_prismatic
-        if (turning is None and not all(slides)) or (sliding is None and any(slides)):
+        rated_torques = self.joint_rated_torque_N_m
+        rated_forces = self.joint_rated_force_N
+        is_prismatic = self.is_prismatic
+        if (rated_torques is None and not all(is_prismatic)) or (
+            rated_forces is None and any(is_prismatic)
+        ):
             return None
-        values = iter(turning or ()), iter(sliding or ())
-        return tuple(next(values[slide]) for slide in slides)
+        values = iter(rated_torques or ()), iter(rated_forces or ())
+        return tuple(next(values[slide]) for slide in is_prismatic)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -36,14 +36,14 @@ MAX_COUNT = (1 << 31) - 1
 def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
     """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
     node = hand.sensor_node
-    foreign, protocol = (
+    foreign_keys, protocol = (
         (HANDCTL_NODE_KEYS, HANDCTL_PROTOCOL) if node.is_cia404 else (CIA404_KEYS, CIA404_PROTOCOL)
     )
-    for key in foreign:
+    for key in foreign_keys:
         value = getattr(node, key)
         if key in node.model_fields_set and value != ():
-            right = f'no such key, it belongs to protocol = "{protocol}"'
-            yield FileMistake("given", f"sensor_node.{key}", right)
+            expected = f'no such key, it belongs to protocol = "{protocol}"'
+            yield FileMistake("given", f"sensor_node.{key}", expected)
     if node.is_cia404:
         yield from _check_amplifiers(node)
         yield from _check_range(hand)
@@ -62,38 +62,45 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
             "sensor_node.sync_id",
             f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen",
         )
-    where = "sensor_node.node_ids"
-    twice = sorted({number for number in node.node_ids if node.node_ids.count(number) > 1})
-    if twice:
-        yield FileMistake(f"0x{twice[0]:X} twice", where, "every node number once")
+    location = "sensor_node.node_ids"
+    repeated_numbers = sorted(
+        {number for number in node.node_ids if node.node_ids.count(number) > 1}
+    )
+    if repeated_numbers:
+        yield FileMistake(f"0x{repeated_numbers[0]:X} twice", location, "every node number once")
     cells, channel_count = len(node.tendons), len(node.node_ids) * node.channels_per_node
     if cells > channel_count:
-        what = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"
-        yield FileMistake(what, where, f"room for {cells} load cells, or another channels_per_node")
+        problem_text = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"
+        yield FileMistake(
+            problem_text, location, f"room for {cells} load cells, or another channels_per_node"
+        )
     elif 0 in node.amplifier_channels:
         unused_node_id = node.node_ids[node.amplifier_channels.index(0)]
         yield FileMistake(
             f"0x{unused_node_id:X} has no load cell",
-            where,
+            location,
             "only amplifiers with a load cell of tendons",
         )
 
 
 def _check_range(hand: Hand) -> Iterator[FileMistake]:
     """Check that the largest tension is within the measuring range, and that the process value can hold the range."""
-    node, where = hand.sensor_node, "sensor_node.range_N"
+    node, location = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:
-        yield FileMistake("missing", where, "a value: rated load of the load cells [N]")
+        yield FileMistake("missing", location, "a value: rated load of the load cells [N]")
         return
-    measured = [tendon for tendon in hand.tendon if tendon.name in node.tendons]
-    strongest = max(measured, key=lambda tendon: tendon.drive_limit_N, default=None)
-    if strongest is not None and node.range_N < strongest.drive_limit_N + MAX_TARE_N:
-        needed = strongest.drive_limit_N + MAX_TARE_N
-        right = f"at least {needed:g} N: drive_limit_N of {strongest.name}, and {MAX_TARE_N:g} N for the tare"
-        yield FileMistake(f"{node.range_N:g}", where, right)
+    measured_tendons = [tendon for tendon in hand.tendon if tendon.name in node.tendons]
+    strongest_tendon = max(measured_tendons, key=lambda tendon: tendon.drive_limit_N, default=None)
+    if strongest_tendon is not None and node.range_N < strongest_tendon.drive_limit_N + MAX_TARE_N:
+        required_range = strongest_tendon.drive_limit_N + MAX_TARE_N
+        expected = (
+            f"at least {required_range:g} N: drive_limit_N of {strongest_tendon.name}, "
+            f"and {MAX_TARE_N:g} N for the tare"
+        )
+        yield FileMistake(f"{node.range_N:g}", location, expected)
     if node.process_value == "int32" and node.range_N * 10**node.decimal_digits > MAX_COUNT:
-        what = f"{node.range_N:g} N has more than 32 bits with {node.decimal_digits} digits"
-        yield FileMistake(what, "sensor_node.decimal_digits", "fewer digits")
+        problem_text = f"{node.range_N:g} N has more than 32 bits with {node.decimal_digits} digits"
+        yield FileMistake(problem_text, "sensor_node.decimal_digits", "fewer digits")
 
 
 def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:

@@ -200,8 +200,8 @@ class _TemplateResolver:
         self, section_kind: str, section_layers: Sequence[ValueLayer]
     ) -> Iterator[ValueLayer]:
         """Yield the layers of the default for a kind of section, and of the template that the section names."""
-        given = self.content.get("default")
-        default: TableContent = given if isinstance(given, Mapping) else {}
+        default_section = self.content.get("default")
+        default: TableContent = default_section if isinstance(default_section, Mapping) else {}
         for key, values in default.items():
             # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
             # default would also be reported as missing.
@@ -212,25 +212,25 @@ class _TemplateResolver:
             )
             if isinstance(values, Mapping) and (key == section_kind or misspelt):
                 yield ValueLayer(_without_entry_keys(values), f"default.{key}")
-        named = [layer for layer in section_layers if "template" in layer.values]
-        if not named:
+        template_layers = [layer for layer in section_layers if "template" in layer.values]
+        if not template_layers:
             return
         key = TEMPLATE_KEYS[section_kind]
-        name = named[-1].values["template"]
+        name = template_layers[-1].values["template"]
         templates = self.content.get(key)
         valid_names = [*templates] if isinstance(templates, Mapping) else []
         if not isinstance(name, str) or name not in valid_names:
-            right = (
+            expected = (
                 most_similar_valid_key(str(name), valid_names)
                 if valid_names
                 else f"the name of a table [{key}.NAME]"
             )
             self.mistakes.append(
-                FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
+                FileMistake(toml_spelling(name), f"{template_layers[-1].path}.template", expected)
             )
             # If a template does not exist, the template with the most similar name is used.
             # Otherwise all values of the template would also be reported as missing.
-            name = right if right in valid_names else next(iter(valid_names), None)
+            name = expected if expected in valid_names else next(iter(valid_names), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
@@ -243,12 +243,12 @@ class _TemplateResolver:
             kind: _template_layers_by_name(digit_layers, kind) for kind in DIGIT_KINDS
         }
         for kind in DIGIT_KINDS:
-            held = values.get(kind)
-            if not isinstance(held, Mapping):
+            template_value = values.get(kind)
+            if not isinstance(template_value, Mapping):
                 continue  # either there are none, or the later validation describes the mistake
             del values[kind]
-            for name, table in held.items():
-                where = self.origins[f"{path}.{kind}.{name}"]
+            for name, table in template_value.items():
+                location = self.origins[f"{path}.{kind}.{name}"]
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(
                         self._part_of_digit(
@@ -256,7 +256,7 @@ class _TemplateResolver:
                         )
                     )
                 else:
-                    self.mistakes.append(FileMistake(toml_spelling(table), where, "a table"))
+                    self.mistakes.append(FileMistake(toml_spelling(table), location, "a table"))
         links = values.get("link_length_m", [0.0])
         for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
             value = values.get(key)
@@ -319,13 +319,13 @@ class _TemplateResolver:
         arms = values.get(key)
         if not isinstance(arms, Mapping):
             return
-        whole = {
+        full_names = {
             joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint
             for joint in arms
         }
-        values[key] = {whole[joint]: arm for joint, arm in arms.items()}
+        values[key] = {full_names[joint]: arm for joint, arm in arms.items()}
         self.origins |= {
-            f"{path}.{whole[joint]}": self.origins.get(f"{path}.{joint}", "") for joint in arms
+            f"{path}.{full_names[joint]}": self.origins.get(f"{path}.{joint}", "") for joint in arms
         }
 
 
@@ -333,8 +333,10 @@ def _value_count(key: str, link_count: int, joint_types: Any) -> int:
     """Return the number of values that a digit with the given joint types needs for a key."""
     if key not in KEYS_PER_JOINT_TYPE:
         return link_count
-    sliding = list(joint_types).count(PRISMATIC) if isinstance(joint_types, list | tuple) else 0
-    return sliding if KEYS_PER_JOINT_TYPE[key] else max(link_count - sliding, 0)
+    prismatic_count = (
+        list(joint_types).count(PRISMATIC) if isinstance(joint_types, list | tuple) else 0
+    )
+    return prismatic_count if KEYS_PER_JOINT_TYPE[key] else max(link_count - prismatic_count, 0)
 
 
 def join_mistakes_of_default(
@@ -348,17 +350,19 @@ def join_mistakes_of_default(
         mistakes: mistakes whose key paths belong to the resolved content.
         content: resolved content.
     """
-    found = list(mistakes)
-    missing = [
+    joined_mistakes = list(mistakes)
+    missing_values = [
         MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None
-        for mistake in found
+        for mistake in joined_mistakes
     ]
-    counts = Counter(match.groups() for match in missing if match)
+    counts = Counter(match.groups() for match in missing_values if match)
     joined: dict[FileMistake, None] = {}
-    for mistake, match in zip(found, missing, strict=True):
+    for mistake, match in zip(joined_mistakes, missing_values, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
-            right = f"a value, there or in each {match[1]}" + mistake.right.removeprefix("a value")
-            mistake = FileMistake("missing", f"default.{match[1]}.{match[2]}", right)
+            expected = f"a value, there or in each {match[1]}" + mistake.right.removeprefix(
+                "a value"
+            )
+            mistake = FileMistake("missing", f"default.{match[1]}.{match[2]}", expected)
         joined[mistake] = None
     return list(joined)
 
@@ -377,16 +381,17 @@ def _merge_layers(
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
     for key in dict.fromkeys(key for layer in value_layers for key in layer.values):
-        given = [
+        given_layers = [
             ValueLayer(layer.values[key], f"{layer.path}.{key}")
             for layer in value_layers
             if key in layer.values
         ]
-        value, path = given[-1]
+        value, path = given_layers[-1]
         origins[key] = path
         if isinstance(value, Mapping) and table_depth > 0:
             value, origins_in_table = _merge_layers(
-                [layer for layer in given if isinstance(layer.values, Mapping)], table_depth - 1
+                [layer for layer in given_layers if isinstance(layer.values, Mapping)],
+                table_depth - 1,
             )
             origins |= {f"{key}.{below}": origin for below, origin in origins_in_table.items()}
         values[key] = _copy_of_lists(value)
@@ -402,13 +407,15 @@ def _template_layers_by_name(
     layers: Sequence[ValueLayer], kind: str
 ) -> dict[str, list[ValueLayer]]:
     """Return the layers of each tendon or motor that a digit contains, by the short name."""
-    held: dict[str, list[ValueLayer]] = {}
+    layers_by_name: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
         for name, table in tables.items() if isinstance(tables, Mapping) else ():
             if isinstance(table, Mapping):
-                held.setdefault(name, []).append(ValueLayer(table, f"{layer.path}.{kind}.{name}"))
-    return held
+                layers_by_name.setdefault(name, []).append(
+                    ValueLayer(table, f"{layer.path}.{kind}.{name}")
+                )
+    return layers_by_name
 
 
 def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:

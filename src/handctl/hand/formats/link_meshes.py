@@ -114,8 +114,8 @@ def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
             if mesh.file not in triangles:
                 triangles[mesh.file] = read_triangles(folder / mesh.file)
         except ValueError as error:
-            what, _, right = str(error).partition("; expected ")
-            yield FileMistake(f'"{mesh.file}": {what}', mesh.key, right)
+            problem_text, _, expected = str(error).partition("; expected ")
+            yield FileMistake(f'"{mesh.file}": {problem_text}', mesh.key, expected)
             continue
         yield from _size_mistakes(mesh, triangles[mesh.file])
 
@@ -160,7 +160,7 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
     scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"
     largest = max(extent, max_distance)
     if not largest <= LARGEST_EXTENT_M:
-        what = (
+        problem_text = (
             f"{extent:.3g} m long"
             if extent > LARGEST_EXTENT_M
             else f"{max_distance:.3g} m away from its link"
@@ -175,12 +175,12 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
             else ""
         )
         yield FileMistake(
-            f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}"
+            f'"{mesh.file}": {problem_text}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}"
         )
     elif extent < SMALLEST_EXTENT_M:
-        what = f"{extent:.3g} m long"
+        problem_text = f"{extent:.3g} m long"
         yield FileMistake(
-            f'"{mesh.file}": {what}',
+            f'"{mesh.file}": {problem_text}',
             mesh.key,
             f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?",
         )

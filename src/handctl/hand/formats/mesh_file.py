@@ -59,11 +59,11 @@ def _stl_triangles(file_content: bytes) -> Array:
             raise ValueError(
                 "an STL in text form; expected a binary STL, which MuJoCo reads as well"
             )
-        what = f"{len(file_content)} bytes" + (
+        problem_text = f"{len(file_content)} bytes" + (
             f" for {count} triangles" if len(file_content) >= STL_HEADER else ""
         )
         raise ValueError(
-            f"{what}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle"
+            f"{problem_text}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle"
         )
     records = np.frombuffer(file_content, STL_TRIANGLE, count, STL_HEADER)
     return records["corners"].astype(np.float64)
@@ -86,18 +86,24 @@ def _obj_triangles(file_content: bytes) -> Array:
             elif words[:1] == ["f"]:
                 # In the file, each corner is written as v, v/vt, v//vn or v/vt/vn. A negative
                 # number counts backwards from the last vertex in the file.
-                given = [int(word.split("/")[0]) for word in words[1:]]
-                corners = [corner - 1 if corner > 0 else len(vertices) + corner for corner in given]
-                if len(corners) < 3 or 0 in given or min(corners) < 0:
+                vertex_numbers = [int(word.split("/")[0]) for word in words[1:]]
+                corners = [
+                    corner - 1 if corner > 0 else len(vertices) + corner
+                    for corner in vertex_numbers
+                ]
+                if len(corners) < 3 or 0 in vertex_numbers or min(corners) < 0:
                     raise ValueError
-                faces += [(corners[0], one, two) for one, two in pairwise(corners[1:])]
+                faces += [
+                    (corners[0], first_corner, second_corner)
+                    for first_corner, second_corner in pairwise(corners[1:])
+                ]
         except ValueError:
             raise ValueError(
                 f"line {number} is {line.strip()[:40]!r}; expected an OBJ with v and f lines"
             ) from None
-    places = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    vertex_positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     corners_of_faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
-    if corners_of_faces.max(initial=-1) >= len(places):
-        what = f"a face with vertex {corners_of_faces.max() + 1} of {len(places)}"
-        raise ValueError(f"{what}; expected faces with vertices of this file")
-    return np.asarray(places[corners_of_faces])
+    if corners_of_faces.max(initial=-1) >= len(vertex_positions):
+        problem_text = f"a face with vertex {corners_of_faces.max() + 1} of {len(vertex_positions)}"
+        raise ValueError(f"{problem_text}; expected faces with vertices of this file")
+    return np.asarray(vertex_positions[corners_of_faces])

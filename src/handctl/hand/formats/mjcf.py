@@ -180,8 +180,8 @@ def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) ->
             geom.set("group", HIDDEN_GROUP)
         x, y, z, w = quaternion_of_rotation(mesh.rotation)
         place = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
-        free = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
-        ET.SubElement(bodies[link], "geom", place | free, type="mesh", mesh=link)
+        geom_attributes = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
+        ET.SubElement(bodies[link], "geom", place | geom_attributes, type="mesh", mesh=link)
 
 
 def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
@@ -210,10 +210,13 @@ def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
-        fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
+        fixed_element = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint in tendon.arms:
             ET.SubElement(
-                fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)])
+                fixed_element,
+                "joint",
+                joint=joint,
+                coef=number_text(arms[hand.joints.index(joint)]),
             )
         low = 0.0 if tendon.pretension_N is None else -tendon.tension_max_N
         limits = numbers_text((low, tendon.tension_max_N))

@@ -150,7 +150,7 @@ class ModelLink:
         If the joint flexes towards negative angles, its axis is reversed.
         """
         axis = np.array(values["axis"], dtype=float)
-        rest = float(values["rest"])
+        rest_angle = float(values["rest"])
         limits = (
             None
             if values["range"] is None
@@ -163,7 +163,7 @@ class ModelLink:
         ):
             limits = (-limits[1], -limits[0])
             axis = -axis
-            rest = -rest
+            rest_angle = -rest_angle
         return ModelLink(
             name=values["name"],
             joint=values["joint"],
@@ -176,7 +176,7 @@ class ModelLink:
             damping=float(values["damping"]),
             armature=float(values["armature"]),
             stiffness=float(values["stiffness"]),
-            rest=rest,
+            rest=rest_angle,
             mass=float(values["mass"]),
             com=np.array(values["com"], dtype=float),
             inertia=np.array(values["inertia"], dtype=float),
@@ -257,11 +257,13 @@ def digits_of_links(
     palm, origin = _palm_frame(links, chains, frames)
     digits = []
     for chain in chains:
-        first, *rest = chain.members
+        first_member, *other_members = chain.members
         base = palm if chain.carrier is None else frames[chains[chain.carrier].members[-1]][0]
-        place = links[first].position - (origin if chain.carrier is None else 0.0)
-        turns = [frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0] for i in rest]
-        own = [frames[i][0] for i in chain.members]
+        place = links[first_member].position - (origin if chain.carrier is None else 0.0)
+        turns = [
+            frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0] for i in other_members
+        ]
+        own_frames = [frames[i][0] for i in chain.members]
         bodies = [links[i] for i in chain.members]
         digits.append(
             ModelDigit(
@@ -269,20 +271,25 @@ def digits_of_links(
                 carrier=None if chain.carrier is None else chains[chain.carrier].name,
                 joints=tuple(link.joint for link in bodies),
                 position=base.T @ place,
-                rotation=base.T @ links[first].rotation @ frames[first][0],
+                rotation=base.T @ links[first_member].rotation @ frames[first_member][0],
                 turns=np.array(turns).reshape(-1, 3, 3),
                 lengths=np.array([frames[i][1] for i in chain.members]),
-                axes=np.array([turn.T @ link.axis for turn, link in zip(own, bodies, strict=True)]),
+                axes=np.array(
+                    [turn.T @ link.axis for turn, link in zip(own_frames, bodies, strict=True)]
+                ),
                 links=tuple(bodies),
                 centres_of_mass=np.array(
-                    [turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]
+                    [turn.T @ link.com for turn, link in zip(own_frames, bodies, strict=True)]
                 ),
                 inertias=np.array(
-                    [turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]
+                    [
+                        turn.T @ link.inertia @ turn
+                        for turn, link in zip(own_frames, bodies, strict=True)
+                    ]
                 ),
                 meshes=tuple(
                     link.mesh and link.mesh.seen_from_frame(turn, np.zeros(3))
-                    for turn, link in zip(own, bodies, strict=True)
+                    for turn, link in zip(own_frames, bodies, strict=True)
                 ),
             )
         )
@@ -299,16 +306,16 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
     }
     names: set[str] = set()
     count = 0
-    waiting: list[tuple[int, int | None]] = [(i, None) for i in reversed(children[-1])]
-    while waiting:
-        first, carrier = waiting.pop()
-        members = [first]
+    pending_links: list[tuple[int, int | None]] = [(i, None) for i in reversed(children[-1])]
+    while pending_links:
+        first_link, carrier = pending_links.pop()
+        members = [first_link]
         while len(children[members[-1]]) == 1 and len(members) < MAX_LINKS:
             members += children[members[-1]]
         name = _digit_name([links[i] for i in members], names, count)
         names.add(name)
         yield _LinkChain(name, carrier, tuple(members))
-        waiting += [(i, count) for i in reversed(children[members[-1]])]
+        pending_links += [(i, count) for i in reversed(children[members[-1]])]
         count += 1
 
 
@@ -349,15 +356,17 @@ def _link_frames(
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
-            frames[i] = _link_frame(links[i], links[following].position, is_last=False)
-        last = chain.members[-1]
-        frames[last] = _link_frame(
-            links[last], _link_end(links, last, f"{source_name}: digit {chain.name}"), is_last=True
+            frames[i] = _link_frame(links[i], links[following].position, is_last_link=False)
+        last_member = chain.members[-1]
+        frames[last_member] = _link_frame(
+            links[last_member],
+            _link_end(links, last_member, f"{source_name}: digit {chain.name}"),
+            is_last_link=True,
         )
     return frames
 
 
-def _link_frame(link: ModelLink, link_end: Array, is_last: bool) -> tuple[Array, float]:
+def _link_frame(link: ModelLink, link_end: Array, is_last_link: bool) -> tuple[Array, float]:
     """Return a frame for a link whose x axis points to the end of the link, and the length of the link [m]."""
     length = float(np.linalg.norm(link_end))
     if length < INTERSECTION_TOLERANCE_M:
@@ -370,7 +379,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last: bool) -> tuple[Array,
     if (
         np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD
         and x[0] > 0.0
-        and not (is_last and motion[1] < MIN_FLEXION_Y)
+        and not (is_last_link and motion[1] < MIN_FLEXION_Y)
     ):
         return np.eye(3), length
     z = axis - (axis @ x) * x
@@ -383,7 +392,7 @@ def _link_frame(link: ModelLink, link_end: Array, is_last: bool) -> tuple[Array,
     return np.column_stack((x, np.cross(z, x), z)), length
 
 
-def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
+def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
     """Return the end (3,) of the last link of a digit, in the frame of the link [m].
 
     Raises:
@@ -395,10 +404,14 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         for name, place in link.frames.items()
         if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M
     }
-    named = [place for name, place in distant_frames.items() if TIP_NAME_PATTERN.search(name)]
-    if named:
-        return named[0]
-    carried_digit_positions = [other.position for other in links if other.parent == i]
+    tip_positions = [
+        place for name, place in distant_frames.items() if TIP_NAME_PATTERN.search(name)
+    ]
+    if tip_positions:
+        return tip_positions[0]
+    carried_digit_positions = [
+        other_link.position for other_link in links if other_link.parent == i
+    ]
     if carried_digit_positions:
         # A link that carries digits has no fingertip of its own. So any end that differs from the
         # joint can be used.
@@ -410,8 +423,8 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     if not len(link.points) and distant_frames:
         return next(iter(distant_frames.values()))
     if not len(link.points):
-        what = f"neither a frame nor a shape tells where its last link {link.name} ends"
-        raise ConfigError(what, where, f"a fixed link or site {link.name}_tip")
+        problem_text = f"neither a frame nor a shape tells where its last link {link.name} ends"
+        raise ConfigError(problem_text, location, f"a fixed link or site {link.name}_tip")
     # The end lies on the line from the joint to the middle of the link's shapes, at the distance of
     # the farthest corner.
     centre_of_shapes = (link.points.min(axis=0) + link.points.max(axis=0)) / 2
@@ -435,26 +448,32 @@ def _palm_frame(
     The x axis points out of the palm, along the digits. The y axis points from the thumb to the
     fingers. The first digit closes towards -y.
     """
-    places: list[tuple[Array, Array]] = []
+    frames_of_digits: list[tuple[Array, Array]] = []
     for link in links:
-        position, rotation = (np.zeros(3), np.eye(3)) if link.parent < 0 else places[link.parent]
-        places.append((position + rotation @ link.position, rotation @ link.rotation))
+        position, rotation = (
+            (np.zeros(3), np.eye(3)) if link.parent < 0 else frames_of_digits[link.parent]
+        )
+        frames_of_digits.append((position + rotation @ link.position, rotation @ link.rotation))
     carriers = {chain.carrier for chain in chains}
     fingers = [chain for i, chain in enumerate(chains) if i not in carriers]
-    mounts = np.array([places[chain.members[0]][0] for chain in fingers])
+    mounts = np.array([frames_of_digits[chain.members[0]][0] for chain in fingers])
     mean_direction = np.zeros(3)
     for chain, mount in zip(fingers, mounts, strict=True):
-        last = chain.members[-1]
-        position, rotation = places[last]
-        along = position + rotation @ frame_of_link[last][0][:, 0] * frame_of_link[last][1] - mount
-        mean_direction += along / np.linalg.norm(along) / len(fingers)
-    last = fingers[0].members[-1]
-    closing = places[last][1] @ frame_of_link[last][0][:, 1]
+        last_member = chain.members[-1]
+        position, rotation = frames_of_digits[last_member]
+        palm_axis = (
+            position
+            + rotation @ frame_of_link[last_member][0][:, 0] * frame_of_link[last_member][1]
+            - mount
+        )
+        mean_direction += palm_axis / np.linalg.norm(palm_axis) / len(fingers)
+    last_member = fingers[0].members[-1]
+    closing_axis = frames_of_digits[last_member][1] @ frame_of_link[last_member][0][:, 1]
     palm = np.eye(3)
     if mean_direction[0] < MIN_FORWARD_X * np.linalg.norm(mean_direction):
         palm = max(
             _right_angle_rotations(),
-            key=lambda turn: float(2 * turn[:, 0] @ mean_direction - turn[:, 1] @ closing),
+            key=lambda turn: float(2 * turn[:, 0] @ mean_direction - turn[:, 1] @ closing_axis),
         )
     elif carriers != {None}:
         return palm, np.zeros(3)

@@ -96,10 +96,10 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     the shape ends where the link ends.
     """
     length = digit.link_length_m[i]
-    last = i == len(digit.link_length_m) - 1
+    is_last = i == len(digit.link_length_m) - 1
     return (
         max(length - digit.link_radius_m, 0.0)
-        if last and digit.name in hand.carrier_digits
+        if is_last and digit.name in hand.carrier_digits
         else length
     )
 
@@ -186,7 +186,7 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
         return {}
     coupling = np.array(digit.coupling)
     leaders: dict[int, int] = {}
-    found = {}
+    mimic_joints = {}
     for i, row in enumerate(coupling):
         columns = np.flatnonzero(row)
         if len(columns) != 1:
@@ -194,8 +194,8 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
         k = int(columns[0])
         leading_joint = leaders.setdefault(k, i)
         if leading_joint != i:
-            found[i] = (leading_joint, float(row[k] / coupling[leading_joint, k]))
-    return found
+            mimic_joints[i] = (leading_joint, float(row[k] / coupling[leading_joint, k]))
+    return mimic_joints
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
@@ -264,10 +264,10 @@ def _add_link(
 
 def _add_tip_frame(robot_element: ET.Element, digit: Digit) -> None:
     """Add a link without mass at the end of the digit's last link."""
-    last = len(digit.link_length_m)
+    last_link = len(digit.link_length_m)
     ET.SubElement(robot_element, "link", name=f"{digit.name}_tip")
     joint = ET.SubElement(robot_element, "joint", name=f"{digit.name}_tip_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
+    ET.SubElement(joint, "parent", link=f"{digit.name}_link{last_link}")
     ET.SubElement(joint, "child", link=f"{digit.name}_tip")
     ET.SubElement(
         joint, "origin", xyz=numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0"

@@ -41,13 +41,13 @@ class DatasetCamera(NamedTuple):
 
     Attributes:
         name: name of the camera, such as ``wrist``.
-        videos: video file that the camera recorded, for each episode.
+        video_paths: video file that the camera recorded, for each episode.
         start_times_s: time from the start of the run to the first image of the video [s], for each
             episode.
     """
 
     name: str
-    videos: tuple[Path, ...]
+    video_paths: tuple[Path, ...]
     start_times_s: tuple[float, ...]
 
     @property
@@ -74,7 +74,7 @@ class EpisodeVideo(NamedTuple):
 
 def make_cameras(
     names: Sequence[str],
-    videos: Sequence[Sequence[Path]],
+    paths_by_camera: Sequence[Sequence[Path]],
     start_times_s: Sequence[float],
     logs: int,
 ) -> tuple[DatasetCamera, ...]:
@@ -82,7 +82,7 @@ def make_cameras(
 
     Args:
         names: name of each camera.
-        videos: video files of each camera, one for each log.
+        paths_by_camera: video files of each camera, one for each log.
         start_times_s: time from the start of each run to the first frame of its video [s]. A single
             value applies to all runs.
         logs: number of logs.
@@ -91,12 +91,12 @@ def make_cameras(
         ConfigError: a name is wrong, the number of videos or times is wrong, a video does not
             exist, or ffmpeg is not installed.
     """
-    starts = tuple(start_times_s) * (logs if len(start_times_s) == 1 else 1)
-    if len(starts) != logs or not np.isfinite(starts).all():
+    start_times = tuple(start_times_s) * (logs if len(start_times_s) == 1 else 1)
+    if len(start_times) != logs or not np.isfinite(start_times).all():
         raise ConfigError(
             f"{len(start_times_s)} times", "--camera-start", f"one, or {logs} finite times [s]"
         )
-    for name, files in zip(names, videos, strict=True):
+    for name, files in zip(names, paths_by_camera, strict=True):
         if not name.isidentifier() or not name.isascii() or list(names).count(name) > 1:
             raise ConfigError(
                 repr(name), "--camera", "a name of letters and digits, each camera once"
@@ -113,7 +113,8 @@ def make_cameras(
             "no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg"
         )
     return tuple(
-        DatasetCamera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True)
+        DatasetCamera(name, tuple(files), start_times)
+        for name, files in zip(names, paths_by_camera, strict=True)
     )
 
 
@@ -174,8 +175,8 @@ def write_episode_video(
         ]
         count += 1
     if count < frame_count:
-        missing = (frame_count - count) / fps + MAX_MISSING_VIDEO_S
-        early_end_text = f"the video ends {missing:.2f} s before the end of the episode"
+        missing_time_s = (frame_count - count) / fps + MAX_MISSING_VIDEO_S
+        early_end_text = f"the video ends {missing_time_s:.2f} s before the end of the episode"
         raise LogError(early_end_text, str(source_video), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
@@ -245,11 +246,11 @@ def histogram_statistics(
     total = histogram.sum(axis=1)
     mean = histogram @ values / total
     spread = np.sqrt(np.maximum(histogram @ values**2 / total - mean**2, 0.0))
-    present = [np.flatnonzero(channel) for channel in histogram]
+    present_levels = [np.flatnonzero(channel) for channel in histogram]
     cumulative_fractions = np.cumsum(histogram, axis=1) / total[:, None]
     statistics = {
-        "min": values[[pixel_values[0] for pixel_values in present]],
-        "max": values[[pixel_values[-1] for pixel_values in present]],
+        "min": values[[pixel_values[0] for pixel_values in present_levels]],
+        "max": values[[pixel_values[-1] for pixel_values in present_levels]],
         "mean": mean,
         "std": spread,
     }
@@ -258,6 +259,6 @@ def histogram_statistics(
             int(np.searchsorted(channel, percent / 100.0)) for channel in cumulative_fractions
         ]
         statistics[f"q{percent:02d}"] = values[pixel_values]
-    return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {
+    return {name: statistic.reshape(3, 1, 1).tolist() for name, statistic in statistics.items()} | {
         "count": [frames]
     }

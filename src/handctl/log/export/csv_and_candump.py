@@ -91,8 +91,8 @@ def column_unit(column: str, prismatic: Collection[str] = ()) -> str:
         return INTEGER_COLUMNS[column]
     field, _, name = column.partition("/")
     unit = FIELD_UNITS[VARIANT_SUFFIX.sub("", field)]
-    slides = TELEMETRY_AXES[field] == "joint" and name in prismatic
-    return PRISMATIC_UNITS[unit] if slides else unit
+    is_prismatic = TELEMETRY_AXES[field] == "joint" and name in prismatic
+    return PRISMATIC_UNITS[unit] if is_prismatic else unit
 
 
 def column_title(column: str, prismatic: Collection[str] = ()) -> str:
@@ -108,14 +108,14 @@ def column_title(column: str, prismatic: Collection[str] = ()) -> str:
 def table_blocks(log: RunLog) -> Iterator[TableBlock]:
     """Yield all ticks of a log in order, as tables of at most `TICKS_PER_BLOCK` rows."""
     changes = log.phases
-    starts = np.array([change.k for change in changes], np.int64)
+    start_indices = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
     rows = log.packed_telemetry()
     for start in range(0, len(log), TICKS_PER_BLOCK):
         part = slice(start, min(start + TICKS_PER_BLOCK, len(log)))
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
-        phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
+        phase = [names[i] for i in np.searchsorted(start_indices, log.k[part], "right") - 1]
         mode = [HandMode(value).name for value in log.mode[part].tolist()]
         action = [SafetyAction(value).name for value in log.action[part].tolist()]
         yield TableBlock(
@@ -134,14 +134,16 @@ def export_csv(log: RunLog, path: Path) -> int:
     """
     count = 0
     prismatic = prismatic_joints(log.header)
-    titles = [column_title(name, prismatic) for name in column_names(log)]
+    column_titles = [column_title(name, prismatic) for name in column_names(log)]
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *titles))
+        writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *column_titles))
         for block in table_blocks(log):
-            fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
-            for head, row in zip(fixed, block.numbers.tolist(), strict=True):
-                writer.writerow((*head, *("" if value != value else repr(value) for value in row)))
+            fixed_columns = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
+            for tick_columns, row in zip(fixed_columns, block.numbers.tolist(), strict=True):
+                writer.writerow(
+                    (*tick_columns, *("" if value != value else repr(value) for value in row))
+                )
                 count += 1
     return count
 
@@ -173,23 +175,23 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     local bus, the arrival of a frame is the moment at which the tick reads it, after the start of
     the tick.
     """
-    pending: list[tuple[int, str, Frame]] = []
+    pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0
     for tick in log.ticks():
         start_ns = tick.tick_in.t_ns + tick.tick_in.late_ns
-        received = tick.tick_in.frames
-        sent_ns = max((frame.t_ns for frame in received), default=start_ns)
-        pending += [(frame.t_ns, "R", frame) for frame in received]
-        pending += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
-        pending.sort(key=itemgetter(0))
+        received_frames = tick.tick_in.frames
+        sent_ns = max((frame.t_ns for frame in received_frames), default=start_ns)
+        pending_frames += [(frame.t_ns, "R", frame) for frame in received_frames]
+        pending_frames += [(max(start_ns, sent_ns), "T", frame) for frame in tick.frames]
+        pending_frames.sort(key=itemgetter(0))
         # Frames that the next tick reads arrive after the start of the present tick. However, the
         # kernel may deliver a frame slightly later than the frame's time stamp says. Therefore each
         # frame is yielded one tick later.
-        ready = bisect_left(pending, complete_until_ns, key=itemgetter(0))
-        yield from pending[:ready]
-        pending = pending[ready:]
+        ready_count = bisect_left(pending_frames, complete_until_ns, key=itemgetter(0))
+        yield from pending_frames[:ready_count]
+        pending_frames = pending_frames[ready_count:]
         complete_until_ns = start_ns
-    yield from pending
+    yield from pending_frames
 
 
 def _candump_line(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:

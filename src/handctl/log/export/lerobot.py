@@ -103,8 +103,8 @@ def export_lerobot(
             control rates, or a video does not cover a whole episode.
         OSError: the folder already exists or cannot be written.
     """
-    first = logs[0]
-    control_rate = round(1e9 / first.header.period_ns)
+    first_log = logs[0]
+    control_rate = round(1e9 / first_log.header.period_ns)
     fps = control_rate if fps is None else fps
     if not 1 <= fps <= control_rate:
         raise ConfigError(
@@ -113,7 +113,7 @@ def export_lerobot(
     episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
         _check_same_dataset(
-            first, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
+            first_log, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
         )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     scalar_features = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
@@ -121,29 +121,37 @@ def export_lerobot(
         {name: values for name, (_, values) in episode.vector_features.items()} | scalar_features[i]
         for i, episode in enumerate(episodes)
     ]
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    joined_columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
-    videos = {camera.feature_key: _write_videos(camera, episodes, path, fps) for camera in cameras}
+    videos_by_camera = {
+        camera.feature_key: _write_videos(camera, episodes, path, fps) for camera in cameras
+    }
     _write_parquet(
         path / DATA_PATH_PATTERN.format(chunk_index=0, file_index=0),
-        _frame_table(episodes[0].element_names, whole),
+        _frame_table(episodes[0].element_names, joined_columns),
     )
     statistics = [
         {name: _feature_statistics(table) for name, table in part.items()} for part in parts
     ]
-    for number, one in enumerate(statistics):
-        one |= {key: _video_statistics(files[number : number + 1]) for key, files in videos.items()}
-    table = _episode_table(episodes, statistics, videos.keys(), fps)
+    for number, statistic in enumerate(statistics):
+        statistic |= {
+            key: _video_statistics(files[number : number + 1])
+            for key, files in videos_by_camera.items()
+        }
+    table = _episode_table(episodes, statistics, videos_by_camera.keys(), fps)
     _write_parquet(path / EPISODES_PATH_PATTERN.format(chunk_index=0, file_index=0), table)
     _write_parquet(path / "meta" / "tasks.parquet", _task_table(tasks))
-    info_content = _info_content(first, fps, episodes, len(tasks), scalar_features[0])
-    info_content["features"] |= {key: _video_feature(files, fps) for key, files in videos.items()}
-    info_content["video_path"] = VIDEO_PATH_PATTERN if videos else None
+    info_content = _info_content(first_log, fps, episodes, len(tasks), scalar_features[0])
+    info_content["features"] |= {
+        key: _video_feature(files, fps) for key, files in videos_by_camera.items()
+    }
+    info_content["video_path"] = VIDEO_PATH_PATTERN if videos_by_camera else None
     _write_json(path / "meta" / "info.json", info_content)
-    video_statistics = {key: _video_statistics(files) for key, files in videos.items()}
+    video_statistics = {key: _video_statistics(files) for key, files in videos_by_camera.items()}
     _write_json(
         path / "meta" / "stats.json",
-        {name: _feature_statistics(table) for name, table in whole.items()} | video_statistics,
+        {name: _feature_statistics(table) for name, table in joined_columns.items()}
+        | video_statistics,
     )
     return sum(episode.frames for episode in episodes)
 
@@ -168,33 +176,39 @@ def _write_videos(
         LogError: a video does not cover the whole episode, or its images have another size than
             those of the first video.
     """
-    written = list[EpisodeVideo]()
+    episode_videos = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
         target = path / VIDEO_PATH_PATTERN.format(
             video_key=camera.feature_key, **video_file_numbers(number)
         )
         episode_start_s = episode.start_s - camera.start_times_s[number]
-        written.append(
-            write_episode_video(camera.videos[number], target, episode_start_s, episode.frames, fps)
+        episode_videos.append(
+            write_episode_video(
+                camera.video_paths[number], target, episode_start_s, episode.frames, fps
+            )
         )
-        sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
+        sizes = [
+            f"{video.width} x {video.height}" for video in (episode_videos[0], episode_videos[-1])
+        ]
         if sizes[0] != sizes[1]:
             expected = f"{sizes[0]}, as in the first video"
-            raise LogError(f"a video of {sizes[1]} pixels", str(camera.videos[number]), expected)
-    return written
+            raise LogError(
+                f"a video of {sizes[1]} pixels", str(camera.video_paths[number]), expected
+            )
+    return episode_videos
 
 
-def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
+def _video_statistics(episode_videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
     """Return the statistics over all images of the given videos."""
-    histogram = np.sum([video.histogram for video in videos], axis=0)
+    histogram = np.sum([video.histogram for video in episode_videos], axis=0)
     return histogram_statistics(
-        histogram, sum(video.frames for video in videos), STATISTICS_PERCENTILES
+        histogram, sum(video.frames for video in episode_videos), STATISTICS_PERCENTILES
     )
 
 
-def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
+def _video_feature(episode_videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
     """Return the declaration of a camera's images for `meta/info.json`."""
-    height, width = videos[0].height, videos[0].width
+    height, width = episode_videos[0].height, episode_videos[0].width
     encoding = {
         "codec": "h264",
         "pix_fmt": "yuv420p",
@@ -211,19 +225,23 @@ def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
     }
 
 
-def _check_same_dataset(first: RunLog, log: RunLog, has_same_names: bool, log_name: str) -> None:
+def _check_same_dataset(
+    first_log: RunLog, log: RunLog, has_same_names: bool, log_name: str
+) -> None:
     """Check that a log has the same hand and the same control rate as the first log of the dataset.
 
     Raises:
         LogError: the log belongs to another hand or has another control rate.
     """
-    hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
+    hands = [
+        printable_text(str(run_log.header.metadata.get("hand"))) for run_log in (first_log, log)
+    ]
     if hands[0] != hands[1] or not has_same_names:
         raise LogError(
             f"a run of hand {hands[1]}", log_name, f"a run of hand {hands[0]}, as in the first log"
         )
-    if first.header.period_ns != log.header.period_ns:
-        rates = [1e9 / one.header.period_ns for one in (first, log)]
+    if first_log.header.period_ns != log.header.period_ns:
+        rates = [1e9 / run_log.header.period_ns for run_log in (first_log, log)]
         raise LogError(
             f"a run at {rates[1]:g} Hz", log_name, f"a run at {rates[0]:g} Hz, as in the first log"
         )
@@ -296,10 +314,12 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """
     values = log.field(name)[rows]
     for column in values.T:
-        finite = np.flatnonzero(~np.isnan(column))
-        if len(finite):
+        finite_rows = np.flatnonzero(~np.isnan(column))
+        if len(finite_rows):
             column[:] = column[
-                finite[np.maximum(np.searchsorted(finite, np.arange(len(column)), "right") - 1, 0)]
+                finite_rows[
+                    np.maximum(np.searchsorted(finite_rows, np.arange(len(column)), "right") - 1, 0)
+                ]
             ]
     return np.nan_to_num(values)
 
@@ -308,14 +328,14 @@ def _scalar_features(
     episodes: Sequence[_Episode], episode_index: int, tasks: list[str], fps: int
 ) -> dict[str, NDArray[Any]]:
     """Return the scalar features that LeRobot requires in every frame of an episode."""
-    before = sum(episode.frames for episode in episodes[:episode_index])
+    frames_before = sum(episode.frames for episode in episodes[:episode_index])
     frames = episodes[episode_index].frames
     index = np.arange(frames)
     return {
         "timestamp": (index / fps).astype(np.float32),
         "frame_index": index,
         "episode_index": np.full(frames, episode_index, np.int64),
-        "index": before + index,
+        "index": frames_before + index,
         "task_index": np.full(frames, tasks.index(episodes[episode_index].task), np.int64),
         "next.done": index == frames - 1,
     }
@@ -356,16 +376,16 @@ def _episode_table(
     each statistic.
     """
     count = len(episodes)
-    ends = np.cumsum([episode.frames for episode in episodes]).tolist()
+    end_indices = np.cumsum([episode.frames for episode in episodes]).tolist()
     fields: dict[str, list[Any]] = {
         "episode_index": list(range(count)),
         "tasks": [[episode.task] for episode in episodes],
         "length": [episode.frames for episode in episodes],
-        "dataset_from_index": [0, *ends[:-1]],
-        "dataset_to_index": ends,
+        "dataset_from_index": [0, *end_indices[:-1]],
+        "dataset_to_index": end_indices,
     }
     columns: dict[str, list[Any]] = {
-        f"stats/{feature}/{name}": [one[feature][name] for one in statistics]
+        f"stats/{feature}/{name}": [statistic[feature][name] for statistic in statistics]
         for feature, values_of in statistics[0].items()
         for name in values_of
     }
@@ -376,8 +396,11 @@ def _episode_table(
     ]
     rows = fields | columns | {name: [0] * count for name in files}
     for key in video_keys:
-        places = [video_file_numbers(number) for number in range(count)]
-        rows |= {f"videos/{key}/{name}": [place[name] for place in places] for name in places[0]}
+        video_file_places = [video_file_numbers(number) for number in range(count)]
+        rows |= {
+            f"videos/{key}/{name}": [place[name] for place in video_file_places]
+            for name in video_file_places[0]
+        }
         rows[f"videos/{key}/from_timestamp"] = [0.0] * count
         rows[f"videos/{key}/to_timestamp"] = [episode.frames / fps for episode in episodes]
     return pa.table(rows)

@@ -97,7 +97,7 @@ def iter_messages(
         ValueError: the chunk is damaged.
         struct.error: the chunk ends within a record.
     """
-    raw = np.frombuffer(content, np.uint8)
+    raw_bytes = np.frombuffer(content, np.uint8)
     at = 0
     definition_count = 0
     remaining = MIN_BLOCKS + compressed_size // BYTES_PER_BLOCK
@@ -116,7 +116,9 @@ def iter_messages(
             count = _count_similar_records(content, at, size)
             (channel,) = _CHANNEL_STRUCT.unpack_from(content, at + 9)
             if channels is None or channel in channels:
-                yield MessageRows(channel, at, raw[at : at + count * size].reshape(count, size))
+                yield MessageRows(
+                    channel, at, raw_bytes[at : at + count * size].reshape(count, size)
+                )
         elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
             definition_count += 1
             if definition_count > 2 * MAX_CHANNELS:
@@ -137,13 +139,13 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
     max_count = (len(content) - offset) // size
     count = 1
     step = 16
-    head = content[offset : offset + _MESSAGE_HEAD_BYTES]
-    after = offset + size
+    message_head = content[offset : offset + _MESSAGE_HEAD_BYTES]
+    next_offset = offset + size
     while count < min(LINEAR_SEARCH_LIMIT, max_count):
-        if content[after : after + _MESSAGE_HEAD_BYTES] != head:
+        if content[next_offset : next_offset + _MESSAGE_HEAD_BYTES] != message_head:
             return count
         count += 1
-        after += size
+        next_offset += size
     # Each step compares four times as many records as the step before. So a long block needs few
     # comparisons. An `ndarray` with a stride reads only the first bytes of each record.
     while count < max_count:
@@ -151,27 +153,27 @@ def _count_similar_records(content: bytes, offset: int, size: int) -> int:
         record_heads = np.ndarray(
             number, _RECORD_HEADERS, content, offset + count * size, (size,)
         ).tobytes()
-        equal = (
+        equal_count = (
             number
-            if record_heads == head * number
-            else _count_equal_heads(record_heads, head, number)
+            if record_heads == message_head * number
+            else _count_equal_heads(record_heads, message_head, number)
         )
-        count += equal
+        count += equal_count
         step *= 4
-        if equal < number:
+        if equal_count < number:
             return count
     return count
 
 
-def _count_equal_heads(head_bytes: bytes, head: bytes, count_limit: int) -> int:
-    """Count how many elements at the start of `head_bytes` equal `head`.
+def _count_equal_heads(head_bytes: bytes, message_head: bytes, count_limit: int) -> int:
+    """Count how many elements at the start of `head_bytes` equal `message_head`.
 
-    At least one element of `head_bytes` must differ from `head`.
+    At least one element of `head_bytes` must differ from `message_head`.
     """
     low = 0
     while count_limit - low > 1:
         tried_count = (low + count_limit) // 2
-        if head_bytes[: tried_count * _MESSAGE_HEAD_BYTES] == head * tried_count:
+        if head_bytes[: tried_count * _MESSAGE_HEAD_BYTES] == message_head * tried_count:
             low = tried_count
         else:
             count_limit = tried_count
@@ -202,8 +204,8 @@ def schemas_and_channels(content: bytes) -> ChunkDefinitions:
 
 def _read_text(body: bytes, offset: int) -> tuple[str, int]:
     """Read a string of a record. Return the string and the offset after it."""
-    raw, offset = _read_bytes(body, offset)
-    return raw.decode(), offset
+    raw_bytes, offset = _read_bytes(body, offset)
+    return raw_bytes.decode(), offset
 
 
 def _read_bytes(body: bytes, offset: int) -> tuple[bytes, int]:
@@ -227,10 +229,10 @@ def _decode_channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
     number, schema = struct.unpack_from("<HH", body)
     topic, at = _read_text(body, 4)
     encoding, at = _read_text(body, at)
-    raw, _ = _read_bytes(body, at)
+    raw_bytes, _ = _read_bytes(body, at)
     metadata = {}
     at = 0
-    while at < len(raw):
-        key, at = _read_text(raw, at)
-        metadata[key], at = _read_text(raw, at)
+    while at < len(raw_bytes):
+        key, at = _read_text(raw_bytes, at)
+        metadata[key], at = _read_text(raw_bytes, at)
     return number, schema, topic, encoding, metadata

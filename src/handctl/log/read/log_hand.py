@@ -8,23 +8,23 @@ from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.log.header import RunHeader
 
 
-def described_hand(header: RunHeader, where: str) -> Hand:
+def described_hand(header: RunHeader, location: str) -> Hand:
     """Return the hand that a log describes, if its names are those in the header of the log.
 
     Args:
         header: header of the log.
-        where: name of the description, for error messages.
+        location: name of the description, for error messages.
 
     Raises:
         ConfigError: the description does not describe a valid hand.
         LogError: the description and the header have different names of joints, tendons, motors or
             digits.
     """
-    hand = hand_from_content(parse_toml(header.hand_toml, where), where)
-    described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)
-    if described != (header.joints, header.tendons, header.motors, header.digits):
+    hand = hand_from_content(parse_toml(header.hand_toml, location), location)
+    named_parts = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)
+    if named_parts != (header.joints, header.tendons, header.motors, header.digits):
         raise LogError(
-            "names differ from the log's header", where, "the description of the hand that ran"
+            "names differ from the log's header", location, "the description of the hand that ran"
         )
     return hand
 

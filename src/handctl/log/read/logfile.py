@@ -59,10 +59,10 @@ class LogErrorContext:
             or not isinstance(error, ERRORS_OF_DAMAGED_FILES)
         ):
             return
-        missing = isinstance(error, KeyError)
+        is_missing = isinstance(error, KeyError)
         problem = (
             f"{printable_text(repr(error.args[0]))} is missing"
-            if missing
+            if is_missing
             else printable_text(str(error))
         )
         raise LogError(f"damaged log: {problem}", self.where, "an intact file") from error

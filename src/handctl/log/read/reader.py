@@ -122,12 +122,12 @@ class RunLog:
         scan: positions of all records in the log file.
     """
 
-    def __init__(self, path: Path, checked: bool = True) -> None:
+    def __init__(self, path: Path, verify_checksums: bool = True) -> None:
         """Open a log.
 
         Args:
             path: path of the log file.
-            checked: True to read the whole file at once and check its checksum. If it is False, the
+            verify_checksums: True to read the whole file at once and check its checksum. If it is False, the
                 checksum of each chunk is checked when the chunk is read.
 
         Raises:
@@ -138,7 +138,7 @@ class RunLog:
         self._latest: tuple[ChunkLocation, dict[int, list[MessageRows]]] | None = None
         try:
             scan = RecordScan()
-            scan_records(self._file, scan, checked)
+            scan_records(self._file, scan, verify_checksums)
             self.scan = scan
             self._chunks = scan.chunks
             self.metadata = scan.metadata
@@ -209,7 +209,7 @@ class RunLog:
         counts = [0]
         snapshots = dict[int, int]()
         for i, chunk in enumerate(self._chunks):
-            before = len(parts)
+            part_count_before = len(parts)
             for rows in self._message_rows_of_chunk(chunk, self._tick):
                 data = rows.data()
                 with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -222,7 +222,7 @@ class RunLog:
                             FIXED_DTYPE
                         )[:, 0]
                     )
-            counts.append(sum(map(len, parts[before:])))
+            counts.append(sum(map(len, parts[part_count_before:])))
             for rows in self._message_rows_of_chunk(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
                 snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
         return _ChunkIndex(np.concatenate(parts), np.cumsum(counts), snapshots)
@@ -476,8 +476,8 @@ class RunLog:
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 # All ticks of one phase without events end with the same bytes: the phase and empty
                 # lists. Because of the cache, these bytes are not decoded again.
-                tail = message[message_layout(message).tail_offset :]
-                phase = phase_of_tail.get(tail)
+                tail_bytes = message[message_layout(message).tail_offset :]
+                phase = phase_of_tail.get(tail_bytes)
                 if phase is None:
                     tick = unpack_tick(message)
                     phase = tick.phase
@@ -486,7 +486,7 @@ class RunLog:
                         for event in tick.events
                     ]
                     if not tick.events and len(phase_of_tail) < _MAX_CACHED_TAILS:
-                        phase_of_tail[tail] = phase
+                        phase_of_tail[tail_bytes] = phase
             if not phases or phases[-1].name != phase:
                 phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))
         return events, phases

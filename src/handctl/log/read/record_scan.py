@@ -64,7 +64,7 @@ class RecordScan:
         size: size of the file [bytes].
         complete: True if the data section has an end record with the correct checksum.
         problem: description of a defect of the file, or an empty text if there is no defect.
-        skipped: (start, end) of every damaged record that the scan has skipped [bytes].
+        skipped_ranges: (start, end) of every damaged record that the scan has skipped [bytes].
         unknown: number of records with an unknown opcode.
     """
 
@@ -75,7 +75,7 @@ class RecordScan:
     size: int = 0
     complete: bool = False
     problem: str = ""
-    skipped: list[tuple[int, int]] = field(default_factory=list)
+    skipped_ranges: list[tuple[int, int]] = field(default_factory=list)
     unknown: int = 0
 
 
@@ -131,14 +131,14 @@ def scan_records(
     scan.size = file.size
     if file.size < len(MCAP_MAGIC) or file.read_range(0, len(MCAP_MAGIC)) != MCAP_MAGIC:
         raise LogError("not an MCAP file", file.position_text(0), "a log that handctl wrote")
-    finished = (
+    is_finished = (
         file.size >= 2 * len(MCAP_MAGIC)
         and file.read_range(file.size - len(MCAP_MAGIC), len(MCAP_MAGIC)) == MCAP_MAGIC
     )
     scan.end = max(scan.end, len(MCAP_MAGIC))
     # If no records were skipped, the only problem that a continued scan can have is the end of the
     # shorter file.
-    scan.problem = scan.problem if scan.skipped else ""
+    scan.problem = scan.problem if scan.skipped_ranges else ""
     unpacked = sum(chunk.size for chunk in scan.chunks)
     while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
@@ -146,7 +146,7 @@ def scan_records(
         end = at + _RECORD_STRUCT.size + length
         # The opcode 0 is never valid. But after a power failure, a file may end with zeros.
         if code == 0 or end > file.size:
-            if finished:
+            if is_finished:
                 raise LogError(
                     "damaged log: no record here", file.position_text(at), "an intact file"
                 )
@@ -164,7 +164,7 @@ def scan_records(
             if not skip_chunk_content:
                 raise
             scan.problem = scan.problem or str(error)
-            scan.skipped.append((at, end))
+            scan.skipped_ranges.append((at, end))
         scan.unknown += code not in Opcode.__members__.values()
         with LogErrorContext(file.position_text(at)):
             _check_limits(scan, unpacked)
@@ -194,7 +194,7 @@ def _check_limits(scan: RecordScan, unpacked_bytes: int) -> None:
     if unpacked_bytes > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
         raise ValueError(f"chunks of more than {unpacked_bytes} bytes")
     if (
-        max(scan.unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped))
+        max(scan.unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped_ranges))
         > MAX_RECORDS
     ):
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
@@ -240,18 +240,20 @@ def _decode_chunk_head(file: LogFile, offset: int, end_offset: int) -> ChunkLoca
     """Decode the first fields of a Chunk record, but do not read the data of the chunk."""
     # 80 bytes are enough for the fields of constant size (41 bytes), the name of the compression
     # (at most 8 bytes) and the compressed size (8 bytes).
-    head = file.read_range(offset, min(end_offset - offset, 80))
-    first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
+    head_bytes = file.read_range(offset, min(end_offset - offset, 80))
+    first_time, last_time, size, crc, name = _CHUNK_STRUCT.unpack_from(
+        head_bytes, _RECORD_STRUCT.size
+    )
     _checked_size(size, MAX_CHUNK_BYTES)
     start = _RECORD_STRUCT.size + _CHUNK_STRUCT.size
-    compression = head[start : start + _checked_size(name, 8)].decode()
+    compression = head_bytes[start : start + _checked_size(name, 8)].decode()
     if compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {compression!r}")
-    (packed,) = struct.unpack_from("<Q", head, start + name)
+    (packed,) = struct.unpack_from("<Q", head_bytes, start + name)
     data = offset + start + name + 8
     if data + _checked_size(packed, MAX_CHUNK_BYTES) != end_offset:
         raise ValueError("the length of a chunk contradicts itself")
-    return ChunkLocation(offset, end_offset, data, first, last, size, crc, compression)
+    return ChunkLocation(offset, end_offset, data, first_time, last_time, size, crc, compression)
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
@@ -301,9 +303,9 @@ def _check_end(
     ):
         scan.problem = scan.problem or "ends within its summary"
         return
-    raw = file.read_range(footer, 29)
-    (expected,) = struct.unpack_from("<I", raw, 25)
-    if raw[0] != Opcode.FOOTER or (
-        expected and expected != zlib.crc32(raw[:25], file.range_crc(end_offset, footer))
+    raw_bytes = file.read_range(footer, 29)
+    (expected,) = struct.unpack_from("<I", raw_bytes, 25)
+    if raw_bytes[0] != Opcode.FOOTER or (
+        expected and expected != zlib.crc32(raw_bytes[:25], file.range_crc(end_offset, footer))
     ):
         scan.problem = scan.problem or "the summary is damaged; the data is intact"

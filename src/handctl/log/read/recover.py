@@ -51,12 +51,12 @@ class RecoveryReport:
     problem: str = ""
 
 
-def recover_log(path: Path, out: Path) -> RecoveryReport:
+def recover_log(path: Path, output_path: Path) -> RecoveryReport:
     """Copy all undamaged chunks, attachments and metadata of a log into a new file.
 
     Args:
         path: path of a complete or damaged log.
-        out: path of the new file. If the log has no undamaged chunk, no file is written.
+        output_path: path of the new file. If the log has no undamaged chunk, no file is written.
 
     Raises:
         LogError: the file at `path` cannot be opened or is not an MCAP file.
@@ -71,7 +71,7 @@ def recover_log(path: Path, out: Path) -> RecoveryReport:
             return RecoveryReport(
                 RecoveryStatus.NOTHING, lost_ranges=((0, file.size),), problem=problem
             )
-        with atomic_path(out, must_be_new=True) as part:
+        with atomic_path(output_path, must_be_new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
                 recovery = _copy_intact_parts(file, scan, problem, McapContainer(descriptor))
@@ -101,36 +101,38 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
 
 
 def _copy_intact_parts(
-    file: LogFile, scan: RecordScan, problem_text: str, new: McapContainer
+    file: LogFile, scan: RecordScan, problem_text: str, new_container: McapContainer
 ) -> RecoveryReport:
     """Copy the undamaged parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
-        new.write_attachment(name, media, data, time_ns)
+        new_container.write_attachment(name, media, data, time_ns)
     for name, values in scan.metadata.items():
         # The end record is written last, as in a log that was finished without errors.
         if name != "handctl.end":
-            new.write_metadata(name, values)
-    lost = scan.skipped.copy()
+            new_container.write_metadata(name, values)
+    lost_ranges = scan.skipped_ranges.copy()
     copied = 0
     for chunk in scan.chunks:
         try:
-            _copy_chunk(file, chunk, new)
+            _copy_chunk(file, chunk, new_container)
             copied += 1
         except LogError as error:
             problem_text = problem_text or str(error)
-            lost.append((chunk.offset, chunk.end))
+            lost_ranges.append((chunk.offset, chunk.end))
     if not scan.complete and scan.end < file.size:
-        lost.append((scan.end, file.size))
-    new.write_metadata("handctl.end", _end_record(scan, problem_text))
-    new.write_summary_and_footer()
+        lost_ranges.append((scan.end, file.size))
+    new_container.write_metadata("handctl.end", _end_record(scan, problem_text))
+    new_container.write_summary_and_footer()
     status = (
         RecoveryStatus.NOTHING
         if not copied
         else RecoveryStatus.LOSSY
-        if lost or not scan.complete
+        if lost_ranges or not scan.complete
         else RecoveryStatus.WHOLE
     )
-    return RecoveryReport(status, copied, new.message_count, tuple(sorted(lost)), problem_text)
+    return RecoveryReport(
+        status, copied, new_container.message_count, tuple(sorted(lost_ranges)), problem_text
+    )
 
 
 def _end_record(scan: RecordScan, problem_text: str) -> dict[str, str]:
@@ -139,7 +141,7 @@ def _end_record(scan: RecordScan, problem_text: str) -> dict[str, str]:
     return end | {"recovered": problem_text} if problem_text else end
 
 
-def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None:
+def _copy_chunk(file: LogFile, chunk: ChunkLocation, new_container: McapContainer) -> None:
     """Copy the messages of one chunk unchanged.
 
     Raises:
@@ -165,7 +167,7 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
             )
             for rows in iter_messages(content, chunk.end - chunk.data_offset)
         ]
-    new.write_chunk(blocks, schemas, channels)
+    new_container.write_chunk(blocks, schemas, channels)
 
 
 def _message_offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":

@@ -47,9 +47,9 @@ def phase_of_each_tick(
         phase_changes: phase changes in order. The first change of the phase is at the first tick.
         k: (ticks,) tick numbers in rising order.
     """
-    starts = np.array([change.k for change in phase_changes])
+    start_indices = np.array([change.k for change in phase_changes])
     names = np.array([change.name for change in phase_changes])
-    return np.asarray(names[np.searchsorted(starts, k, side="right") - 1])
+    return np.asarray(names[np.searchsorted(start_indices, k, side="right") - 1])
 
 
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:

@@ -21,26 +21,26 @@ _ID_MASK = 0x1FFF_FFFF
 
 def can_frame_template(bus: str) -> MessageTemplate:
     """Return the template of can_msgs/Frame messages for one bus."""
-    out = TemplateWriter()
-    out.put_header(bus)
-    out.put_field("id", "<u4")
+    writer = TemplateWriter()
+    writer.put_header(bus)
+    writer.put_field("id", "<u4")
     for name in ("is_rtr", "is_extended", "is_error", "dlc"):
-        out.put_field(name, "|u1")
-    out.put_field("data", "|u1", 8)
-    return out.finished_template()
+        writer.put_field(name, "|u1")
+    writer.put_field("data", "|u1", 8)
+    return writer.finished_template()
 
 
 def encode_fd_frame(bus: str, t_ns: int, can_id: int, payload: bytes) -> bytes:
     """Encode a CAN FD frame as ros2_socketcan_msgs/FdFrame."""
-    out = CdrWriter()
-    out.put_number("I", t_ns // 10**9)
-    out.put_number("I", t_ns % 10**9)
-    out.put_string(bus)
-    out.put_length(can_id & _ID_MASK)
-    out.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(payload)))
-    out.put_length(len(payload))
-    out.data += payload
-    return out.finished_message()
+    writer = CdrWriter()
+    writer.put_number("I", t_ns // 10**9)
+    writer.put_number("I", t_ns % 10**9)
+    writer.put_string(bus)
+    writer.put_length(can_id & _ID_MASK)
+    writer.data += bytes((bool(can_id & EXTENDED_FLAG), bool(can_id & ERROR_FLAG), len(payload)))
+    writer.put_length(len(payload))
+    writer.data += payload
+    return writer.finished_message()
 
 
 class _DirectionTopics:
@@ -74,7 +74,7 @@ class _DirectionTopics:
         if not fd.all():
             blocks.append(
                 self._classical_messages(
-                    frames.frames[~fd], bus[~fd], stamps.selected(~fd), measured_ns[~fd]
+                    frames.frames[~fd], bus[~fd], stamps.select(~fd), measured_ns[~fd]
                 )
             )
         if fd.any():
@@ -89,16 +89,18 @@ class _DirectionTopics:
         measured_ns: TimeArray,
     ) -> MessageBlock:
         """Return a message for each of the given classical CAN frames, in their order."""
-        used = np.unique(bus)
-        if len(used) == 1:
-            return self._streams[int(used[0])].block(stamps, _frame_values(frames), measured_ns)
+        bus_indices = np.unique(bus)
+        if len(bus_indices) == 1:
+            return self._streams[int(bus_indices[0])].block(
+                stamps, _frame_values(frames), measured_ns
+            )
         records: list[bytes] = [b""] * len(frames)
         # The template of a message contains the name of the bus. If there are several buses, the
         # messages of each bus are made separately, and then sorted into the order of the frames.
-        for bus_index in used.tolist():
+        for bus_index in bus_indices.tolist():
             indexes = np.flatnonzero(bus == bus_index)
             block = self._streams[bus_index].block(
-                stamps.selected(indexes), _frame_values(frames[indexes]), measured_ns[indexes]
+                stamps.select(indexes), _frame_values(frames[indexes]), measured_ns[indexes]
             )
             size = len(block.data) // len(indexes)
             for index, start in zip(indexes.tolist(), range(0, len(block.data), size), strict=True):
@@ -115,7 +117,7 @@ class _DirectionTopics:
     ) -> MessageBlock:
         """Return a message for each CAN FD frame among the given frames."""
         records = []
-        rest = memoryview(frames.long_data)
+        remaining_data = memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
         data = frames.frames["data"].tobytes()
         sequence = stamps.sequence.tolist()
@@ -124,9 +126,11 @@ class _DirectionTopics:
         # `rest` contains the payload bytes after the eighth byte of those frames that have not been
         # encoded yet. Classical frames have no such bytes.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
-            more = max(length - 8, 0)
-            payload = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more])
-            rest = rest[more:]
+            extra_bytes = max(length - 8, 0)
+            payload = data[8 * index : 8 * index + min(length, 8)] + bytes(
+                remaining_data[:extra_bytes]
+            )
+            remaining_data = remaining_data[extra_bytes:]
             if is_fd[index]:
                 message = encode_fd_frame(self._buses[bus[index]], times[index], can_id, payload)
                 size = 22 + len(message)
@@ -140,8 +144,8 @@ class _DirectionTopics:
 
 def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
     """Join several Message records to one block."""
-    ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
-    return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
+    end_offsets = np.cumsum([0, *map(len, records)], dtype=np.uint64)
+    return MessageBlock(channel, b"".join(records), log_times, end_offsets[:-1])
 
 
 def _frame_values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
@@ -184,6 +188,8 @@ class CanTopics:
             (self._rx, batch.received, batch.received.frames["t_ns"]),
             (self._tx, batch.sent, send_times_ns),
         ):
-            measured = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
-            blocks += direction.blocks(frames, stamps.selected(frames.tick_indexes), measured)
+            measured_times_ns = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
+            blocks += direction.blocks(
+                frames, stamps.select(frames.tick_indexes), measured_times_ns
+            )
         return blocks

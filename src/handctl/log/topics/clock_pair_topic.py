@@ -61,14 +61,14 @@ class ClockTopic:
 
     def block(self, stamps: MessageStamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return the message with the readings of both clocks."""
-        out = CdrWriter()
+        writer = CdrWriter()
         t_ns = int(stamps.log_times[0])
-        out.put_number("I", t_ns // 10**9)
-        out.put_number("I", t_ns % 10**9)
-        out.put_string("")
-        out.put_number("q", wall_ns)
-        out.put_number("q", monotonic_ns)
-        return variable_length_block(self._channel, stamps, [out.finished_message()])
+        writer.put_number("I", t_ns // 10**9)
+        writer.put_number("I", t_ns % 10**9)
+        writer.put_string("")
+        writer.put_number("q", wall_ns)
+        writer.put_number("q", monotonic_ns)
+        return variable_length_block(self._channel, stamps, [writer.finished_message()])
 
 
 def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
@@ -77,16 +77,18 @@ def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
     Raises:
         struct.error: the message is too short.
     """
-    seconds, nanoseconds, wall, monotonic = _CLOCK_PAIR_STRUCT.unpack_from(message)
-    return ClockPair(seconds * 10**9 + nanoseconds - offset_ns, wall, monotonic)
+    seconds, nanoseconds, wall_ns, monotonic = _CLOCK_PAIR_STRUCT.unpack_from(message)
+    return ClockPair(seconds * 10**9 + nanoseconds - offset_ns, wall_ns, monotonic)
 
 
 def clock_steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
     """Compare the wall clock with the monotonic clock, and yield each step of the wall clock."""
-    before: ClockPair | None = None
+    previous_pair: ClockPair | None = None
     for pair in pairs:
-        if before is not None:
-            jump = (pair.wall_ns - before.wall_ns) - (pair.monotonic_ns - before.monotonic_ns)
-            if abs(jump) > MIN_STEP_NS:
-                yield ClockStep(pair.t_ns * 1e-9, jump * 1e-9)
-        before = pair
+        if previous_pair is not None:
+            clock_jump_ns = (pair.wall_ns - previous_pair.wall_ns) - (
+                pair.monotonic_ns - previous_pair.monotonic_ns
+            )
+            if abs(clock_jump_ns) > MIN_STEP_NS:
+                yield ClockStep(pair.t_ns * 1e-9, clock_jump_ns * 1e-9)
+        previous_pair = pair

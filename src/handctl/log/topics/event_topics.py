@@ -26,25 +26,25 @@ _STRING_PARAMETER_TYPE = 4
 
 def _stamped_writer(t_ns: int) -> CdrWriter:
     """Return a CDR writer whose message begins with a time stamp."""
-    out = CdrWriter()
-    out.put_number("I", t_ns // 10**9)
-    out.put_number("I", t_ns % 10**9)
-    return out
+    writer = CdrWriter()
+    writer.put_number("I", t_ns // 10**9)
+    writer.put_number("I", t_ns % 10**9)
+    return writer
 
 
 def encode_rosout(t_ns: int, level_name: str, name: str, text: str) -> bytes:
     """Encode a line of the log as rcl_interfaces/Log."""
-    out = _stamped_writer(t_ns)
-    out.put_number("B", LOG_LEVEL_NUMBERS.get(level_name, LOG_LEVEL_NUMBERS["error"]))
-    out.put_string(name)
-    out.put_string(text)
-    out.put_string("")
-    out.put_string("")
-    out.put_length(0)
-    return out.finished_message()
+    writer = _stamped_writer(t_ns)
+    writer.put_number("B", LOG_LEVEL_NUMBERS.get(level_name, LOG_LEVEL_NUMBERS["error"]))
+    writer.put_string(name)
+    writer.put_string(text)
+    writer.put_string("")
+    writer.put_string("")
+    writer.put_length(0)
+    return writer.finished_message()
 
 
-def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
+def _append_parameter(writer: CdrWriter, name: str, value: str) -> None:
     """Append a gain as rcl_interfaces/Parameter.
 
     A gain whose text is a number is written as a double.
@@ -53,16 +53,16 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
         number = float(value)
     except ValueError:
         number = math.nan
-    out.put_string(name)
+    writer.put_string(name)
     is_number = not math.isnan(number)
-    out.put_number("B", _DOUBLE_PARAMETER_TYPE if is_number else _STRING_PARAMETER_TYPE)
-    out.put_number("B", 0)
-    out.put_number("q", 0)
-    out.put_number("d", number if is_number else 0.0)
-    out.put_string("" if is_number else value)
+    writer.put_number("B", _DOUBLE_PARAMETER_TYPE if is_number else _STRING_PARAMETER_TYPE)
+    writer.put_number("B", 0)
+    writer.put_number("q", 0)
+    writer.put_number("d", number if is_number else 0.0)
+    writer.put_string("" if is_number else value)
     # The five array fields of a ParameterValue are left empty.
     for _ in range(5):
-        out.put_length(0)
+        writer.put_length(0)
 
 
 def encode_parameter_event(
@@ -72,31 +72,31 @@ def encode_parameter_event(
 
     A gain whose text is a number is written as a double.
     """
-    out = _stamped_writer(t_ns)
-    out.put_string("/handctl")
+    writer = _stamped_writer(t_ns)
+    writer.put_string("/handctl")
     for group in (new_gains, changed_gains):
-        out.put_length(len(group))
+        writer.put_length(len(group))
         for name, value in group.items():
-            _append_parameter(out, name, value)
-    out.put_length(0)
-    return out.finished_message()
+            _append_parameter(writer, name, value)
+    writer.put_length(0)
+    return writer.finished_message()
 
 
 def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
     """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
-    out = _stamped_writer(t_ns)
-    out.put_string("")
-    out.put_number("B", number)
-    out.put_string(name)
-    return out.finished_message()
+    writer = _stamped_writer(t_ns)
+    writer.put_string("")
+    writer.put_number("B", number)
+    writer.put_string(name)
+    return writer.finished_message()
 
 
 def _changed_indexes(
     timed_values: list[tuple[int, str]], last_value: tuple[int, str] | None
 ) -> list[int]:
     """Return the indices of all values that differ from the value before them."""
-    before = [last_value, *timed_values[:-1]]
-    return [index for index, value in enumerate(timed_values) if value != before[index]]
+    previous_values = [last_value, *timed_values[:-1]]
+    return [index for index, value in enumerate(timed_values) if value != previous_values[index]]
 
 
 class EventTopics:
@@ -114,7 +114,7 @@ class EventTopics:
         self._action = registry.register_topic("/safety/action", "handctl_msgs/Action")
         self._last: dict[int, tuple[int, str]] = {}
 
-    def latched(self, stamps: MessageStamps) -> list[MessageBlock]:
+    def latched_messages(self, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages with the gains that are used at the start of the run."""
         message = encode_parameter_event(int(stamps.log_times[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
@@ -139,7 +139,7 @@ class EventTopics:
                 for index in indexes
             ]
             blocks.append(
-                variable_length_block(channel, stamps.selected(_index_array(indexes)), messages)
+                variable_length_block(channel, stamps.select(_index_array(indexes)), messages)
             )
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
@@ -155,14 +155,16 @@ class EventTopics:
             for level, name, text in _log_lines(tick):
                 line_indexes.append(index)
                 lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
-            changed = {event.where: event.text for event in tick.events if event.name == GAIN_EVENT}
-            if changed:
+            text_by_bus = {
+                event.where: event.text for event in tick.events if event.name == GAIN_EVENT
+            }
+            if text_by_bus:
                 gain_indexes.append(index)
-                gains.append(encode_parameter_event(t_ns, {}, changed))
+                gains.append(encode_parameter_event(t_ns, {}, text_by_bus))
         return [
-            variable_length_block(self._rosout, stamps.selected(_index_array(line_indexes)), lines),
+            variable_length_block(self._rosout, stamps.select(_index_array(line_indexes)), lines),
             variable_length_block(
-                self._parameters, stamps.selected(_index_array(gain_indexes)), gains
+                self._parameters, stamps.select(_index_array(gain_indexes)), gains
             ),
         ]
 

@@ -84,10 +84,10 @@ def tick_hashes(previous_hash: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> I
 
 def chain_message() -> MessageTemplate:
     """Return the template of a handctl_msgs/Chain message."""
-    out = TemplateWriter()
-    out.put_header()
-    out.put_field("digest", "|u1", HASH_SIZE)
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header()
+    writer.put_field("digest", "|u1", HASH_SIZE)
+    return writer.finished_template()
 
 
 class ChainTopic:

@@ -49,21 +49,21 @@ class DiagnosticStatus:
 
 def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> bytes:
     """Encode a diagnostic_msgs/DiagnosticArray."""
-    out = CdrWriter()
-    out.put_number("I", t_ns // 10**9)
-    out.put_number("I", t_ns % 10**9)
-    out.put_string("")
-    out.put_length(len(statuses))
+    writer = CdrWriter()
+    writer.put_number("I", t_ns // 10**9)
+    writer.put_number("I", t_ns % 10**9)
+    writer.put_string("")
+    writer.put_length(len(statuses))
     for status in statuses:
-        out.put_number("B", status.level)
-        out.put_string(status.name)
-        out.put_string(status.text)
-        out.put_string(status.hardware)
-        out.put_length(len(status.values))
+        writer.put_number("B", status.level)
+        writer.put_string(status.name)
+        writer.put_string(status.text)
+        writer.put_string(status.hardware)
+        writer.put_length(len(status.values))
         for key, value in status.values.items():
-            out.put_string(key)
-            out.put_string(value)
-    return out.finished_message()
+            writer.put_string(key)
+            writer.put_string(value)
+    return writer.finished_message()
 
 
 def temperature_template() -> MessageTemplate:
@@ -73,11 +73,11 @@ def temperature_template() -> MessageTemplate:
     the palm. If the frame of the message were not in /tf, the viewer Rerun would find several root
     frames and show no hand.
     """
-    out = TemplateWriter()
-    out.put_header(ROOT_FRAME)
-    out.put_field("temperature", "<f8")
-    out.put_field("variance", "<f8")
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header(ROOT_FRAME)
+    writer.put_field("temperature", "<f8")
+    writer.put_field("variance", "<f8")
+    return writer.finished_template()
 
 
 class HealthTopics:
@@ -111,12 +111,12 @@ class HealthTopics:
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the status and temperature messages of a batch of ticks."""
         blocks = self._temperature_runs(batch, stamps)
-        selected = self._status_ticks(batch)
+        status_ticks = self._status_ticks(batch)
         messages: list[bytes] = []
         start = 0
-        for index in [*selected.tolist(), len(batch.k) - 1]:
+        for index in [*status_ticks.tolist(), len(batch.k) - 1]:
             self._count_frames(batch, start, index + 1)
-            if len(messages) < len(selected):
+            if len(messages) < len(status_ticks):
                 messages.append(
                     encode_diagnostic_array(
                         int(stamps.log_times[index]), self._statuses(batch, index)
@@ -125,7 +125,7 @@ class HealthTopics:
             start = index + 1
         if messages:
             blocks.append(
-                variable_length_block(self._diagnostics, stamps.selected(selected), messages)
+                variable_length_block(self._diagnostics, stamps.select(status_ticks), messages)
             )
         return blocks
 
@@ -135,12 +135,12 @@ class HealthTopics:
         Each message has the values of the first tick in an interval.
         """
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
-        selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
+        period_starts = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
-        if not len(selected):
+        if not len(period_starts):
             return []
-        values = batch.numbers[selected, self._columns["motor_temperature"]]
-        at = stamps.selected(selected)
+        values = batch.numbers[period_starts, self._columns["motor_temperature"]]
+        at = stamps.select(period_starts)
         return [
             stream.block(at, {"temperature": values[:, [index]]})
             for index, stream in enumerate(self._temperatures)
@@ -153,17 +153,17 @@ class HealthTopics:
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
         last_state, last_period = self._last
-        first = last_state if len(last_state) else np.full(state.shape[1], -1.0)
+        first_last_state = last_state if len(last_state) else np.full(state.shape[1], -1.0)
         periods = batch.t_ns // DIAGNOSTICS_PERIOD_NS
-        changed = (np.diff(state, axis=0, prepend=first[None, :]) != 0).any(axis=1)
+        has_changed = (np.diff(state, axis=0, prepend=first_last_state[None, :]) != 0).any(axis=1)
         self._last = state[-1], int(periods[-1])
-        return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
+        return np.flatnonzero(has_changed | (np.diff(periods, prepend=last_period) != 0))
 
     def _count_frames(self, batch: TickBatch, first_tick: int, tick_end: int) -> None:
         """Count the frames and io events of the ticks whose indices are from `first_tick` to `end_tick` - 1."""
         for direction, frames in enumerate((batch.received, batch.sent)):
-            first, last = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
-            bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
+            first_row, end_row = np.searchsorted(frames.tick_indexes, (first_tick, tick_end))
+            bus = np.bincount(frames.frames["bus"][first_row:end_row], minlength=len(self._frames))
             self._frames[:, direction] += bus[: len(self._frames)]
         for index in range(first_tick, tick_end):
             tick = batch.ticks_with_events.get(index)
@@ -204,9 +204,11 @@ class HealthTopics:
                 f"handctl: bus {bus}",
                 "frames",
                 bus,
-                {"received": str(received), "sent": str(sent)},
+                {"received": str(received_count), "sent": str(sent_count)},
             )
-            for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
+            for bus, (received_count, sent_count) in zip(
+                self._header.buses, self._frames.tolist(), strict=True
+            )
         ]
 
     def _motor_statuses(self, numbers: NDArray[np.float64]) -> list[DiagnosticStatus]:

@@ -73,7 +73,7 @@ class MessageStamps:
     log_times: TimeArray
     sequence: NDArray[np.uint32]
 
-    def selected(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
+    def select(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
         """Return the log times and sequence numbers of some of these messages."""
         return MessageStamps(self.log_times[index], self.sequence[index])
 
@@ -157,5 +157,5 @@ def variable_length_block(
         parts.append(
             MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message
         )
-    ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
-    return MessageBlock(channel, b"".join(parts), stamps.log_times, ends[:-1])
+    end_offsets = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
+    return MessageBlock(channel, b"".join(parts), stamps.log_times, end_offsets[:-1])

@@ -43,14 +43,14 @@ class SnapshotTopic:
             t_ns: log time of the tick [ns].
             snapshot: the snapshot to encode.
         """
-        out = CdrWriter()
-        out.put_number("I", t_ns // 10**9)
-        out.put_number("I", t_ns % 10**9)
-        out.put_string("")
-        out.put_number("q", snapshot.k)
-        out.put_length(len(snapshot.data))
+        writer = CdrWriter()
+        writer.put_number("I", t_ns // 10**9)
+        writer.put_number("I", t_ns % 10**9)
+        writer.put_string("")
+        writer.put_number("q", snapshot.k)
+        writer.put_length(len(snapshot.data))
         return variable_length_block(
-            self._channel, stamps_at(t_ns, snapshot.k), [out.finished_message() + snapshot.data]
+            self._channel, stamps_at(t_ns, snapshot.k), [writer.finished_message() + snapshot.data]
         )
 
 

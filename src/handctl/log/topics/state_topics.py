@@ -85,70 +85,70 @@ def joint_state_template(
     names: tuple[str, ...], position: bool, velocity: bool, effort: bool
 ) -> MessageTemplate:
     """Return the template of a sensor_msgs/JointState message."""
-    out = TemplateWriter()
-    out.put_header()
-    out.put_strings(names)
-    for name, used in (("position", position), ("velocity", velocity), ("effort", effort)):
-        out.put_float_sequence(name, len(names) if used else 0)
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header()
+    writer.put_strings(names)
+    for name, is_present in (("position", position), ("velocity", velocity), ("effort", effort)):
+        writer.put_float_sequence(name, len(names) if is_present else 0)
+    return writer.finished_template()
 
 
 def wrench_template(frame_id: str) -> MessageTemplate:
     """Return the template of a geometry_msgs/WrenchStamped message."""
-    out = TemplateWriter()
-    out.put_header(frame_id)
-    out.put_field("force", "<f8", 3)
-    out.put_field("torque", "<f8", 3)
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header(frame_id)
+    writer.put_field("force", "<f8", 3)
+    writer.put_field("torque", "<f8", 3)
+    return writer.finished_template()
 
 
 def statistics_values(number: int) -> MessageTemplate:
     """Return the template of a pal_statistics_msgs/StatisticsValues with names_version 1 and `number` values."""
-    out = TemplateWriter()
-    out.put_header()
-    out.put_float_sequence("values", number)
-    out.put_length(1)
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header()
+    writer.put_float_sequence("values", number)
+    writer.put_length(1)
+    return writer.finished_template()
 
 
 def cycle_stats_template(motors: int) -> MessageTemplate:
     """Return the template of a handctl_msgs/CycleStats message."""
-    out = TemplateWriter()
-    out.put_header()
-    out.put_field("cycle", "<f8", 3)
-    out.put_field("missed", "<u4")
-    out.put_field("mode", "|u1")
-    out.put_field("action", "|u1")
-    out.put_float_sequence("stale", motors)
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header()
+    writer.put_field("cycle", "<f8", 3)
+    writer.put_field("missed", "<u4")
+    writer.put_field("mode", "|u1")
+    writer.put_field("action", "|u1")
+    writer.put_float_sequence("stale", motors)
+    return writer.finished_template()
 
 
 def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
     """Return the template of a handctl_msgs/Estimate message."""
-    out = TemplateWriter()
-    out.put_header()
-    out.put_strings(names)
-    out.put_float_sequence("value", len(names))
-    out.put_float_sequence("variance", len(names))
-    out.put_strings((unit,) * len(names))
-    return out.finished_template()
+    writer = TemplateWriter()
+    writer.put_header()
+    writer.put_strings(names)
+    writer.put_float_sequence("value", len(names))
+    writer.put_float_sequence("variance", len(names))
+    writer.put_strings((unit,) * len(names))
+    return writer.finished_template()
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     """Encode the names (`field/name`) of the telemetry columns as pal_statistics_msgs/StatisticsNames."""
-    out = CdrWriter()
-    out.put_number("I", seconds)
-    out.put_number("I", nanoseconds)
-    out.put_string("")
-    out.put_strings(
+    writer = CdrWriter()
+    writer.put_number("I", seconds)
+    writer.put_number("I", nanoseconds)
+    writer.put_string("")
+    writer.put_strings(
         tuple(
             f"{name}/{element}"
             for name in TELEMETRY_FIELDS
             for element in header.axis_names(TELEMETRY_AXES[name])
         )
     )
-    out.put_length(1)
-    return out.finished_message()
+    writer.put_length(1)
+    return writer.finished_message()
 
 
 class StateTopics:
@@ -260,8 +260,8 @@ class StateTopics:
         names = list(self._header.tendons)
         net = tension[:, [names.index(name) for name in self._pretension]]
         both_tensions = np.stack([net, -net], axis=2)
-        taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
-        return np.maximum(np.maximum(taut, both_tensions), 0.0).reshape(len(net), -1)
+        taut_tensions = np.array(list(self._pretension.values()))[:, None] + 0.5 * both_tensions
+        return np.maximum(np.maximum(taut_tensions, both_tensions), 0.0).reshape(len(net), -1)
 
     def _joint_state_values(
         self, topic: str, part: dict[str, FloatArray]
@@ -278,15 +278,17 @@ class StateTopics:
         """Return the timing of each tick [s]: period, lateness, and time from the previous tick to the last reply."""
         start = batch.t_ns + batch.late_ns
         first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)
-        before = np.concatenate([[first_start], start[:-1]])
-        period = np.where(before < 0, np.nan, (start - before) * 1e-9)
-        missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
+        previous_start = np.concatenate([[first_start], start[:-1]])
+        period = np.where(previous_start < 0, np.nan, (start - previous_start) * 1e-9)
+        missed_ticks = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
         # If no reply arrived in a tick, this time is the smallest int64. It is converted to NaN.
-        latest = np.full(len(start), np.iinfo(np.int64).min)
-        np.maximum.at(latest, batch.received.tick_indexes, batch.received.frames["t_ns"])
-        received = (latest > np.iinfo(np.int64).min) & (before >= 0)
-        last_reply = np.where(received, (np.where(received, latest, 0) - before) * 1e-9, np.nan)
+        last_times_ns = np.full(len(start), np.iinfo(np.int64).min)
+        np.maximum.at(last_times_ns, batch.received.tick_indexes, batch.received.frames["t_ns"])
+        is_received = (last_times_ns > np.iinfo(np.int64).min) & (previous_start >= 0)
+        last_reply = np.where(
+            is_received, (np.where(is_received, last_times_ns, 0) - previous_start) * 1e-9, np.nan
+        )
         self._last = int(batch.k[-1]), int(start[-1])
         numbers = np.stack([period, batch.late_ns * 1e-9, last_reply], axis=1)
-        scalar_values = {"missed": missed, "mode": batch.mode, "action": batch.action}
+        scalar_values = {"missed": missed_ticks, "mode": batch.mode, "action": batch.action}
         return {"cycle": numbers, **{name: value[:, None] for name, value in scalar_values.items()}}

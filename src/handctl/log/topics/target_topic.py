@@ -41,7 +41,7 @@ class TargetTopic:
         if not messages:
             return []
         return [
-            variable_length_block(self._channel, stamps.selected(np.array(at, np.intp)), messages)
+            variable_length_block(self._channel, stamps.select(np.array(at, np.intp)), messages)
         ]
 
     def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
@@ -55,23 +55,23 @@ class TargetTopic:
                 if (target := parse_target(request)) is not None:
                     yield target
                 continue
-            opening = parse_request(request)
-            if isinstance(opening, OpenStreamRequest):
-                self._names[opening.stream] = opening.names
+            opening_request = parse_request(request)
+            if isinstance(opening_request, OpenStreamRequest):
+                self._names[opening_request.stream] = opening_request.names
 
     def _target_message(self, log_ns: int, target: StreamTarget) -> bytes:
         """Encode a streamed target as a handctl_msgs/StreamTarget message."""
         names = self._names.get(target.stream, ())
         age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9
-        out = CdrWriter()
-        out.put_number("I", log_ns // 10**9)
-        out.put_number("I", log_ns % 10**9)
-        out.put_string("")
-        out.put_string(target.stream)
-        out.put_number("q", target.number)
-        out.put_number("d", age_s)
-        out.put_strings(names if len(names) == len(target.values) else ())
-        out.put_length(len(target.values))
+        writer = CdrWriter()
+        writer.put_number("I", log_ns // 10**9)
+        writer.put_number("I", log_ns % 10**9)
+        writer.put_string("")
+        writer.put_string(target.stream)
+        writer.put_number("q", target.number)
+        writer.put_number("d", age_s)
+        writer.put_strings(names if len(names) == len(target.values) else ())
+        writer.put_length(len(target.values))
         for value in target.values:
-            out.put_number("d", value)
-        return out.finished_message()
+            writer.put_number("d", value)
+        return writer.finished_message()

@@ -68,7 +68,7 @@ class TopicSet:
         """Return the channels of all topics."""
         return list(self._registry.channels.values())
 
-    def latched(self) -> list[MessageBlock]:
+    def latched_messages(self) -> list[MessageBlock]:
         """Return the messages that are written only once, when the time of the run is 0."""
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
@@ -76,8 +76,8 @@ class TopicSet:
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
             variable_length_block(self._names, stamps, [names]),
-            self._tf.latched(stamps),
-            *self._events.latched(stamps),
+            self._tf.latched_messages(stamps),
+            *self._events.latched_messages(stamps),
         ]
         urdf = self._header.attachments.get("hand.urdf")
         if urdf is not None:

@@ -81,11 +81,13 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             child = f"{name}_link{index + 1}"
             size = math.hypot(*axes[index])
             axis = tuple(component / size for component in axes[index])
-            turned = multiply_quaternions(
+            turned_quaternion = multiply_quaternions(
                 rotation, quaternion_of_rpy(*map(math.radians, turns[index]))
             )
-            slides = kinds[index] == "prismatic"
-            frames.append(LinkFrame(parent, child, position, turned, axis, joint, slides))
+            is_prismatic = kinds[index] == "prismatic"
+            frames.append(
+                LinkFrame(parent, child, position, turned_quaternion, axis, joint, is_prismatic)
+            )
             parent = child
             position = (float(length), 0.0, 0.0)
             rotation = (0.0, 0.0, 0.0, 1.0)
@@ -127,22 +129,22 @@ def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float6
         return np.array([link.position])
     x, y, z, w = link.rotation
     # The imaginary part of r a r* is the axis a in the frame of the parent link.
-    turned = multiply_quaternions(
+    turned_quaternion = multiply_quaternions(
         multiply_quaternions(link.rotation, (*link.axis, 0.0)), (-x, -y, -z, w)
     )[:3]
-    return np.asarray(np.array(link.position) + q[:, None] * np.array(turned))
+    return np.asarray(np.array(link.position) + q[:, None] * np.array(turned_quaternion))
 
 
 def _transform_stream(channel: int, link_frames: list[LinkFrame]) -> MessageStream:
     """Return the stream of tf2_msgs/TFMessage messages for some links."""
-    out = TemplateWriter()
-    out.put_length(len(link_frames))
+    writer = TemplateWriter()
+    writer.put_length(len(link_frames))
     for index, link in enumerate(link_frames):
-        out.put_header(link.parent)
-        out.put_string(link.child)
-        out.put_field(f"position{index}", "<f8", 3)
-        out.put_field(f"rotation{index}", "<f8", 4)
-    return MessageStream(channel, out.finished_template())
+        writer.put_header(link.parent)
+        writer.put_string(link.child)
+        writer.put_field(f"position{index}", "<f8", 3)
+        writer.put_field(f"rotation{index}", "<f8", 4)
+    return MessageStream(channel, writer.finished_template())
 
 
 class TfTopics:
@@ -167,7 +169,7 @@ class TfTopics:
         self._q = columns_of_fields(header)["q"]
         self._last = -1
 
-    def latched(self, stamps: MessageStamps) -> MessageBlock:
+    def latched_messages(self, stamps: MessageStamps) -> MessageBlock:
         """Return the single message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed_parts):
@@ -178,13 +180,13 @@ class TfTopics:
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the /tf messages. The first tick in each period of 20 ms gets one."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
-        selected = np.flatnonzero(np.diff(periods, prepend=self._last))
+        period_starts = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])
-        if not len(selected):
+        if not len(period_starts):
             return []
-        q = batch.numbers[selected, self._q]
+        q = batch.numbers[period_starts, self._q]
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._moving):
             values[f"position{index}"] = link_positions(link, q[:, link.joint])
             values[f"rotation{index}"] = link_quaternions(link, q[:, link.joint])
-        return [self._stream.block(stamps.selected(selected), values)]
+        return [self._stream.block(stamps.select(period_starts), values)]

@@ -175,7 +175,9 @@ class LogWriter:
         container.write_metadata("handctl.gains", header.gains)
         if header.wall:
             container.write_metadata("handctl.wall", header.wall)
-        container.write_chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
+        container.write_chunk(
+            self._topics.latched_messages(), self._topics.schemas, self._topics.channels
+        )
 
     @property
     def has_pending_ticks(self) -> bool:
@@ -216,9 +218,9 @@ class LogWriter:
         CHUNK_SPAN_NS.
         """
         if self._header.deterministic:
-            before = self._mark
+            mark_before = self._mark
             self._mark = t_ns // CHUNK_SPAN_NS
-            return before != self._mark
+            return mark_before != self._mark
         if is_chunk_start:
             self._mark = t_ns
         return t_ns - self._mark >= CHUNK_SPAN_NS
@@ -229,8 +231,8 @@ class LogWriter:
             return
         batch = self._batcher.take_batch()
         # Each tick number that does not occur counts as a missed tick, even between two chunks.
-        first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
-        self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
+        first_tick = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
+        self._missed += max(int(batch.k[-1]) - first_tick + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
         snapshots = self._snapshots
         self._snapshots = []
@@ -262,12 +264,12 @@ class LogWriter:
         except OSError as error:
             self._close_after_failure(error)
             return
-        free = disk.f_bavail * disk.f_frsize
-        if free < self._floor:
-            self._finish_log_early(free)
-        elif free < 4 * self._floor and not self._warned:
+        free_bytes = disk.f_bavail * disk.f_frsize
+        if free_bytes < self._floor:
+            self._finish_log_early(free_bytes)
+        elif free_bytes < 4 * self._floor and not self._warned:
             self._warned = True
-            self._report("disk_low", free)
+            self._report("disk_low", free_bytes)
 
     def _finish_log_early(self, free_bytes: int) -> None:
         """Finish the log early, because the disk is almost full."""

@@ -127,13 +127,13 @@ class Recorder:
             if not any("ready" in note for note in self._messages):
                 errors = [str(note["error"]) for note in self._messages if "error" in note]
                 if not errors:
-                    ends = (
+                    socket_ends = (
                         "has ended at its start"
                         if self._ended
                         else f"has not started within {START_TIMEOUT_S:g} s"
                     )
-                    what = f"the recorder process {ends}"
-                    raise LogError(what, str(self._path), "a computer with less other load")
+                    problem_text = f"the recorder process {socket_ends}"
+                    raise LogError(problem_text, str(self._path), "a computer with less other load")
                 raise LogError(
                     f"cannot record: {errors[0]}",
                     str(self._path),
@@ -255,11 +255,15 @@ class Recorder:
         if self._lossless:
             return []
         # FIONREAD returns the number of bytes in the pipe that the recorder has not read yet.
-        waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
+        buffered_bytes = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[
+            0
+        ]
         was_filling = self._filling
-        self._filling = waiting > self._size // 2
+        self._filling = buffered_bytes > self._size // 2
         return (
-            [IoEvent("recorder", "filling", waiting)] if self._filling and not was_filling else []
+            [IoEvent("recorder", "filling", buffered_bytes)]
+            if self._filling and not was_filling
+            else []
         )
 
     def _read_notes(self, timeout_s: float) -> None:

@@ -43,19 +43,19 @@ The list has at most this one element.
 
 def start_recorder_process() -> RecorderProcess:
     """Start a recorder process. The process ends when the pipe for the records is closed."""
-    reading, writing = os.pipe()
+    read_end, write_end = os.pipe()
     # With the option `-P`, Python imports no modules from the working directory.
     command = [sys.executable, "-P", "-m", "handctl.log.write.recorder_process"]
     try:
         child = subprocess.Popen(
-            command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True
+            command, stdin=read_end, stdout=subprocess.PIPE, start_new_session=True
         )
     except OSError:
-        os.close(writing)
+        os.close(write_end)
         raise
     finally:
-        os.close(reading)
-    return RecorderProcess(child, writing)
+        os.close(read_end)
+    return RecorderProcess(child, write_end)
 
 
 @contextmanager

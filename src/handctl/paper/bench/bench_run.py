@@ -38,12 +38,12 @@ class BenchRecording:
     tension: list[Vector] = field(default_factory=list)
     travel: list[Vector] = field(default_factory=list)
 
-    def record(self, entry: TickIn, out: TickOut) -> None:
+    def record(self, entry: TickIn, tick_output: TickOut) -> None:
         """Record the input and output of a tick."""
         self.t_ns.append(entry.t_ns)
-        self.phase.append(out.phase)
-        self.tension.append(out.telemetry.tension_raw)
-        self.travel.append(out.telemetry.motor_position)
+        self.phase.append(tick_output.phase)
+        self.tension.append(tick_output.telemetry.tension_raw)
+        self.travel.append(tick_output.telemetry.motor_position)
 
     def mask_of_phase(self, name: str) -> Vector:
         """Return a mask (ticks,) that is True in the ticks of the given phase."""

@@ -139,11 +139,11 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
     """
     travel = np.array(measured_curve["travel_m"])
     force = np.array(measured_curve["force_N"])
-    finite = np.isfinite(travel) & np.isfinite(force)
-    travel = travel[finite]
-    force = force[finite]
-    straight = (force > LINEAR_TENSION_RANGE_N[0]) & (force < LINEAR_TENSION_RANGE_N[1])
-    slope, offset = np.polyfit(travel[straight], force[straight], 1)
+    is_finite = np.isfinite(travel) & np.isfinite(force)
+    travel = travel[is_finite]
+    force = force[is_finite]
+    linear_mask = (force > LINEAR_TENSION_RANGE_N[0]) & (force < LINEAR_TENSION_RANGE_N[1])
+    slope, offset = np.polyfit(travel[linear_mask], force[linear_mask], 1)
     # The extrapolated linear part reaches the force 0 at the displacement -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
@@ -187,11 +187,11 @@ def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
         ("Sec. 5", "Abstract"), curves_of_tendons(measured_results), strict=True
     ):
         nominal_knee_N = tendon.nominal_knee_N
-        top = float(tendon.force.max())
+        max_force = float(tendon.force.max())
         measured_text = (
             f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N"
             if tendon.knee
-            else f"none up to {top:.0f} N"
+            else f"none up to {max_force:.0f} N"
         )
         rows.append(
             ErrataItem(

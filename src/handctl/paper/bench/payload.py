@@ -131,13 +131,13 @@ def load_until_slip(
 ) -> dict[str, Any]:
     """Grip the cylinder, load it with a force until it slips, and return the result as plain values."""
     tension = grip_result["tension_N"]
-    hold = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
+    hold_phase = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
     start = grip_result["began_s"] + GRIP_SETTLING_S
-    recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold])
-    first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
+    recording, truth = _grip_cylinder(folder, diameter_mm, load_axis, start, [hold_phase])
+    first_row = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
-    normal_forces = _mean_normals(truth, int(truth.t_ns[first]))
-    slip, ended = _find_slip(truth, first, end)
+    normal_forces = _mean_normals(truth, int(truth.t_ns[first_row]))
+    slip, end_reason = _find_slip(truth, first_row, end)
     # Along the axis z, the weight of the object acts in the same direction as the load.
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if load_axis == "z" else 0.0
     load = float(truth.interpolated_column("load", truth.t_ns[slip : slip + 1])[0]) + weight
@@ -145,20 +145,23 @@ def load_until_slip(
     # along x.
     palm = sum(
         float(
-            truth.interpolated_column(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]
+            truth.interpolated_column(
+                f"contact_force/{name}/x", truth.t_ns[first_row : first_row + 1]
+            )[0]
         )
         for name in tension
     )
-    times = truth.t_ns[first:end:10]
-    moved = np.linalg.norm(
+    times = truth.t_ns[first_row:end:10]
+    object_motion = np.linalg.norm(
         _object_positions(truth, times) - _object_positions(truth, times)[0], axis=1
     )
     return {
         "diameter_mm": diameter_mm, "axis": load_axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normal_forces, strict=True)), "palm_N": max(0.0, palm), "load_N": load,
-        "ended": ended,
+        "ended": end_reason,
         "payload_kg": load / float(src.GRAVITY_M_PER_S2),
-        "trace_N": (truth.interpolated_column("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
+        "trace_N": (truth.interpolated_column("load", times) + weight).tolist(),
+        "trace_mm": (1000.0 * object_motion).tolist(),
     }  # fmt: skip
 
 
@@ -228,15 +231,17 @@ def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, s
     """Return the row of the ground truth at which the object slips, and the name of the criterion for the slip."""
     positions = _object_positions(truth, truth.t_ns[first_row:end_row])
     window = round(SPEED_WINDOW_S * 1000)
-    moved = np.linalg.norm(positions - positions[0], axis=1)
+    object_motion = np.linalg.norm(positions - positions[0], axis=1)
     speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / SPEED_WINDOW_S
     crossings = {
-        "moved": np.flatnonzero(moved > SLIP_DISTANCE_M),
+        "moved": np.flatnonzero(object_motion > SLIP_DISTANCE_M),
         "creep": np.flatnonzero(speed > SLIP_SPEED_M_PER_S) + window,
     }
     # A speed is assigned to the end of the time window over which it is measured.
-    slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
-    row, ended = min(slips, default=(len(moved) - 1, "held"))
+    slip_starts = [
+        (int(rows[0]), end_reason) for end_reason, rows in crossings.items() if len(rows)
+    ]
+    row, ended = min(slip_starts, default=(len(object_motion) - 1, "held"))
     return first_row + row, ended
 
 
@@ -283,7 +288,7 @@ def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[s
     The first row contains the titles of the columns.
     """
     formula = float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
-    titles = (
+    column_titles = (
         "cylinder",
         "load",
         "fingers",
@@ -304,7 +309,7 @@ def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[s
             f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{lower_bound_sign}{result['payload_kg']:.2f} kg",
             f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{friction_bound_kg(result):.2f} kg",
         ))  # fmt: skip
-    return (titles, *rows)
+    return (column_titles, *rows)
 
 
 CRITERION_TEXTS = {

@@ -55,19 +55,19 @@ def _distribute_jobs(
     When a worker has returned a result, it gets the next job.
     """
     results: dict[int, ExperimentResult] = {}
-    waiting = iter(enumerate(jobs))
-    busy: dict[WorkerProcess, int] = {}
-    with selectors.DefaultSelector() as answers:
+    pending_jobs = iter(enumerate(jobs))
+    job_by_worker: dict[WorkerProcess, int] = {}
+    with selectors.DefaultSelector() as answer_selector:
         for child in workers:
-            answers.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
-            _send_next_job(child, waiting, busy, report)
-        while busy:
-            for key, _ in answers.select():
+            answer_selector.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
+            _send_next_job(child, pending_jobs, job_by_worker, report)
+        while job_by_worker:
+            for key, _ in answer_selector.select():
                 child = key.data
-                index = busy.pop(child)
+                index = job_by_worker.pop(child)
                 results[index] = _read_result(child)
                 report(jobs[index], True)
-                _send_next_job(child, waiting, busy, report)
+                _send_next_job(child, pending_jobs, job_by_worker, report)
     return [results[index] for index in range(len(jobs))]
 
 

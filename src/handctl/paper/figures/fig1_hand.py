@@ -110,23 +110,23 @@ def _palm_faces() -> list[Array]:
     high[0] = 0.0
     faces = []
     for axis in range(3):
-        one, two = (other for other in range(3) if other != axis)
+        first_axis, second_axis = (other for other in range(3) if other != axis)
         for level in (low[axis], high[axis]):
             face = np.full((4, 3), level)
-            face[:, one] = low[one]
-            face[:, two] = low[two]
-            face[1:3, one] = high[one]
-            face[2:4, two] = high[two]
+            face[:, first_axis] = low[first_axis]
+            face[:, second_axis] = low[second_axis]
+            face[1:3, first_axis] = high[first_axis]
+            face[2:4, second_axis] = high[second_axis]
             faces.append(face)
     return faces
 
 
 def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[Array]:
     """Return the faces of a bar whose far end is round."""
-    along = (end_point - start_point) / np.linalg.norm(end_point - start_point)
-    side = np.cross(along, (0.0, 0.0, 1.0))
+    axis = (end_point - start_point) / np.linalg.norm(end_point - start_point)
+    side = np.cross(axis, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
-    up = np.cross(along, side)
+    up = np.cross(axis, side)
     quarter_turn_angles = np.linspace(0.0, np.pi / 2, FACES_ALONG)
     # The first rings of corners are along the straight part of the bar. The other rings are around
     # the round end.
@@ -135,7 +135,7 @@ def _capsule_faces(start_point: Array, end_point: Array, radius: float) -> list[
         for fraction in np.linspace(0.0, 0.9, 5)
     ]
     ring_centres_and_radii += [
-        (end_point + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter_turn_angles
+        (end_point + axis * radius * np.sin(a), radius * np.cos(a)) for a in quarter_turn_angles
     ]
     turn = np.linspace(0.0, 2.0 * np.pi, FACES_AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)

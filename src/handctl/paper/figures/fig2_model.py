@@ -27,10 +27,10 @@ def draw_model_figure(figure: Any) -> None:
     axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
     for i, radius in enumerate(ARC_RADII_MM):
-        before = theta[i] - q[i]
-        _draw_ray(axes, nodes[i], before, 1.7 * radius, BLUE)
+        parent_angle = theta[i] - q[i]
+        _draw_ray(axes, nodes[i], parent_angle, 1.7 * radius, BLUE)
         _draw_ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)
-        _draw_arc(axes, nodes[i], (before, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
+        _draw_arc(axes, nodes[i], (parent_angle, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
         _draw_arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
         link_middle = (nodes[i] + nodes[i + 1]) / 2.0
         label_offset = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])

@@ -25,11 +25,11 @@ POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 def draw_path_figure(figure: Any) -> None:
     """Draw the reachable positions of finger and thumb side by side, on the same scale."""
-    left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
-    _draw_digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
-    _draw_digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
-    left.set(ylabel="Y [mm]")
-    right.legend(loc="upper left", fontsize=8.5)
+    left_axes, right_axes = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
+    _draw_digit(left_axes, "index", "Finger: Eq. 1-2", (-46, 64))
+    _draw_digit(right_axes, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
+    left_axes.set(ylabel="Y [mm]")
+    right_axes.legend(loc="upper left", fontsize=8.5)
 
 
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
@@ -62,11 +62,11 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
                 ha=side,
                 zorder=6,
             )
-    reach = 1000.0 * sum(model.lengths)
-    axes.plot(reach, 0.0, "s", color=RED, markersize=6, fillstyle="none", zorder=6)
+    finger_length_mm = 1000.0 * sum(model.lengths)
+    axes.plot(finger_length_mm, 0.0, "s", color=RED, markersize=6, fillstyle="none", zorder=6)
     axes.annotate(
-        f"{reach:g} mm",
-        (reach, 0.0),
+        f"{finger_length_mm:g} mm",
+        (finger_length_mm, 0.0),
         (-4, -14),
         textcoords="offset points",
         fontsize=8.5,
@@ -86,10 +86,12 @@ def _draw_reachable_area(
     reached_cells = binary_closing(
         np.histogram2d(tip_positions[:, 0], tip_positions[:, 1], bins=bins)[0] > 0, iterations=3
     )
-    smooth = gaussian_filter(reached_cells.astype(float), 1.5).T
+    smoothed_area = gaussian_filter(reached_cells.astype(float), 1.5).T
     cell_centres = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
-    axes.contourf(*cell_centres, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
-    axes.contour(*cell_centres, smooth, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2)
+    axes.contourf(*cell_centres, smoothed_area, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
+    axes.contour(
+        *cell_centres, smoothed_area, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2
+    )
     axes.plot(
         [],
         [],

@@ -89,20 +89,24 @@ def draw_eq10_figure(figure: Any) -> None:
     The scale of one plot suits the printed equation. The scale of the other plot suits the
     corrected equation.
     """
-    times, printed, right = closing_torque_t1(CLOSING_DURATIONS_S[1])
+    times, printed_torque, correct_torque = closing_torque_t1(CLOSING_DURATIONS_S[1])
     printed_axes, close = figure.subplots(1, 2)
     for axes in (printed_axes, close):
-        axes.plot(1e3 * times, 1e3 * printed, color=RED, label="Eq. 10 as printed")
-        axes.plot(1e3 * times, 1e3 * right, color=BLUE, label="corrected")
+        axes.plot(1e3 * times, 1e3 * printed_torque, color=RED, label="Eq. 10 as printed")
+        axes.plot(1e3 * times, 1e3 * correct_torque, color=BLUE, label="corrected")
         axes.axhline(0.0, color=GREY, linewidth=0.7)
         axes.margins(x=0)
         axes.set(xlabel="time [ms]", ylabel="T₁ [mN m]")
-    factor = float(np.abs(printed).max() / np.abs(right).max())
+    factor = float(np.abs(printed_torque).max() / np.abs(correct_torque).max())
     printed_axes.set_title(f"as printed: {factor:.0f} times too large")
-    limit = 1.6e3 * float(np.abs(right).max())
+    limit = 1.6e3 * float(np.abs(correct_torque).max())
     close.set(ylim=(-limit, limit))
     close.set_title("enlarged: even at rest the wrong sign")
     printed_axes.legend(fontsize=8.5)
     for at in (0, -1):
-        close.plot(1e3 * times[at], 1e3 * printed[at], "o", color=RED, markersize=5, clip_on=False)
-        close.plot(1e3 * times[at], 1e3 * right[at], "o", color=BLUE, markersize=5, clip_on=False)
+        close.plot(
+            1e3 * times[at], 1e3 * printed_torque[at], "o", color=RED, markersize=5, clip_on=False
+        )
+        close.plot(
+            1e3 * times[at], 1e3 * correct_torque[at], "o", color=BLUE, markersize=5, clip_on=False
+        )

@@ -26,7 +26,7 @@ def figure_contents(
 
     Without results of experiments, the figures of measurements are left out.
     """
-    drawn: dict[str, tuple[tuple[float, float], DrawFunction]] = {
+    figure_functions: dict[str, tuple[tuple[float, float], DrawFunction]] = {
         "fig1-hand": (fig1_hand.HAND_FIGURE_SIZE_IN, fig1_hand.draw_hand_figure),
         "fig2-model": (fig2_model.MODEL_FIGURE_SIZE_IN, fig2_model.draw_model_figure),
         "fig3-path": (fig3_path.PATH_FIGURE_SIZE_IN, fig3_path.draw_path_figure),
@@ -37,7 +37,7 @@ def figure_contents(
     if experiment_results is not None:
         bench = curves_of_tendons(experiment_results["force_displacement"])
         loads = experiment_results["payload"]
-        drawn |= {
+        figure_functions |= {
             "fig5-force-displacement": (
                 measured_figures.FORCE_FIGURE_SIZE_IN,
                 lambda fig: measured_figures.draw_force_displacement(fig, bench),
@@ -47,7 +47,7 @@ def figure_contents(
                 lambda fig: measured_figures.draw_payloads(fig, loads),
             ),
         }
-    return drawn
+    return figure_functions
 
 
 def draw_all_figures(folder: Path, experiment_results: Mapping[str, Any] | None) -> dict[str, Path]:

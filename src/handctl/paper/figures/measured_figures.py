@@ -21,14 +21,14 @@ AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     """Draw the curves of both tendons, the two knees that the paper states, and the stress limit of section 5."""
     axes = figure.subplots()
-    allowed = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
-    top = 1.12 * float(max(src.KNEE_TENSIONS_N))
+    allowed_tension = float(src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger()))
+    axis_limit = 1.12 * float(max(src.KNEE_TENSIONS_N))
     end = 1.08 * max(float(curve.displacement.max()) for curve in curves)
-    axes.axhspan(allowed, top, color=RED, alpha=0.07, linewidth=0)
-    axes.axhline(allowed, color=RED, linewidth=1.2)
-    wire = src.wire_diameter_mm(allowed)
+    axes.axhspan(allowed_tension, axis_limit, color=RED, alpha=0.07, linewidth=0)
+    axes.axhline(allowed_tension, color=RED, linewidth=1.2)
+    wire = src.wire_diameter_mm(allowed_tension)
     text = f"above: more than the 190 MPa allowed in the {wire:.4f} mm wire"
-    axes.text(0.985 * end, allowed - 3, text, color=RED, fontsize=8.5, ha="right", va="top")
+    axes.text(0.985 * end, allowed_tension - 3, text, color=RED, fontsize=8.5, ha="right", va="top")
     for knee, name in zip(src.KNEE_TENSIONS_N, ("section 5", "abstract"), strict=True):
         axes.axhline(float(knee), color=GREY, linewidth=1.0, linestyle=(0, (5, 3)))
         axes.text(
@@ -40,7 +40,12 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
         )
     stiffness = curves[0].stiffness
     axes.plot(
-        [0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3
+        [0, 1e3 * axis_limit / stiffness],
+        [0, axis_limit],
+        color="black",
+        linewidth=0.9,
+        linestyle=":",
+        zorder=3,
     )
     for curve, colour in zip(curves, (BLUE, ORANGE), strict=True):
         label = f"measured, tendon with its knee at {curve.nominal_knee_N:g} N"
@@ -78,7 +83,9 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     axes.set(
         xlabel="displacement of the tendon at the spool [mm]", ylabel="tension at the load cell [N]"
     )
-    axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
+    axes.set(
+        xlim=(0, end), ylim=(0, axis_limit), title="Tendon of a blocked finger, pulled over the bus"
+    )
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
     # Stress is proportional to tension. Therefore the second axis differs from the first one only
     # by a factor.
@@ -126,10 +133,12 @@ def _draw_payload_bars(axes: Any, payload_results: Sequence[Mapping[str, Any]]) 
             label=f"⌀ {diameter:g} mm",
             zorder=3,
         )
-        more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.LOAD_DIRECTIONS]
+        prefixes = [
+            "≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.LOAD_DIRECTIONS
+        ]
         axes.bar_label(
             bars,
-            [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)],
+            [f"{sign}{height:.2f}" for sign, height in zip(prefixes, heights, strict=True)],
             fontsize=8.5,
         )
         bounds = [payload.friction_bound_kg(rows[axis]) for axis in payload.LOAD_DIRECTIONS]
@@ -151,13 +160,13 @@ def _draw_payload_bars(axes: Any, payload_results: Sequence[Mapping[str, Any]]) 
 def _draw_lines(axes: Any) -> None:
     """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
     two_sided_payload_kg = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
-    edge = len(payload.LOAD_DIRECTIONS) - 0.6
+    right_edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
         (float(src.PAYLOAD_KG), RED, f"paper:\n{src.PAYLOAD_KG} kg"),
         (two_sided_payload_kg, PURPLE, f"friction on\nboth sides:\n{two_sided_payload_kg:.3f} kg"),
     ):
-        axes.hlines(value, -0.55, edge, color=colour, linewidth=1.3, linestyle="--", zorder=2)
-        axes.text(edge + 0.03, value, text, color=colour, fontsize=8.5, va="center")
+        axes.hlines(value, -0.55, right_edge, color=colour, linewidth=1.3, linestyle="--", zorder=2)
+        axes.text(right_edge + 0.03, value, text, color=colour, fontsize=8.5, va="center")
 
 
 def _draw_load_traces(

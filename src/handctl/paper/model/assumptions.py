@@ -41,17 +41,18 @@ def assumption_items() -> list[ErrataItem]:
 def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
     tip_levers = src.levers_mm(src.paper_finger())
-    given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
+    given_ratio = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
     for i, required in enumerate(tip_levers):
         radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
             ErrataItem(
                 f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {required}F",
-                float(given), "N mm per N",
-                verdict_of_statement(given == required),
-                f"One tendon on equal pulleys gives {given}F at every joint. This joint requires {required}F. The "
-                f"surplus of {given - required}F goes to stops or other contacts. Balance requires a pulley of "
+                float(given_ratio), "N mm per N",
+                verdict_of_statement(given_ratio == required),
+                f"One tendon on equal pulleys gives {given_ratio}F at every joint. This joint requires {required}F. "
+                "The "
+                f"surplus of {given_ratio - required}F goes to stops or other contacts. Balance requires a pulley of "
                 f"{float(radius):.4g} mm.",
                 STATICS_TAG,
             )
@@ -74,7 +75,7 @@ def _check_coupling() -> list[ErrataItem]:
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
     # `free` is the number of joint motions that no tendon controls.
-    free = len(tip_levers) - int(np.linalg.matrix_rank(arms))
+    free_dimensions = len(tip_levers) - int(np.linalg.matrix_rank(arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
@@ -82,9 +83,11 @@ def _check_coupling() -> list[ErrataItem]:
             "If θ₁ = θ₂ = θ₃ is enforced, as section 4 says, virtual work gives T = (55 + 25 + 10)F/(3 × 3) = 10F: "
             f"{float(force):g} N and {float(torque):g} N m at 6 N instead of 110 N and 0.55 N m.", ("virtual work",)),
         ErrataItem(
-            "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
-            verdict_of_statement(free == 0),
-            f"One tendon sets one sum of three angles, and {free} motions remain free. Without contact, the angles are "
+            "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal",
+            float(free_dimensions), "",
+            verdict_of_statement(free_dimensions == 0),
+            f"One tendon sets one sum of three angles, and {free_dimensions} motions remain free. Without contact, "
+            "the angles are "
             "equal only if the springs are in proportion to the pulleys. With contact, they are not equal.", ("rank",)),
     ]  # fmt: skip
 
@@ -109,7 +112,7 @@ def _payload_of_both_sides() -> list[ErrataItem]:
     """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     two_sided_payload_kg = 2 * src.payload_kg(fingers)
-    limited = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)
+    payload_limit = 2 * src.payload_kg(src.THUMB_GRIP_FORCE_N)
     return [
         ErrataItem(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(two_sided_payload_kg), "kg",
@@ -118,8 +121,8 @@ def _payload_of_both_sides() -> list[ErrataItem]:
             "the same load again.",
             STATICS_TAG),
         ErrataItem(
-            "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
-            verdict_of_number(src.PAYLOAD_KG, limited),
+            "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(payload_limit), "kg",
+            verdict_of_number(src.PAYLOAD_KG, payload_limit),
             "Payload with friction on both sides, if the thumb presses with 10 N and the fingers balance it.",
             STATICS_TAG),
     ]  # fmt: skip

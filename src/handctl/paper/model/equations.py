@@ -37,9 +37,9 @@ class EquationTerm:
 
 def _equation_term(
     id: str,
-    printed: str,
+    printed_text: str,
     readings: str | tuple[str, ...],
-    right: str,
+    correct_text: str,
     explanation: str = "",
     mirror_id: str = "",
 ) -> EquationTerm:
@@ -53,9 +53,9 @@ def _equation_term(
     return EquationTerm(
         id,
         f"Eq. {number}",
-        printed,
+        printed_text,
         tuple(map(Expression, texts)),
-        Expression(right),
+        Expression(correct_text),
         reason,
         mirror_id,
     )

@@ -222,8 +222,8 @@ def _node_without_minus(formula_node: ast.expr) -> ast.expr:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner
         case ast.BinOp(left=left, op=ast.Mult() | ast.Div() as op, right=right):
-            first = _node_without_minus(left)
-            return formula_node if first is left else ast.BinOp(first, op, right)
+            first_node = _node_without_minus(left)
+            return formula_node if first_node is left else ast.BinOp(first_node, op, right)
     return formula_node
 
 

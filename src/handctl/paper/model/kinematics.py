@@ -80,20 +80,22 @@ def _check_paths() -> list[ErrataItem]:
         ("eq2.y", "Eq. 2", "Y", EQUATION_2, tips[:, 1]),
     )
     items_of_path = []
-    for id, where, axis, printed, right in rows:
-        off = relative_deviation(printed.evaluate({"theta": SAMPLED_ANGLES_RAD}), right)
-        shown = f"{axis} = {printed.as_typeset_text()}"
+    for id, location, axis, printed_expression, correct_expression in rows:
+        deviation = relative_deviation(
+            printed_expression.evaluate({"theta": SAMPLED_ANGLES_RAD}), correct_expression
+        )
+        equation_text = f"{axis} = {printed_expression.as_typeset_text()}"
         items_of_path.append(
             ErrataItem(
                 id,
-                where,
-                shown,
-                shown,
+                location,
+                equation_text,
+                equation_text,
                 "mm",
-                verdict_of_statement(off < RELATIVE_TOLERANCE),
+                verdict_of_statement(deviation < RELATIVE_TOLERANCE),
                 reason,
                 ("forward kinematics",),
-                off,
+                deviation,
             )
         )
     return items_of_path
@@ -120,14 +122,19 @@ def _check_general_position() -> list[ErrataItem]:
     tips = np.array([points_in_plane(model, q)[-1] for q in rows])
     items_of_components = []
     components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
-    for (id, axis, wave), right in zip(components, tips.T, strict=True):
-        printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
-        off = relative_deviation(printed.evaluate({**lengths, **angles}), right)
+    for (id, axis, wave), correct_expression in zip(components, tips.T, strict=True):
+        printed_expression = Expression(
+            f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)"
+        )
+        deviation = relative_deviation(
+            printed_expression.evaluate({**lengths, **angles}), correct_expression
+        )
         items_of_components.append(
             ErrataItem(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
-                f"{axis} = {printed.as_typeset_text()}", "mm", verdict_of_statement(off < RELATIVE_TOLERANCE),
-                "The angles are relative to the link before, as q in this project.", ("forward kinematics",), off,
+                f"{axis} = {printed_expression.as_typeset_text()}", "mm",
+                verdict_of_statement(deviation < RELATIVE_TOLERANCE),
+                "The angles are relative to the link before, as q in this project.", ("forward kinematics",), deviation,
             )
         )  # fmt: skip
     return items_of_components
@@ -137,14 +144,18 @@ def _check_hinges() -> ErrataItem:
     """Check whether the chain of hinges in Fig. 2 stays in one plane, and whether the links keep their lengths."""
     model = paper_digit("index")
     random = np.random.default_rng(3)
-    worst = 0.0
+    largest_deviation = 0.0
     for q in random.uniform(-2.0, 2.0, (100, 3)):
         nodes = joint_points(model, q)
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
-        worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
+        largest_deviation = max(
+            largest_deviation,
+            float(np.ptp(nodes[:, 2])),
+            float(np.abs(steps - model.lengths).max()),
+        )
     return ErrataItem(
         "fig2.chain", "Fig. 2, Sec. 4", "each joint turns about z, x and y are locked; links L₁, L₂, L₃ in series",
-        "three parallel hinges", "", verdict_of_statement(worst < RELATIVE_TOLERANCE),
+        "three parallel hinges", "", verdict_of_statement(largest_deviation < RELATIVE_TOLERANCE),
         "At 100 random poses all joints and the tip stay in the finger's plane, at the links' lengths from each other. "
         "The figure below is drawn from the hand's description.", ("forward kinematics",))  # fmt: skip
 
@@ -193,21 +204,21 @@ def _check_inverse() -> ErrataItem:
     """
     model = paper_digit("index")
     random = np.random.default_rng(2)
-    worst = 0.0
+    largest_deviation = 0.0
     for q in random.uniform(0.05, 1.7, (200, 3)):
         tip = points_in_plane(model, q)[-1]
         x, y = tip.tolist()
         solutions = inverse_kinematics(model, x, y, float(q.sum()))
-        worst = max(
-            worst,
+        largest_deviation = max(
+            largest_deviation,
             *(
-                float(np.abs(points_in_plane(model, np.array(one))[-1] - tip).max())
-                for one in solutions
+                float(np.abs(points_in_plane(model, np.array(solution))[-1] - tip).max())
+                for solution in solutions
             ),
         )
     return ErrataItem(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
-        verdict_of_statement(worst < 1e-12),
+        verdict_of_statement(largest_deviation < 1e-12),
         "Forward kinematics of every solution of the inverse kinematics (closed form) returns the tip, at 200 random "
         "poses.",
-        ("forward kinematics",), worst)  # fmt: skip
+        ("forward kinematics",), largest_deviation)  # fmt: skip

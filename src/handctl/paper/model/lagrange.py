@@ -100,27 +100,29 @@ def _momentum_rate(states: StateSamples, i: int) -> Array:
     The kinetic energy K is quadratic in the rates. Therefore a difference quotient of K with a step
     of size 1 is exact.
     """
-    moved = dict(states)
+    shifted_states = dict(states)
     for j in (1, 2, 3):
         # In a total derivative with respect to time, an angle changes with its rate, and a rate
         # changes with its acceleration.
-        moved[f"th{j}"] = states[f"th{j}"] + 1j * COMPLEX_STEP * states[f"dth{j}"]
-        moved[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
+        shifted_states[f"th{j}"] = states[f"th{j}"] + 1j * COMPLEX_STEP * states[f"dth{j}"]
+        shifted_states[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
     # Because K is quadratic in a rate r, (K(r + 1) - K(r - 1)) / 2 is exactly the derivative of K
     # with respect to r.
     rate = f"dth{i}"
-    above, below = (
-        _energy_of_terms(equations.KINETIC_TERMS, {**moved, rate: moved[rate] + unit})
+    value_above, value_below = (
+        _energy_of_terms(
+            equations.KINETIC_TERMS, {**shifted_states, rate: shifted_states[rate] + unit}
+        )
         for unit in (1.0, -1.0)
     )
-    return np.asarray(np.imag((above - below) / 2.0) / COMPLEX_STEP)
+    return np.asarray(np.imag((value_above - value_below) / 2.0) / COMPLEX_STEP)
 
 
 def _lagrangian_slope(states: StateSamples, i: int) -> Array:
     """Return ∂L/∂θ_i, where L is the Lagrangian with the correct energies."""
-    moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
-    lagrangian = _energy_of_terms(equations.KINETIC_TERMS, moved) - _energy_of_terms(
-        equations.POTENTIAL_TERMS, moved
+    shifted_states = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
+    lagrangian = _energy_of_terms(equations.KINETIC_TERMS, shifted_states) - _energy_of_terms(
+        equations.POTENTIAL_TERMS, shifted_states
     )
     return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
 
@@ -207,19 +209,23 @@ def equation_items() -> list[ErrataItem]:
         _check_joint_torque(digit, states, model),
     ]  # fmt: skip
     for i, terms in enumerate(equations.TORQUE_TERMS):
-        off = relative_deviation(printed_sum(terms, states), model[i])
-        rest = relative_deviation(
+        deviation = relative_deviation(printed_sum(terms, states), model[i])
+        remaining_deviation = relative_deviation(
             sum(term.correct_form.evaluate(states) for term in terms), model[i]
         )
-        wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
+        wrong_terms = [
+            item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL
+        ]
         items.append(
             ErrataItem(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.correct_form.as_typeset_text() for term in terms).replace("+ −", "− "), "",
-                verdict_of_statement(off < RELATIVE_TOLERANCE),
-                f"These terms are wrong as printed: {', '.join(wrong)}. The corrected equation gives the torque that "
-                f"the control loop of this project computes, {_agreement_text(rest)} at {STATE_COUNT} random states.",
-                ("Lagrange", "this project's dynamics"), off,
+                verdict_of_statement(deviation < RELATIVE_TOLERANCE),
+                f"These terms are wrong as printed: {', '.join(wrong_terms)}. The corrected equation gives the "
+                "torque that "
+                f"the control loop of this project computes, {_agreement_text(remaining_deviation)} at "
+                f"{STATE_COUNT} random states.",
+                ("Lagrange", "this project's dynamics"), deviation,
             )
         )  # fmt: skip
     return items

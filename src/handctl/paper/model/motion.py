@@ -98,8 +98,12 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
     for order in range(3):
         # If all joint angles are equal, the absolute angles are multiples of the first angle.
         states |= {"d" * order + f"th{i}": i * motion_samples[:, order] for i in (1, 2, 3)}
-    right = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
-    return times, np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)), np.asarray(right)
+    correct_torque = sum(term.correct_form.evaluate(states) for term in equations.TORQUE_TERMS_1)
+    return (
+        times,
+        np.asarray(printed_sum(equations.TORQUE_TERMS_1, states)),
+        np.asarray(correct_torque),
+    )
 
 
 def motion_items() -> list[ErrataItem]:
@@ -116,14 +120,15 @@ def _check_static_torque() -> ErrataItem:
 
     In fact, this torque is the sum of T_1 to T_3 in Eq. 10 to 12.
     """
-    _, printed, right = closing_torque_t1(CLOSING_DURATIONS_S[1])
+    _, printed_torque, correct_torque = closing_torque_t1(CLOSING_DURATIONS_S[1])
     digit = upright_digit("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
     return ErrataItem(
-        "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", joint, "N m",
-        verdict_of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
+        "eq10.static", "Eq. 10", f"T₁ = {printed_torque[0]:.3g} N m", joint, "N m",
+        verdict_of_statement(bool(abs(printed_torque[0] - joint) < 1e-9 * abs(joint))),
         "Torque at joint 1 that holds the straight finger up against its weight. With Eq. 10 the finger would fall. "
-        f"The corrected T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁. The joint must "
+        f"The corrected T₁ alone is {1000 * correct_torque[0]:.4g} mN m, which belongs to the absolute angle θ₁. The "
+        "joint must "
         f"hold τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
 
 
@@ -132,20 +137,21 @@ def _check_completeness() -> ErrataItem:
 
     The paper mentions neither springs nor the inertia of the actuator.
     """
-    fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
-    links = sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])
-    links_and_motor = links + fast.torque_by_cause["motor inertia"]
+    torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
+    links = sum(torques.torque_by_cause[part] for part in TORQUE_PARTS[:3])
+    links_and_motor = links + torques.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
-        float(np.abs(torque).max()) / fast.lever_m for torque in (links, links_and_motor)
+        float(np.abs(torque).max()) / torques.lever_m for torque in (links, links_and_motor)
     )
     return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
-        f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s with the dynamics "
-        "of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no inertia, "
+        f"Peak tension for closing a finger by {CLOSED_JOINT_ANGLE_DEG:g}° in {torques.duration_s:g} s with the "
+        "dynamics of the links only, which Eq. 3 to 12 describe. This tension is complete if the actuator has no "
+        "inertia, "
         "and the paper states no inertia. With the rotor of this project the peak is "
-        f"{driven_peak:.1f} N. The return springs of this project (peak {fast.peak_tension('springs'):.1f} N) are not "
-        "part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
+        f"{driven_peak:.1f} N. The return springs of this project (peak {torques.peak_tension('springs'):.1f} N) are "
+        "not part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
 def _check_torque_value() -> ErrataItem:
@@ -153,9 +159,9 @@ def _check_torque_value() -> ErrataItem:
 
     Eq. 10 to 12 contain symbols and no numbers.
     """
-    fast = closing_torques("index", CLOSING_DURATIONS_S[-1])
+    torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(
-        np.abs(sum(fast.torque_by_cause[part] for part in TORQUE_PARTS[:3])).max()
+        np.abs(sum(torques.torque_by_cause[part] for part in TORQUE_PARTS[:3])).max()
     )
     terms = [
         term
@@ -169,6 +175,6 @@ def _check_torque_value() -> ErrataItem:
         verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "
         "(masses, centres of mass, inertias, a motion) the paper does not give. With the values of this "
-        f"project, closing by {CLOSED_JOINT_ANGLE_DEG:g}° in {fast.duration_s:g} s requires this peak torque, in the "
-        "only coordinate of the finger.",
+        f"project, closing by {CLOSED_JOINT_ANGLE_DEG:g}° in {torques.duration_s:g} s requires this peak torque, in "
+        "the only coordinate of the finger.",
         ("count", "this project's dynamics"))  # fmt: skip

@@ -34,7 +34,7 @@ def statics_items() -> list[ErrataItem]:
 
 def number_item(
     id: str,
-    where: str,
+    location: str,
     printed: str,
     exact_value: Fraction | float,
     unit: str,
@@ -49,7 +49,7 @@ def number_item(
     """
     verdict = verdict_of_number(printed, exact_value)
     return ErrataItem(
-        id, where, printed + symbol, float(exact_value), unit, verdict, reason, ARITHMETIC_TAG
+        id, location, printed + symbol, float(exact_value), unit, verdict, reason, ARITHMETIC_TAG
     )
 
 
@@ -60,10 +60,10 @@ def _check_moments() -> list[ErrataItem]:
         ("sec6.MT", "Sec. 6", src.paper_thumb(), ("25", "10"), "Fₜ"),
     ]
     return [
-        number_item(f"{id}{i + 1}", where, shown, lever, "N mm per N",
+        number_item(f"{id}{i + 1}", location, printed_value, lever, "N mm per N",
                f"Lever of the tip about joint {i + 1} of the straight digit.", f" {symbol}")
-        for id, where, digit, printed, symbol in rows
-        for i, (shown, lever) in enumerate(zip(printed, src.levers_mm(digit), strict=True))
+        for id, location, digit, printed_values, symbol in rows
+        for i, (printed_value, lever) in enumerate(zip(printed_values, src.levers_mm(digit), strict=True))
     ]  # fmt: skip
 
 
@@ -107,15 +107,15 @@ def _check_labels() -> list[ErrataItem]:
     If one label names several joints, it states that the moments at these joints are equal.
     """
     rows = []
-    for id, where, printed, digit, joint, named in FIGURE_LABELS:
+    for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:
         tip_levers = src.levers_mm(digit())
-        there = ", ".join(f"{tip_levers[i]}F" for i in named)
+        levers_text = ", ".join(f"{tip_levers[i]}F" for i in named_joint)
         rows.append(
             ErrataItem(
-                id, where, printed, f"moment at joint {joint + 1}", "",
-                verdict_of_statement(all(tip_levers[i] == tip_levers[joint] for i in named)),
+                id, location, printed_label, f"moment at joint {joint + 1}", "",
+                verdict_of_statement(all(tip_levers[i] == tip_levers[joint] for i in named_joint)),
                 f"{tip_levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
-                f"At the joints that the label names it is {there}.", STATICS_TAG,
+                f"At the joints that the label names it is {levers_text}.", STATICS_TAG,
             )
         )  # fmt: skip
     return rows
@@ -140,9 +140,10 @@ def _check_formulas() -> list[ErrataItem]:
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
     spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
-    newtons = float(src.FINGER_GRIP_FORCE_N)
+    grip_force_n = float(src.FINGER_GRIP_FORCE_N)
     values = {
-        "T": tension, "F": newtons, "r_p": float(src.PULLEY_RADIUS_MM) / 1000, "r_a": float(src.SPOOL_RADIUS_MM) / 1000,
+        "T": tension, "F": grip_force_n, "r_p": float(src.PULLEY_RADIUS_MM) / 1000,
+        "r_a": float(src.SPOOL_RADIUS_MM) / 1000,
         "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT),
         "sigma": 1e6 * float(src.ALLOWABLE_STRESS_MPA),
     }  # fmt: skip
@@ -162,21 +163,21 @@ def _check_formulas() -> list[ErrataItem]:
          "Solves σ_a = T/A with A = π d²/4. Judged by its square."),
     )  # fmt: skip
     formula_items = []
-    for name, printed, text, dimension, right, reason in rows:
+    for name, printed_formula, text, dimension, correct_value, reason in rows:
         expression = Expression(text)
-        holds = expression.dimension(SYMBOL_DIMENSIONS) == dimension and math.isclose(
-            expression.evaluate(values), right, rel_tol=1e-9
+        is_correct = expression.dimension(SYMBOL_DIMENSIONS) == dimension and math.isclose(
+            expression.evaluate(values), correct_value, rel_tol=1e-9
         )
-        where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
+        location = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
         formula_items.append(
             ErrataItem(
                 f"sec5.{name}_formula",
-                where,
-                printed,
-                printed,
+                location,
+                printed_formula,
+                printed_formula,
                 "",
-                verdict_of_statement(holds),
+                verdict_of_statement(is_correct),
                 reason,
                 evidence,
             )
@@ -207,7 +208,7 @@ def _check_payload() -> list[ErrataItem]:
     """Check the printed payloads."""
     single_payload = src.payload_kg(src.FINGER_GRIP_FORCE_N)
     triple_payload = src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N)
-    first = number_item(
+    first_item = number_item(
         "sec5.payload",
         "Sec. 5",
         "0.305",
@@ -216,12 +217,12 @@ def _check_payload() -> list[ErrataItem]:
         "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
     )
     verdict = verdict_of_derived_number(
-        "0.915", triple_payload, 3 * Fraction("0.305"), first.verdict
+        "0.915", triple_payload, 3 * Fraction("0.305"), first_item.verdict
     )
     force = src.GRAVITY_M_PER_S2 / (src.FINGER_COUNT * src.FRICTION_COEFFICIENT)
     tension = src.tension_of_payload_kg(1)
     return [
-        first,
+        first_item,
         ErrataItem("sec5.payload3", "Sec. 5", "0.915", float(triple_payload), "kg", verdict, "3 × the truncated 0.305.",
             ARITHMETIC_TAG),
         number_item(
@@ -236,8 +237,8 @@ def _check_wire() -> list[ErrataItem]:
     tension = src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
     low, high = (
-        src.ALLOWABLE_STRESS_MPA * Fraction(math.pi) * edge**2 / 4
-        for edge in rounding_interval("0.866")
+        src.ALLOWABLE_STRESS_MPA * Fraction(math.pi) * bound**2 / 4
+        for bound in rounding_interval("0.866")
     )
     return [
         number_item(
@@ -256,15 +257,15 @@ def _check_area() -> ErrataItem:
 
     The formula gives an area only if the 2 is an exponent.
     """
-    printed = Expression("pi*d2/4")
-    right = Expression("pi*d**2/4")
+    printed_formula = Expression("pi*d2/4")
+    correct_formula = Expression("pi*d**2/4")
     lengths = {"d": (0, 1, 0), "d2": (0, 1, 0)}
     try:
-        holds = printed.dimension(lengths) == right.dimension(lengths)
+        is_correct = printed_formula.dimension(lengths) == correct_formula.dimension(lengths)
     except DimensionError:
-        holds = False
+        is_correct = False
     return ErrataItem(
-        "sec5.area", "Sec. 5", "A = π d2/4", right.as_typeset_text(), "", verdict_of_statement(holds),
+        "sec5.area", "Sec. 5", "A = π d2/4", correct_formula.as_typeset_text(), "", verdict_of_statement(is_correct),
         "The exponent is printed on the base line. As printed, the result is a length.", ("dimensions",))  # fmt: skip
 
 
@@ -295,7 +296,7 @@ def _check_thumb() -> list[ErrataItem]:
     """Check the printed tension and torque of the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_RADIUS_MM / 1000
-    first = number_item(
+    first_item = number_item(
         "sec6.tension",
         "Sec. 6",
         "8.33",
@@ -306,12 +307,12 @@ def _check_thumb() -> list[ErrataItem]:
     )
     torque_from_rounded_tension = Fraction("8.33") * src.SPOOL_RADIUS_MM / 1000
     verdict = verdict_of_derived_number(
-        "0.04165", torque, torque_from_rounded_tension, first.verdict
+        "0.04165", torque, torque_from_rounded_tension, first_item.verdict
     )
     wire = src.wire_diameter_mm(src.THUMB_GRIP_FORCE_N * tension)
     return [
         _missing_radius(),
-        first,
+        first_item,
         ErrataItem(
             "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
             "Computed from the rounded 8.33.", ARITHMETIC_TAG),
@@ -323,15 +324,16 @@ def _check_thumb() -> list[ErrataItem]:
 
 def _missing_radius() -> ErrataItem:
     """Calculate the pulley radius, which the paper does not state, from the printed tension 8.33 F."""
-    printed = "r_p = mm"
+    printed_formula = "r_p = mm"
     # All numbers that are rounded to 8.33 correspond to an interval of pulley radii. This interval
     # contains exactly one whole number of millimetres.
     low, high = sorted(
-        src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
+        src.levers_mm(src.paper_thumb())[0] / bound for bound in rounding_interval("8.33")
     )
-    whole = [radius for radius in range(1, 10) if low <= radius <= high]
+    integer_radii = [radius for radius in range(1, 10) if low <= radius <= high]
     return ErrataItem(
-        "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", verdict_of_statement(f"= {whole[0]} mm" in printed),
+        "sec6.pulley", "Sec. 6", printed_formula, float(integer_radii[0]), "mm",
+        verdict_of_statement(f"= {integer_radii[0]} mm" in printed_formula),
         f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm, which is the 3 mm of the "
         "fingers.",
         ("back-computed",))  # fmt: skip

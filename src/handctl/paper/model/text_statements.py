@@ -102,9 +102,9 @@ def _check_number_of_fingers() -> ErrataItem:
 def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
     """Return True if the energy of the given terms depends on the named rate."""
     states = random_states()
-    moved = {**states, name: states[name] + 1.0}
+    shifted_states = {**states, name: states[name] + 1.0}
     change = sum(
-        np.abs(term.correct_form.evaluate(moved) - term.correct_form.evaluate(states))
+        np.abs(term.correct_form.evaluate(shifted_states) - term.correct_form.evaluate(states))
         for term in energy_terms
     )
     return bool(np.max(change) > RELATIVE_TOLERANCE)
@@ -114,12 +114,12 @@ def _check_phalanges() -> ErrataItem:
     """Check whether the energy of each link is independent of the other links, as in separate fingers."""
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
-    apart = not _depends_on_rate(equations.KINETIC_TERMS_2, "dth1") and not _depends_on_rate(
-        equations.KINETIC_TERMS_3, "dth2"
-    )
+    are_independent = not _depends_on_rate(
+        equations.KINETIC_TERMS_2, "dth1"
+    ) and not _depends_on_rate(equations.KINETIC_TERMS_3, "dth2")
     return ErrataItem(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
-        "the three phalanges of one finger", "", verdict_of_statement(apart),
+        "the three phalanges of one finger", "", verdict_of_statement(are_independent),
         "These are the links of each finger, as section 4 says: the energy of the second link (Eq. 4) depends on "
         "the rate of the first link.", ("Eq. 4", "Eq. 5"))  # fmt: skip
 
@@ -149,12 +149,13 @@ def _printed_symbols() -> set[str]:
 
 def _check_lengths() -> ErrataItem:
     """Check the list of lengths in section 7 of the paper."""
-    listed = {"L₁", "L₂", "L₃", "p₃"}
-    needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
+    listed_lengths = {"L₁", "L₂", "L₃", "p₃"}
+    required_lengths = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return ErrataItem(
         "sec7.lengths", "Sec. 7", "the phalanges L₁, L₂ are L₃, and p₃",
-        "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", verdict_of_statement(listed == needed),
-        f"{', '.join(sorted(listed - _printed_symbols()))} occurs in no equation.", COUNT_TAG)  # fmt: skip
+        "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "",
+        verdict_of_statement(listed_lengths == required_lengths),
+        f"{', '.join(sorted(listed_lengths - _printed_symbols()))} occurs in no equation.", COUNT_TAG)  # fmt: skip
 
 
 def _check_axis_of_inertia() -> ErrataItem:
@@ -168,19 +169,19 @@ def _check_axis_of_inertia() -> ErrataItem:
     ]
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
-    about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
+    moment_by_axis = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
     # The energy of rotation is half of the moment of inertia times the squared rate. Here the rate
     # is 1.
     right = [
         axis
-        for axis, inertia in about.items()
+        for axis, inertia in moment_by_axis.items()
         if abs(inertia / 2.0 - energy) < RELATIVE_TOLERANCE * energy
     ]
     return ErrataItem(
         "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",
         verdict_of_statement(right == ["y"]),
         "Links turn in the x-y plane (section 4: about z). Eq. 3 adds m₁ d₁², so that I is about the centre of mass. "
-        f"For a bar of 30 × 8 × 10 mm the two differ by {100 * (about['y'] / about['z'] - 1):.1f} %.",
+        f"For a bar of 30 × 8 × 10 mm the two differ by {100 * (moment_by_axis['y'] / moment_by_axis['z'] - 1):.1f} %.",
         ("mechanics",))  # fmt: skip
 
 

@@ -157,6 +157,6 @@ class BusEvents:
         """Return the events since the last call, followed by the lasting states."""
         if not self._counts and not self._lasting:
             return []
-        events = [(kind, where, number) for (kind, where), number in self._counts.items()]
+        events = [(kind, location, number) for (kind, location), number in self._counts.items()]
         self._counts = {}
         return events + [(kind, self.where, 1) for kind in sorted(self._lasting)]

@@ -45,8 +45,8 @@ def check_bus_spec(spec: str) -> None:
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
-        right = "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL"
-        raise ConfigError("is not a bus", repr(spec), right)
+        expected = "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL"
+        raise ConfigError("is not a bus", repr(spec), expected)
     if kind == "local" and ("/" in channel or channel.startswith(".")):
         raise ConfigError("is not a bus name", repr(spec), "a plain name, as in local:demo")
 

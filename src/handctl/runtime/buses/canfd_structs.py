@@ -94,12 +94,12 @@ def read_structs(
     bits_of_all_ids = np.uint64(0)
     place = np.uint64(bus) << np.uint64(BUS_BIT)
     for i in range(records.shape[0]):
-        head = structs[i, 0]
-        can_id = head & np.uint64(ID_MASK)
+        head_word = structs[i, 0]
+        can_id = head_word & np.uint64(ID_MASK)
         bits_of_all_ids |= can_id
-        length = int(np.int64((head >> np.uint64(STRUCT_LENGTH_BIT)) & np.uint64(BYTE_MASK)))
+        length = int(np.int64((head_word >> np.uint64(STRUCT_LENGTH_BIT)) & np.uint64(BYTE_MASK)))
         length = min(length, MAX_PAYLOAD_BYTES)
-        flags = (head >> np.uint64(STRUCT_FLAGS_BIT)) & np.uint64(flag_mask)
+        flags = (head_word >> np.uint64(STRUCT_FLAGS_BIT)) & np.uint64(flag_mask)
         flags |= np.uint64(added_flags)
         records[i, TIME_WORD] = np.int64(t_ns)
         records[i, ID_AND_FLAGS_WORD] = (
@@ -127,15 +127,15 @@ def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) 
     """
     count = len(records)
     for i in range(count):
-        head = records[i, ID_AND_FLAGS_WORD]
-        flags = (head >> np.uint64(FLAGS_BIT)) & np.uint64(FLAGS_MASK)
-        length = int(np.int64(head >> np.uint64(LENGTH_BIT)))
+        head_word = records[i, ID_AND_FLAGS_WORD]
+        flags = (head_word >> np.uint64(FLAGS_BIT)) & np.uint64(FLAGS_MASK)
+        length = int(np.int64(head_word >> np.uint64(LENGTH_BIT)))
         if not flags & np.uint64(FDF):
             flags = np.uint64(0)
         if length > (MAX_PAYLOAD_BYTES if flags else MAX_CLASSICAL_PAYLOAD_BYTES):
             return i
         structs[i, 0] = (
-            head & np.uint64(ID_MASK)
+            head_word & np.uint64(ID_MASK)
             | np.uint64(length) << np.uint64(STRUCT_LENGTH_BIT)
             | (flags & np.uint64(BYTE_MASK)) << np.uint64(STRUCT_FLAGS_BIT)
         )
@@ -188,13 +188,17 @@ class FrameStructs:
             ValueError: a payload is longer than its kind of frame can carry.
         """
         rows = frames.rows
-        written = write_structs(rows, self._rows, self._sizes)
-        if written < len(rows):
-            refused = frames.records[written]
+        written_count = write_structs(rows, self._rows, self._sizes)
+        if written_count < len(rows):
+            refused_records = frames.records[written_count]
             check_payload_size(
-                Frame(int(refused["can_id"]), bytes(int(refused["length"])), int(refused["flags"]))
+                Frame(
+                    int(refused_records["can_id"]),
+                    bytes(int(refused_records["length"])),
+                    int(refused_records["flags"]),
+                )
             )
-        return self._sizes[:written, 0]
+        return self._sizes[:written_count, 0]
 
 
 def data_and_error_frames(records: RecordArray) -> tuple[Frames, list[Frame]]:

@@ -50,8 +50,8 @@ class ClockOffset:
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())
             for _ in range(READINGS_PER_MEASUREMENT)
         ]
-        before, wall, after = min(readings, key=_reading_duration)
-        self._offset_ns = (before + after) // 2 - wall
+        time_before, wall_ns, time_after = min(readings, key=_reading_duration)
+        self._offset_ns = (time_before + time_after) // 2 - wall_ns
         self._uses_left = USES_PER_OFFSET_MEASUREMENT
 
 

@@ -167,14 +167,14 @@ class DatagramSlots:
             count: number of received datagrams.
             known_loss_count: latest value of the loss counter that the caller knows.
         """
-        raw = bytes(self._view[: count * _HEADER_STRUCT.size])
-        if raw != self._last_headers:
-            kinds = set(_HEADER_STRUCT.iter_unpack(raw))
+        raw_bytes = bytes(self._view[: count * _HEADER_STRUCT.size])
+        if raw_bytes != self._last_headers:
+            kinds = set(_HEADER_STRUCT.iter_unpack(raw_bytes))
             length, size = kinds.pop()
             self._last_has_counters = length >= COUNTER_CONTROL_BYTES
             is_stamped = self._last_has_counters or length == STAMP_CONTROL_BYTES
             self._last_size = size if is_stamped and not kinds else 0
-            self._last_headers = raw
+            self._last_headers = raw_bytes
         if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
             return 0
         return self._last_size
@@ -186,17 +186,21 @@ class DatagramSlots:
             self.control[: count * CONTROL_MESSAGES_STRUCT.size]
         )
         result = []
-        for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(
+        for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped_count) in zip(
             sizes, control, strict=True
         ):
-            stamped = (
+            is_timestamp = (
                 length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
             )
-            counted = (
+            is_drop_count = (
                 length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
             )
             result.append(
-                (size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0)
+                (
+                    size,
+                    s * 1_000_000_000 + ns if is_timestamp else 0,
+                    dropped_count if is_drop_count else 0,
+                )
             )
         return result
 

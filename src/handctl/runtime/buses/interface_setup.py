@@ -45,9 +45,9 @@ def interface_setup_commands(
     up: CommandWords = (*link, "up")
     if channel.startswith("vcan"):
         add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
-        begin = (*link, "down") if interface_exists else add
+        first_command = (*link, "down") if interface_exists else add
         mtu_commands = ((*link, "mtu", str(CANFD_FRAME_BYTES)),) if data_bitrate else ()
-        return (begin, *mtu_commands, queue, up)
+        return (first_command, *mtu_commands, queue, up)
     timing_command: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
         timing_command = (*timing_command, "dbitrate", str(data_bitrate), "fd", "on")

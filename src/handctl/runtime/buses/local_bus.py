@@ -200,8 +200,8 @@ class LocalBus:
         self._partial_record_bytes = filled % CANFD_FRAME_BYTES
         if filled < CANFD_FRAME_BYTES:
             return None
-        can_id, length, flags, lost, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
-        self._count_dropped_frames(lost)
+        can_id, length, flags, lost_count, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
+        self._count_dropped_frames(lost_count)
         if can_id & ERROR_FLAG:
             self._take_control(can_id, data[:length])
             return None
@@ -233,38 +233,38 @@ class LocalBus:
         if len(frames) > self._free_queue_places():
             # The hub may have reported a change of its queue since the last read.
             self.early_frames = self.drain()
-        free = self._free_queue_places()
-        if len(frames) > free:
-            self._events.add_event("enobufs", len(frames) - free)
-        return frames[:free]
+        free_queue_places = self._free_queue_places()
+        if len(frames) > free_queue_places:
+            self._events.add_event("enobufs", len(frames) - free_queue_places)
+        return frames[:free_queue_places]
 
     def _free_queue_places(self) -> int:
         """Return the number of frames for which the queue of the simulated wire still has room."""
-        waiting = (
+        unsent_size = (
             self._sent_count - self._transmitted_count & 0xFFFFFFFF
         )  # the hub counts frames modulo 2**32
-        return max(0, self._queue_frames - waiting)
+        return max(0, self._queue_frames - unsent_size)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
             frames = self._frames_for_queue(frames)
         records = self._pack_records(frames)
-        waiting = self._unsent_bytes + records if self._unsent_bytes else records
-        if self._closed or not waiting:
+        unsent_records = self._unsent_bytes + records if self._unsent_bytes else records
+        if self._closed or not unsent_records:
             return 0
         try:
-            sent = self._socket.send(waiting)
+            sent_size = self._socket.send(unsent_records)
         except BlockingIOError:
-            sent = 0
+            sent_size = 0
         except OSError:
             self._report_lost_hub()
             return 0
-        if sent == len(waiting):
+        if sent_size == len(unsent_records):
             self._unsent_bytes = b""
             accepted = len(frames)
         else:
-            accepted = self._keep_partial_record(waiting, sent, len(frames))
+            accepted = self._keep_partial_record(unsent_records, sent_size, len(frames))
         self._sent_count += accepted
         return accepted
 
@@ -284,23 +284,27 @@ class LocalBus:
         self._out_structs.write(frames)
         return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
-    def _keep_partial_record(self, unsent_bytes: bytes | memoryview, sent: int, frames: int) -> int:
+    def _keep_partial_record(
+        self, unsent_bytes: bytes | memoryview, sent_size: int, frames: int
+    ) -> int:
         """Store the rest of a record that was sent only in part, for the next call.
 
         All records after this record are dropped.
 
         Args:
             unsent_bytes: unsent part of the previous batch, followed by this batch.
-            sent: number of bytes of ``unsent_bytes`` accepted by the socket.
+            sent_size: number of bytes of ``unsent_bytes`` accepted by the socket.
             frames: number of frames in this batch.
 
         Returns:
             the number of accepted frames. A partly sent frame counts as accepted.
         """
-        before = len(self._unsent_bytes)
+        unsent_size_before = len(self._unsent_bytes)
         # Division of two integers, rounded up.
-        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))
-        self._unsent_bytes = bytes(unsent_bytes[sent : before + accepted * CANFD_FRAME_BYTES])
+        accepted = max(0, -((unsent_size_before - sent_size) // CANFD_FRAME_BYTES))
+        self._unsent_bytes = bytes(
+            unsent_bytes[sent_size : unsent_size_before + accepted * CANFD_FRAME_BYTES]
+        )
         if frames > accepted:
             self._events.add_event("enobufs", frames - accepted)
         return accepted

@@ -55,15 +55,15 @@ def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
         frame: classical or CAN FD frame. Remote requests are allowed.
         timestamp: time stamp of the message [s].
     """
-    remote = bool(frame.can_id & REMOTE_FLAG)
+    is_remote = bool(frame.can_id & REMOTE_FLAG)
     return can.Message(
         timestamp=timestamp,
         arbitration_id=frame.can_id & IDENTIFIER_MASK,
         is_extended_id=bool(frame.can_id & EXTENDED_FLAG),
-        is_remote_frame=remote,
+        is_remote_frame=is_remote,
         is_error_frame=bool(frame.can_id & ERROR_FLAG),
         dlc=len(frame.data),
-        data=None if remote else frame.data,
+        data=None if is_remote else frame.data,
         is_fd=bool(frame.flags & FDF),
         bitrate_switch=bool(frame.flags & BRS),
         error_state_indicator=bool(frame.flags & ESI),
@@ -97,8 +97,8 @@ def open_python_can(
         ImportError,
         NotImplementedError,
     ) as error:
-        right = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
-        raise BusError(f"cannot be opened: {error}", f"{interface}:{channel}", right) from None
+        expected = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
+        raise BusError(f"cannot be opened: {error}", f"{interface}:{channel}", expected) from None
 
 
 class PythonCanBus:

@@ -151,16 +151,16 @@ class SocketCanBus:
         times += self._offset.offset_ns()
         receive_times = times.tolist()
         min_stamp_ns = self._latest
-        first = min(receive_times)
-        last = max(receive_times)
-        if not min_stamp_ns <= first <= last <= min_stamp_ns + MAX_STAMP_STEP_NS:
+        first_index = min(receive_times)
+        last_index = max(receive_times)
+        if not min_stamp_ns <= first_index <= last_index <= min_stamp_ns + MAX_STAMP_STEP_NS:
             return None
         convert_time = self._convert_time
-        start = convert_time(first)
+        start = convert_time(first_index)
         if (
-            convert_time(last) - start == last - first
+            convert_time(last_index) - start == last_index - first_index
         ):  # between these time stamps, the time of the run is neither scaled nor paused
-            times += start - first
+            times += start - first_index
         else:
             times = np.array([convert_time(t_ns) for t_ns in receive_times])
         self._latest = receive_times[-1]
@@ -181,13 +181,13 @@ class SocketCanBus:
         stamps = []
         frames, _ = self._structs.read(count, 0, self._index)
         is_data_frame = np.ones(count, bool)
-        for i, ((size, wall_time_ns, dropped), frame) in enumerate(
+        for i, ((size, wall_time_ns, dropped_count), frame) in enumerate(
             zip(datagrams, frames, strict=True)
         ):
             # The value 0 means that the kernel has reported no count.
-            if dropped != self._dropped and dropped:
-                self._events.add_event("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
-                self._dropped = dropped
+            if dropped_count != self._dropped and dropped_count:
+                self._events.add_event("dropped", (dropped_count - self._dropped) & 0xFFFFFFFF)
+                self._dropped = dropped_count
             if frame.can_id & ERROR_FLAG:
                 self._events.add_error_frame(frame.can_id, frame.data)
                 is_data_frame[i] = False
@@ -207,17 +207,17 @@ class SocketCanBus:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         frames = frames_as_records(frames)
         accepted = 0
-        for first in range(0, len(frames), MAX_FRAMES_PER_CALL):
+        for first_frame in range(0, len(frames), MAX_FRAMES_PER_CALL):
             batch = (
-                frames[first : first + MAX_FRAMES_PER_CALL]
+                frames[first_frame : first_frame + MAX_FRAMES_PER_CALL]
                 if len(frames) > MAX_FRAMES_PER_CALL
                 else frames
             )
             self._out.set_lengths(self._out_structs.write(batch))
-            sent, code = datagram_batches.send_datagrams(
+            sent_count, code = datagram_batches.send_datagrams(
                 self._socket.fileno(), self._out, 0, len(batch)
             )
-            accepted += sent
+            accepted += sent_count
             if code:
                 self._events.count_failure(code, "enobufs", len(frames) - accepted)
                 break
@@ -275,9 +275,9 @@ def open_socketcan(
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
-        right = "modprobe can-raw, or --bus local:NAME with handctl sim"
+        expected = "modprobe can-raw, or --bus local:NAME with handctl sim"
         raise BusError(
-            f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, right
+            f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, expected
         ) from None
     try:
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)

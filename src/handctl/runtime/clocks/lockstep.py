@@ -61,13 +61,13 @@ def load_simulator_object(entry: str, user: str) -> Callable[..., Any]:
     """
     module, _, name = entry.partition(":")
     try:
-        loaded: Callable[..., Any] = getattr(importlib.import_module(module), name)
+        simulator_object: Callable[..., Any] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
-        missing = missing_extra(user, error) if isinstance(error, ImportError) else None
-        raise missing or ConfigError(
+        missing_package = missing_extra(user, error) if isinstance(error, ImportError) else None
+        raise missing_package or ConfigError(
             f"cannot load the lockstep peer: {error}", entry, "module:Class"
         ) from None
-    return loaded
+    return simulator_object
 
 
 def load_simulator(entry: str, **options: object) -> LockstepSimulator:

@@ -32,9 +32,11 @@ class GrantedPriority:
 
     def __str__(self) -> str:
         """List the granted and the refused permissions in one line."""
-        granted = "SCHED_FIFO" if self.is_realtime else "no real-time priority (not permitted)"
+        priority_text = (
+            "SCHED_FIFO" if self.is_realtime else "no real-time priority (not permitted)"
+        )
         memory = ", memory locked" if self.memory_locked else ", memory not locked"
-        return granted + memory + (", processors kept awake" if self.processors_awake else "")
+        return priority_text + memory + (", processors kept awake" if self.processors_awake else "")
 
 
 def request_priority(level: int = 60) -> GrantedPriority:
@@ -56,8 +58,8 @@ def prepare_priority() -> GrantedPriority:
     real-time priority, so that other processes can use the core.
     """
     is_memory_locked = _lock_memory()
-    with realtime_priority() as granted, keep_processors_awake() as are_processors_awake:
-        return GrantedPriority(granted, is_memory_locked, are_processors_awake)
+    with realtime_priority() as granted_priority, keep_processors_awake() as are_processors_awake:
+        return GrantedPriority(granted_priority, is_memory_locked, are_processors_awake)
 
 
 @contextmanager

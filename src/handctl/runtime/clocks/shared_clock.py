@@ -124,15 +124,15 @@ class SharedClock(RealClock):
         """
         self._numbers[SENT_INDEX] += 1
         deadline = self._deadline_ns(k)
-        late = self._wait_until(deadline)
-        if late <= MAX_CONTROLLER_PAUSE_NS:
+        lateness_ns = self._wait_until(deadline)
+        if lateness_ns <= MAX_CONTROLLER_PAUSE_NS:
             paused_ns = self._numbers[PAUSED_INDEX]
             self._pause_at_gate()
             self._wait_for_simulator(deadline)
             self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
-            late = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
-        self._move_gate(k + 1 + int(late * self.time_scale) // self.period_ns)
-        return int(late * self.time_scale)
+            lateness_ns = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
+        self._move_gate(k + 1 + int(lateness_ns * self.time_scale) // self.period_ns)
+        return int(lateness_ns * self.time_scale)
 
     def clock_facts(self) -> dict[str, str]:
         """Return the number of pauses and their total duration, see ``TickClock``."""

@@ -46,9 +46,11 @@ class SuspendWatch:
 
     def _clock_difference(self) -> int | None:
         """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
-        before = self._monotonic()
+        time_before = self._monotonic()
         boot_time_ns = self._boot()
-        return boot_time_ns - before if self._monotonic() - before < MAX_READING_NS else None
+        return (
+            boot_time_ns - time_before if self._monotonic() - time_before < MAX_READING_NS else None
+        )
 
     def take_events(self) -> list[IoEvent]:
         """Return an event with the duration [ms] if the machine was suspended since the last call."""

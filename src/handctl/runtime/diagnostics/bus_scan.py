@@ -87,23 +87,25 @@ def scan_bus(
         report_text: function that is called with a text about each step of the scan.
         listen_function: function to collect frames during a time, see ``ListenFunction``.
     """
-    seen: list[Frame] = []
+    seen_frames: list[Frame] = []
     omitted: list[Frame] = []
-    foreign: tuple[Frame, ...] = ()
+    foreign_frames: tuple[Frame, ...] = ()
     for turn in PROBE_ROUNDS:
         report_text("listening" if turn == 0 else f"asking, round {turn} of {PROBE_ROUNDS[-1]}")
-        for frame in _requests_of_round(turn, seen, omitted):
-            if not _send_with_retries(bus, frame, seen, listen_function):
+        for frame in _requests_of_round(turn, seen_frames, omitted):
+            if not _send_with_retries(bus, frame, seen_frames, listen_function):
                 break
-        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen)
-        if turn == 0 and not force and (foreign := _foreign_frames(seen)):
+        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen_frames)
+        if turn == 0 and not force and (foreign_frames := _foreign_frames(seen_frames)):
             break
     drives = tuple(
-        discovery.correct_without_requests(node) if foreign else node
+        discovery.correct_without_requests(node) if foreign_frames else node
         for discovery in DISCOVERY_BY_PROTOCOL.values()
-        for node in discovery.nodes(seen)
+        for node in discovery.nodes(seen_frames)
     )
-    return BusScan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
+    return BusScan(
+        drives, foreign_frames, tuple(omitted), tuple(bus.take_events()), len(seen_frames)
+    )
 
 
 def requests_without_answers() -> tuple[Frame, ...]:
@@ -121,20 +123,24 @@ def _requests_of_round(
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        allowed_frames, dropped = split_safe_requests(
+        allowed_frames, dropped_probes = split_safe_requests(
             discovery.probe_frames(round_index, seen_frames),
             _commands_of_other_hosts(name, seen_frames),
         )
         requests += allowed_frames
-        omitted_frames += dropped
+        omitted_frames += dropped_probes
     return requests
 
 
 def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
-    others = (discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name)
+    other_discoveries = (
+        discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name
+    )
     return [
-        discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen_frames)
+        discovery.command_ids(node)
+        for discovery in other_discoveries
+        for node in discovery.nodes(seen_frames)
     ]
 
 
@@ -144,15 +150,15 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     By the rules of one protocol, a frame may look like a frame from another host, although a drive
     with another protocol has sent it. Such frames are not part of the result.
     """
-    foreign: list[Frame] = []
+    foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        explained = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
-        foreign += [
+        explained_commands = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
+        foreign_frames += [
             frame
             for frame in discovery.other_host_frames(seen_frames)
-            if frame.can_id not in explained
+            if frame.can_id not in explained_commands
         ]
-    return tuple(dict.fromkeys(foreign)) if len(foreign) > MAX_IGNORED_FRAMES else ()
+    return tuple(dict.fromkeys(foreign_frames)) if len(foreign_frames) > MAX_IGNORED_FRAMES else ()
 
 
 def _send_with_retries(

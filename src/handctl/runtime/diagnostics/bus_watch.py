@@ -97,13 +97,20 @@ class BusWatch:
 
         If no other host has sent a frame, the text is empty.
         """
-        own = {(drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids}
-        own |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
-        seen: list[Frame] = []
+        own_identifiers = {
+            (drive.bus, can_id) for drive in self.drives for can_id in drive.host_ids
+        }
+        own_identifiers |= {(self.sensors.bus, can_id) for can_id in self.sensors.host_ids}
+        seen_frames: list[Frame] = []
         for bus in self.buses:
-            listen_function(bus, duration_s / len(self.buses), seen)
+            listen_function(bus, duration_s / len(self.buses), seen_frames)
         return next(
-            (f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), ""
+            (
+                f"{frame.can_id:#x}"
+                for frame in seen_frames
+                if (frame.bus, frame.can_id) in own_identifiers
+            ),
+            "",
         )
 
     def run_tick(self) -> None:
@@ -116,16 +123,16 @@ class BusWatch:
             for frame in bus.drain():
                 self._receive(frame)
         now = self.clock.now_ns()
-        out = [self.sensors.sync(self.k)] if self.sensors.ids else []
+        sync_frames = [self.sensors.sync(self.k)] if self.sensors.ids else []
         for n, drive in enumerate(self.drives):
             self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
-            out += frames
+            sync_frames += frames
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i], frames = amplifier.advance(
                 self.amplifiers[i], now, DriveTarget.POLL
             )
-            out += frames
-        self._send(out)
+            sync_frames += frames
+        self._send(sync_frames)
         self.k += 1
 
     def send_release(self) -> None:

@@ -59,7 +59,7 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
     interface, _, channel = spec.partition(":")
     network = canopen.Network(open_python_can(interface, channel, bitrate))
     logger = logging.getLogger("canopen")
-    before = logger.level
+    level_before = logger.level
     logger.setLevel(
         logging.CRITICAL
     )  # otherwise the library would log an error for each object that a drive does not have
@@ -68,7 +68,7 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
         return {number: _read_identity(network, number) for number in nodes}
     finally:
         network.disconnect()
-        logger.setLevel(before)
+        logger.setLevel(level_before)
 
 
 def _read_identity(network: canopen.Network, node_id: int) -> CanopenIdentity:
@@ -78,11 +78,11 @@ def _read_identity(network: canopen.Network, node_id: int) -> CanopenIdentity:
     numbers: dict[str, int] = {}
     texts: dict[str, str] = {}
     for name, (index, sub) in NUMERIC_IDENTITY_OBJECTS.items():
-        if raw := _upload_object(node, index, sub):
-            numbers[name] = int.from_bytes(raw, "little")
+        if raw_bytes := _upload_object(node, index, sub):
+            numbers[name] = int.from_bytes(raw_bytes, "little")
     for name, (index, sub) in TEXT_IDENTITY_OBJECTS.items():
-        if raw := _upload_object(node, index, sub):
-            texts[name] = raw.rstrip(b"\0").decode("ascii", "replace")
+        if raw_bytes := _upload_object(node, index, sub):
+            texts[name] = raw_bytes.rstrip(b"\0").decode("ascii", "replace")
     return CanopenIdentity(numbers, texts)
 
 

@@ -93,17 +93,17 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
     turn the shaft. If the first of these two checks fails, the second is left out.
     """
-    usable = True
+    is_usable = True
     reversed_direction_failed = False
     for name, requirement, turns in CHECKED_REQUIREMENTS:
-        if not usable or (turns and reversed_direction_failed):
+        if not is_usable or (turns and reversed_direction_failed):
             yield _result_of_omitted_check(device, name, requirement)
             continue
         check = _run_check(device, name, requirement)
         yield check
         has_failed = check.verdict is CheckVerdict.FAILED
         reversed_direction_failed |= turns and has_failed
-        usable = device.rig.set_up_drive() and not (
+        is_usable = device.rig.set_up_drive() and not (
             has_failed and requirement is _check_one_answer_per_request
         )
 
@@ -148,13 +148,13 @@ def _check_configuration(device: DeviceUnderTest) -> str:
 
 
 def _failed_check_error(
-    device: DeviceUnderTest, checked: DriveProperty, observed_text: str
+    device: DeviceUnderTest, checked_property: DriveProperty, observed_text: str
 ) -> Exception:
     """Return the exception for a drive that does not show a property.
 
     If handctl cannot check this property on the drive, the drive has not failed.
     """
-    reason = device.rig.drive.unchecked_properties.get(checked)
+    reason = device.rig.drive.unchecked_properties.get(checked_property)
     return CheckNotPossible(f"{reason}; {observed_text}") if reason else CheckFailed(observed_text)
 
 
@@ -176,15 +176,15 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
     unsolicited_frames, listened_s = (
         (0, 1.0) if drive.sends_one_reply_per_command else _feedback_frames(rig, DriveTarget.LISTEN)
     )
-    answers, polled_s = _feedback_frames(rig, DriveTarget.POLL)
+    answer_frames, polled_s = _feedback_frames(rig, DriveTarget.POLL)
     if drive.feedback_period_s:
         requests = polled_s / drive.feedback_period_s
-        text = f"{answers} messages in the time of {requests:.0f}"
+        text = f"{answer_frames} messages in the time of {requests:.0f}"
     else:
-        answers -= round(unsolicited_frames * polled_s / listened_s)
+        answer_frames -= round(unsolicited_frames * polled_s / listened_s)
         requests = CHECK_DURATION_TICKS
-        text = f"{answers} answers to {requests} requests"
-    if answers > MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES * requests:
+        text = f"{answer_frames} answers to {requests} requests"
+    if answer_frames > MIN_ANSWERS_PER_REQUEST_OF_TWO_DRIVES * requests:
         raise CheckFailed(
             f"{text}: another drive has the same number; give each a number of its own"
         )
@@ -196,28 +196,28 @@ def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
 
     The duration includes ticks that were missed.
     """
-    before = rig.state.feedback_count
+    feedback_count_before = rig.state.feedback_count
     start_ns = rig.t_ns
     for _ in range(CHECK_DURATION_TICKS):
         rig.run_tick(target)
-    return rig.state.feedback_count - before, (rig.t_ns - start_ns) * 1e-9
+    return rig.state.feedback_count - feedback_count_before, (rig.t_ns - start_ns) * 1e-9
 
 
 def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     """Check that a drive in the phase READY makes no torque, even if the host sends torque commands."""
     rig = device.rig
-    before = rig.state.feedback_count
+    feedback_count_before = rig.state.feedback_count
     rig.run_for(DriveTarget.POLL, 0.3)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity_rad_s) and abs(rig.velocity_rad_s) > MAX_REST_VELOCITY_RAD_S:
         raise CheckNotPossible(f"the shaft turns by itself, {rig.velocity_rad_s:.2g} rad/s")
-    seen = _check_torque_ignored_when_disabled(device)
+    result_text = _check_torque_ignored_when_disabled(device)
     if rig.state.phase != DrivePhase.READY:
         raise CheckFailed(
             rig.state.error_text or f"went to {rig.state.phase.name} at a torque command"
         )
-    return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
+    return f"{result_text}; {rig.state.feedback_count - feedback_count_before} feedback frames meanwhile"
 
 
 def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
@@ -231,22 +231,24 @@ def _check_torque_ignored_when_disabled(device: DeviceUnderTest) -> str:
     start = rig.state.position
     initial_reported_torque = rig.state.torque
     initial_speed = abs(rig.velocity_rad_s) if math.isfinite(rig.velocity_rad_s) else 0.0
-    reported: list[float] = []
+    reported_torques: list[float] = []
     start_ns = rig.t_ns
     for i in range(CHECK_DURATION_TICKS):
         torque = device.torque_limit_N_m * (i + 1) / CHECK_DURATION_TICKS
         rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(torque))
-        reported.append(rig.state.torque - initial_reported_torque)
-        moved = rig.state.position - start
-        if abs(moved) > MIN_MOTION_RAD + initial_speed * (rig.t_ns - start_ns) * 1e-9:
+        reported_torques.append(rig.state.torque - initial_reported_torque)
+        position_change = rig.state.position - start
+        if abs(position_change) > MIN_MOTION_RAD + initial_speed * (rig.t_ns - start_ns) * 1e-9:
             rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
             raise CheckFailed(
-                f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
+                f"follows torque commands while disabled: {torque:+.3f} N m turned it by {position_change:+.3f} rad"
             )
     # A drive may store the last command, and follow it when it is enabled later. Therefore the last
     # command is a torque of zero.
     rig.run_tick(DriveTarget.POLL, extra_frames=rig.drive.torque_frames(0.0))
-    mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
+    mean = sum(reported_torques[len(reported_torques) // 2 :]) / (
+        len(reported_torques) - len(reported_torques) // 2
+    )
     if abs(mean) > OBEYED_TORQUE_FRACTION * device.torque_limit_N_m:
         raise CheckFailed(f"reports {mean:+.3f} N m at torque commands while disabled")
     return f"ignores torque commands up to {device.torque_limit_N_m:+.3f} N m"
@@ -272,11 +274,13 @@ def _check_feedback(device: DeviceUnderTest) -> str:
         ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages.sort()
     count = rig.state.feedback_count - start
-    late = ages[-MAX_LATE_TICKS_PER_100]
-    seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
-    if count < 0.8 * ticks or late > MAX_FEEDBACK_AGE_NS:
-        raise CheckFailed(seen)
-    return seen
+    late_age = ages[-MAX_LATE_TICKS_PER_100]
+    result_text = (
+        f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
+    )
+    if count < 0.8 * ticks or late_age > MAX_FEEDBACK_AGE_NS:
+        raise CheckFailed(result_text)
+    return result_text
 
 
 def _rotation_check(motion_sign: int) -> RequirementCheck:
@@ -297,12 +301,12 @@ def _rotation_check(motion_sign: int) -> RequirementCheck:
             )
         if step.moved_rad > MIN_MOTION_RAD:
             brake_shaft(rig, device.torque_limit_N_m)
-            reported = (
+            reported_text = (
                 "no torque"
                 if math.isnan(step.reported_torque_N_m)
                 else f"{step.reported_torque_N_m:+.3f} N m"
             )
-            return f"at {step.commanded_torque_N_m:+.3f} N m; the drive reports {reported}"
+            return f"at {step.commanded_torque_N_m:+.3f} N m; the drive reports {reported_text}"
         raise _no_motion_error(device, motion_sign, step.reported_torque_N_m)
 
     return check_rotation
@@ -313,11 +317,11 @@ def _no_motion_error(device: DeviceUnderTest, motion_sign: int, torque: float) -
 
     The explanation depends on the torque that the drive has reported [N m].
     """
-    reported = motion_sign * torque
+    reported_torque = motion_sign * torque
     limit = f"{motion_sign * device.torque_limit_N_m:+.3f} N m"
-    if math.isfinite(reported) and reported < 0.3 * device.torque_limit_N_m:
+    if math.isfinite(reported_torque) and reported_torque < 0.3 * device.torque_limit_N_m:
         return CheckFailed(
-            f"{limit} did not turn it, and the drive reports {motion_sign * reported:+.3f} N m"
+            f"{limit} did not turn it, and the drive reports {motion_sign * reported_torque:+.3f} N m"
         )
     return CheckNotPossible(f"did not turn at {limit}: held, or friction is larger")
 
@@ -349,22 +353,22 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
         raise CheckFailed("does not report within 1 s of the command that it is disabled")
     if rig.state.phase == DrivePhase.FAULT:
         raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
-    took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
+    duration_text = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
     # Some drives do not report whether they are enabled. Such a drive gets torque commands after
     # the disable command. They show whether the drive has ignored the disable command.
     rig.run_for(DriveTarget.DISABLE, 0.05)
-    return f"{took}; {_check_torque_ignored_when_disabled(device)}"
+    return f"{duration_text}; {_check_torque_ignored_when_disabled(device)}"
 
 
 def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host sends no frames, and that the drive then stays off."""
     rig = device.rig
     _enable_drive(rig)
-    silence = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
-    rig.run_for(DriveTarget.LISTEN, silence)
+    silence_s = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
+    rig.run_for(DriveTarget.LISTEN, silence_s)
     if not rig.run_until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
-        seen = f"still enabled after {silence * 1e3:.0f} ms without a command"
-        raise _failed_check_error(device, DriveProperty.WATCHDOG, seen)
+        result_text = f"still enabled after {silence_s * 1e3:.0f} ms without a command"
+        raise _failed_check_error(device, DriveProperty.WATCHDOG, result_text)
     text = rig.state.error_text
     rig.run_for(DriveTarget.ENABLE, 0.3)
     if rig.state.phase != DrivePhase.FAULT:
@@ -399,7 +403,7 @@ def _check_frames_decodable(device: DeviceUnderTest) -> str:
     )
 
 
-def release_drive(rig: DriveRig, watchdog_s: float, restoring_drive: Drive | None = None) -> bool:
+def release_drive(rig: DriveRig, watchdog_s: float, original_drive: Drive | None = None) -> bool:
     """Disable the drive, clear the errors of the drive, and send the frames that end a run.
 
     Return True if the drive reports that it is disabled.
@@ -410,13 +414,13 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring_drive: Drive | Non
     Args:
         rig: test rig with a drive in any state.
         watchdog_s: timeout of the drive's watchdog [s].
-        restoring_drive: description of the drive with the settings to restore. If it is None, the drive
+        original_drive: description of the drive with the settings to restore. If it is None, the drive
             keeps its present settings.
     """
     if not rig.confirm_disabled(watchdog_s):
         return False
-    if restoring_drive is not None:
-        rig.replace_drive(restoring_drive)
+    if original_drive is not None:
+        rig.replace_drive(original_drive)
     rig.clear_faults()
     rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
     rig.send_release()

@@ -92,18 +92,18 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
         acceleration: acceleration and deceleration [rad/s2].
     """
     length = abs(distance)
-    top = min(speed, math.sqrt(length * acceleration))
-    ramp_s = top / acceleration
-    total_s = ramp_s + (length / top if top > 0.0 else 0.0)
+    top_speed = min(speed, math.sqrt(length * acceleration))
+    ramp_s = top_speed / acceleration
+    total_s = ramp_s + (length / top_speed if top_speed > 0.0 else 0.0)
     if t_s >= total_s:
         return distance
     if t_s < ramp_s:
-        done = 0.5 * acceleration * t_s * t_s
+        ramp_distance = 0.5 * acceleration * t_s * t_s
     elif t_s < total_s - ramp_s:
-        done = top * (t_s - 0.5 * ramp_s)
+        ramp_distance = top_speed * (t_s - 0.5 * ramp_s)
     else:
-        done = length - 0.5 * acceleration * (total_s - t_s) ** 2
-    return math.copysign(done, distance)
+        ramp_distance = length - 0.5 * acceleration * (total_s - t_s) ** 2
+    return math.copysign(ramp_distance, distance)
 
 
 class _JogExecution:

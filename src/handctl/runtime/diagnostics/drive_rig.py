@@ -89,9 +89,11 @@ class DriveRig:
 
         While there are too few positions, the result is NaN.
         """
-        (first_ns, first), *_, (last_ns, last) = self._positions
+        (first_time_ns, first_position), *_, (last_time_ns, last_position) = self._positions
         # After missed ticks, the time between two positions is longer than a tick.
-        return (last - first) / (max(last_ns - first_ns, VELOCITY_WINDOW_TICKS * PERIOD_NS) * 1e-9)
+        return (last_position - first_position) / (
+            max(last_time_ns - first_time_ns, VELOCITY_WINDOW_TICKS * PERIOD_NS) * 1e-9
+        )
 
     def run_tick(
         self, target: DriveTarget, command: float | None = None, extra_frames: Sequence[Frame] = ()
@@ -147,9 +149,9 @@ class DriveRig:
             return f"stays in {self.state.phase.name}"
         # In an identifier of SocketCAN, the bits 29 to 31 are flags.
         ids = sorted(self.drive.node_ids)
-        shown = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_LISTED_IDS])
-        others = f" or {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
-        return f"no reply; expected frames with the identifier {shown}{others}"
+        ids_text = ", ".join(f"0x{number & 0x1FFFFFFF:03X}" for number in ids[:MAX_LISTED_IDS])
+        others_text = f" or {len(ids) - MAX_LISTED_IDS} others" if len(ids) > MAX_LISTED_IDS else ""
+        return f"no reply; expected frames with the identifier {ids_text}{others_text}"
 
     def clear_faults(self) -> None:
         """Clear the latched faults of the drive."""
@@ -158,7 +160,7 @@ class DriveRig:
 
     def cut_torque(self) -> None:
         """Run a tick that sends only the frames that remove the torque of the drive."""
-        self.run_tick(DriveTarget.LISTEN, extra_frames=self.drive.cut_frames())
+        self.run_tick(DriveTarget.LISTEN, extra_frames=self.drive.torque_cut_frames())
 
     def send_release(self) -> None:
         """Run a tick that sends only the frames for the regular end of a run."""
@@ -183,8 +185,8 @@ class DriveRig:
         not obey, the host sends no frames until the watchdog of the drive has expired. After that, the
         host disables the drive again.
         """
-        for silence in (0.0, 3.0 * watchdog_s + 0.2):
-            self.run_for(DriveTarget.LISTEN, silence)
+        for silence_s in (0.0, 3.0 * watchdog_s + 0.2):
+            self.run_for(DriveTarget.LISTEN, silence_s)
             if self.run_until(DriveTarget.DISABLE, is_confirmed_off, 1.0):
                 return True
         return self.state.phase in PHASES_BEFORE_READY_REPORT and self._report_after_setup()

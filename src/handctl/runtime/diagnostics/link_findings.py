@@ -37,14 +37,14 @@ class LinkFinding(NamedTuple):
 
     Attributes:
         observation: text that describes the observation.
-        good: True if the finding is no problem.
-        fix: command or advice that corrects the problem.
+        is_good: True if the finding is no problem.
+        remedy: command or advice that corrects the problem.
         is_bus_unusable: True if the bus cannot be used.
     """
 
     observation: str
-    good: bool
-    fix: str = ""
+    is_good: bool
+    remedy: str = ""
     is_bus_unusable: bool = False
 
 
@@ -57,11 +57,11 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
             interface_setup_text(name, bitrate, data_bitrate, interface_exists=False),
             is_bus_unusable=True,
         )
-    fix = (
+    remedy = (
         f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
     )
     return LinkFinding(
-        f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), is_bus_unusable=True
+        f"{name} does not exist", False, remedy + UDEV_NAME_RULE.format(name), is_bus_unusable=True
     )
 
 
@@ -126,21 +126,25 @@ def adapter_findings(
         other_interfaces: names of the other CAN interfaces with a USB adapter.
     """
     if link_kind == "slcan":
-        what = "a serial line (slcan): no error counters, no bit rate to compare"
-        return [LinkFinding(what, False, "flash candleLight firmware for the driver gs_usb")]
+        problem_text = "a serial line (slcan): no error counters, no bit rate to compare"
+        return [
+            LinkFinding(problem_text, False, "flash candleLight firmware for the driver gs_usb")
+        ]
     if adapter is None:
         return []
     usb_text = f", USB {adapter.usb_speed_mbit_s:g} Mbit/s" if adapter.usb_speed_mbit_s else ""
-    what = f"adapter of driver {adapter.driver or 'unknown'}{usb_text}"
+    problem_text = f"adapter of driver {adapter.driver or 'unknown'}{usb_text}"
     if adapter.is_full_speed:
-        what += (
+        problem_text += (
             f": one exchange each millisecond, at most {MAX_RATE_AT_FULL_SPEED_HZ} Hz for a hand"
         )
-    rows = [LinkFinding(what, True)]
+    rows = [LinkFinding(problem_text, True)]
     if adapter.driver == "mcp251x":
-        what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
+        problem_text = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
         rows.append(
-            LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s")
+            LinkFinding(
+                problem_text, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s"
+            )
         )
     if adapter.serial and other_interfaces:
         udev_rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
@@ -168,16 +172,16 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the CAN controller: state, error counters, and restart after bus-off."""
     if not link.controller_state:
         return []
-    restart = (
+    restart_text = (
         f"sudo ip link set {name} type can restart; " if link.controller_state == "BUS-OFF" else ""
     )
     errors = f"{link.tx_error_counter} sending, {link.rx_error_counter} receiving"
     counters = f"{link.controller_state}, error counters {errors}"
-    good = (
+    is_good = (
         link.controller_state == "ERROR-ACTIVE"
         and link.tx_error_counter + link.rx_error_counter == 0
     )
-    result = [LinkFinding(counters, good or not link.is_up, restart + WIRING_ADVICE)]
+    result = [LinkFinding(counters, is_good or not link.is_up, restart_text + WIRING_ADVICE)]
     if link.restart_ms is not None:
         command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms {RESTART_MS}"
         result.append(
@@ -190,15 +194,17 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
 
 def _counter_findings(link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
-    counted = [
+    counter_texts = [
         f"{number} {ERROR_COUNTER_TEXTS[key]}"
         for key, number in link.event_counts.items()
         if number and key in ERROR_COUNTER_TEXTS
     ]
-    bad = any(
+    has_errors = any(
         number
         for key, number in link.event_counts.items()
         if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
     )
-    fix = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"
-    return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]
+    remedy = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"
+    return [
+        LinkFinding("counted: " + (", ".join(counter_texts) or "no errors"), not has_errors, remedy)
+    ]

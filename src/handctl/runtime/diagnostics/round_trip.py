@@ -55,12 +55,21 @@ def measure_round_trips(
 
     Each request is sent after the answer to the previous request has arrived.
     """
-    trips = [_measure_round_trip(bus, node) for _ in range(repetitions)]
-    took = sorted(first for first, _ in trips if first is not None)
-    twice = sum(more for _, more in trips)
-    if not took:
-        return RoundTrip(0, repetitions, math.nan, math.nan, math.nan, twice)
-    return RoundTrip(len(took), repetitions, took[0], took[len(took) // 2], took[-1], twice)
+    round_trips = [_measure_round_trip(bus, node) for _ in range(repetitions)]
+    durations = sorted(
+        first_duration for first_duration, _ in round_trips if first_duration is not None
+    )
+    duplicate_count = sum(extra_answers for _, extra_answers in round_trips)
+    if not durations:
+        return RoundTrip(0, repetitions, math.nan, math.nan, math.nan, duplicate_count)
+    return RoundTrip(
+        len(durations),
+        repetitions,
+        durations[0],
+        durations[len(durations) // 2],
+        durations[-1],
+        duplicate_count,
+    )
 
 
 def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
@@ -74,17 +83,17 @@ def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, b
     bus.drain()  # a late answer to the previous request must not count as an answer to this request
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
-    first = None
-    answers = 0
-    while (passed := time.perf_counter() - start) < (
-        ANSWER_TIMEOUT_S if first is None else first + SECOND_ANSWER_WAIT_S
+    first_answer_s = None
+    answer_count = 0
+    while (elapsed_s := time.perf_counter() - start) < (
+        ANSWER_TIMEOUT_S if first_answer_s is None else first_answer_s + SECOND_ANSWER_WAIT_S
     ):
-        answers += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
-        if answers and first is None:
-            first = time.perf_counter() - start
-        if answers > 1:
+        answer_count += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
+        if answer_count and first_answer_s is None:
+            first_answer_s = time.perf_counter() - start
+        if answer_count > 1:
             break
         time.sleep(
-            0.0001 if passed < 0.01 else 0.002
+            0.0001 if elapsed_s < 0.01 else 0.002
         )  # the first pauses are short for accuracy, and later pauses are longer to save processor time
-    return first, answers > 1
+    return first_answer_s, answer_count > 1

@@ -62,7 +62,7 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
     initial_velocity = rig.velocity_rad_s
     torque_impulse = 0.0
     ticks = round(TORQUE_RAMP_S / PERIOD_S)
-    moved = torque = 0.0
+    position_change = torque = 0.0
     start_ns = rig.t_ns
     for i in range(ticks):
         last_torque = torque
@@ -71,24 +71,26 @@ def apply_torque_step(rig: DriveRig, motion_sign: int, torque_limit: float) -> T
         # During the ticks that the host has missed, the drive keeps its last torque.
         torque_impulse += (last_torque * rig.missed_ticks + torque) * PERIOD_S
         if rig.state.phase != DrivePhase.ENABLED:
-            return TorqueStep(moved, torque, rig.state.torque, False)
+            return TorqueStep(position_change, torque, rig.state.torque, False)
         travel = motion_sign * (rig.state.position - start)
         coasted_distance = abs(initial_velocity) * (rig.t_ns - start_ns) * 1e-9
-        moved = (
+        position_change = (
             math.copysign(max(0.0, abs(travel) - coasted_distance), travel)
             if math.isfinite(coasted_distance)
             else travel
         )
-        if abs(moved) > MIN_MOTION_RAD:
+        if abs(position_change) > MIN_MOTION_RAD:
             break
-    reported = rig.state.torque
+    reported_torque = rig.state.torque
     rig.run_for(DriveTarget.ENABLE, COASTING_TICKS * PERIOD_S)
-    gained = rig.velocity_rad_s - (initial_velocity if math.isfinite(initial_velocity) else 0.0)
+    gained_speed = rig.velocity_rad_s - (
+        initial_velocity if math.isfinite(initial_velocity) else 0.0
+    )
     if (
-        torque_impulse * gained > 0.0
+        torque_impulse * gained_speed > 0.0
     ):  # the inertia is the integral of the torque over time [N m s], divided by the change of velocity
-        rig.inertia = torque_impulse / gained
-    return TorqueStep(moved, torque, reported, True)
+        rig.inertia = torque_impulse / gained_speed
+    return TorqueStep(position_change, torque, reported_torque, True)
 
 
 def brake_shaft(rig: DriveRig, torque_limit: float) -> bool:

@@ -233,6 +233,6 @@ def declare_fault(
     # A fault may concern several kinds of parts, such as tendons and joints. Detectors write their
     # results into a table. In this table, the fault has one row for tendons and one row for joints.
     # For the second kind of part, detectors add 1 to the row of the first kind.
-    first = len(DETECTOR_ROWS)
+    first_row = len(DETECTOR_ROWS)
     DETECTOR_ROWS.extend((fault, kind) for kind in fault_places)
-    return first if fault_places else -1
+    return first_row if fault_places else -1

@@ -16,11 +16,11 @@ The packaged hand with one motor per digit has this rate.
 
 def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
-    head = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
+    title_lines = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [
         f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.cleared_by} |" for f in table
     ]
-    return "\n".join([*head, *rows])
+    return "\n".join([*title_lines, *rows])
 
 
 def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
@@ -50,21 +50,22 @@ def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
 def _catalogue_row(row: CatalogueRow) -> str:
     # The faults that belong to a row are its stages. A row that the controller does not check in
     # each tick has no faults.
-    judged = (
+    condition_text = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
-    latest += f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
-    latest += f", after {row.counted_from_event}" if row.counted_from_event else ""
-    latest = (
-        latest
+    latest_text = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest_text += f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
+    latest_text += f", after {row.counted_from_event}" if row.counted_from_event else ""
+    latest_text = (
+        latest_text
         if row.ticks or row.ms
         else "before torque"
         if row.where != CHECKED_BY_FAULT_TABLE
         else "1 tick"
     )
     return (
-        f"| {row.id} | {row.title} | {judged} | {' | '.join(map(row.visibility, VERIFIABLE_PROTOCOLS))} | {latest} "
+        f"| {row.id} | {row.title} | {condition_text} | {' | '.join(map(row.visibility, VERIFIABLE_PROTOCOLS))} | "
+        f"{latest_text} "
         f"| {row.tested_by} |"
     )
 
@@ -89,8 +90,8 @@ def late_reaction_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> s
         for e in entries
         if reacts_too_late(e)
     ]
-    head = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
-    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
+    title_line = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
+    return "\n".join([title_line, "|---|---|---|---|---|---|---|", *rows])
 
 
 def hardware_checklist() -> str:

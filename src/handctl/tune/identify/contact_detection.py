@@ -81,12 +81,12 @@ class ResidualRamp(NamedTuple):
     @property
     def excludes_contact(self) -> bool:
         """Return True if the fit explains the sweep well enough to exclude a contact."""
-        good = (
+        is_plausible = (
             self.mean_square <= MAX_MEAN_SQUARE_WITHOUT_CONTACT
             and self.outlier_fraction <= MAX_OUTLIERS_WITHOUT_CONTACT
             and self.rows >= MIN_ROWS_WITHOUT_CONTACT
         )
-        return abs(self.score) < MAX_SCORE_WITHOUT_CONTACT and good
+        return abs(self.score) < MAX_SCORE_WITHOUT_CONTACT and is_plausible
 
 
 def steepest_ramp(
@@ -106,8 +106,8 @@ def steepest_ramp(
         return None
     count = len(unit_vectors[0])
     rows = slice(first_sample, first_sample + count)
-    used = jacobian[rows].any(axis=1)
-    if not used.any():
+    used_columns = jacobian[rows].any(axis=1)
+    if not used_columns.any():
         return None
     # The columns of `basis` span all curves that a change of the parameters can explain.
     basis = np.linalg.qr(jacobian)[0]
@@ -118,7 +118,8 @@ def steepest_ramp(
         if not SWEEP_END_FRACTION < (start - low) / (high - low) < 1.0 - SWEEP_END_FRACTION:
             continue
         shape = (
-            np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle)) * used
+            np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle))
+            * used_columns
         )
         for unit in unit_vectors:
             column = np.zeros(len(residual))
@@ -129,7 +130,7 @@ def steepest_ramp(
             if size > MIN_UNEXPLAINED_RAMP_FRACTION * float(column @ column):
                 score = float(orthogonal @ residual) / size**0.5
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
-    mean_square = float(np.mean(residual[rows][used] ** 2))
+    mean_square = float(np.mean(residual[rows][used_columns] ** 2))
     contact_score = (
         MIN_CONTACT_SCORE if len(unit_vectors) == 1 else MIN_CONTACT_SCORE_OF_SEVERAL_TENDONS
     )
@@ -139,7 +140,7 @@ def steepest_ramp(
         high,
         best[2],
         len(angle),
-        1.0 - float(used.mean()),
+        1.0 - float(used_columns.mean()),
         mean_square,
         contact_score,
     )

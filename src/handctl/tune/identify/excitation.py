@@ -100,16 +100,16 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
         if any(hand.digit_named(name).is_prismatic):
-            right = "digits with hinges only: prismatic joints are not identified yet"
-            raise ConfigError(f"{name} has a prismatic joint", "--digits", right)
+            expected = "digits with hinges only: prismatic joints are not identified yet"
+            raise ConfigError(f"{name} has a prismatic joint", "--digits", expected)
         tendons = hand.digit_tendons[name]
-        known = zip(
+        identifiable_tendons = zip(
             hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True
         )
-        bare = [tendon.name for tendon, is_known in known if not is_known]
-        if bare:
-            right = "a load cell on every tendon that is not a spool pair"
-            raise ConfigError(f"no load cell on {', '.join(bare)}", f"digit {name}", right)
+        bare_names = [tendon.name for tendon, is_known in identifiable_tendons if not is_known]
+        if bare_names:
+            expected = "a load cell on every tendon that is not a spool pair"
+            raise ConfigError(f"no load cell on {', '.join(bare_names)}", f"digit {name}", expected)
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
@@ -121,7 +121,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     middle_angle = 0.5 * (low + high)
     swing_amplitude = math.radians(SWING_AMPLITUDE_DEG)
     upper_stretch_tension = STRETCH_UPPER_FRACTION * lift_off_tension(hand, digit)
-    released, medium_tension, high_tension = (
+    released_tension, medium_tension, high_tension = (
         fraction * max_tension for fraction in PRESS_TENSION_FRACTIONS
     )
 
@@ -131,11 +131,11 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         duration_s: float,
         target: float = 0.0,
         rate: float = 100.0,
-        held: bool = False,
+        is_held: bool = False,
     ) -> ExciteStep:
         return ExciteStep.model_validate(
             {"digit": digit, "name": name, "kind": kind, "duration_s": duration_s}
-            | {"target": target, "rate": rate, "held": held}
+            | {"target": target, "rate": rate, "held": is_held}
         )
 
     swing_step = excite_step("swing", "chirp", 2.4, middle_angle)
@@ -152,7 +152,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         for goal in (high, low)
     ]
     press_steps = [
-        excite_step("press", "tension", 0.22, goal, 250.0, held=True)
+        excite_step("press", "tension", 0.22, goal, 250.0, is_held=True)
         for _ in range(3)
         for goal in (high_tension, medium_tension)
     ]
@@ -176,9 +176,9 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         excite_step("approach", "move", 0.3, middle_angle),
         swing_step,
         excite_step("approach", "move", 0.3, high),
-        excite_step("close", "tension", 0.5, medium_tension, 80.0, held=True),
+        excite_step("close", "tension", 0.5, medium_tension, 80.0, is_held=True),
         *press_steps,
-        excite_step("open", "tension", 0.7, released, 60.0, held=True),
+        excite_step("open", "tension", 0.7, released_tension, 60.0, is_held=True),
         excite_step("open", "move", 0.5, low),
         excite_step("rest", "limp", 0.1),
     ]

@@ -103,24 +103,29 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     digit = DigitModel.from_hand(hand, name)
     low, high = sweep_range(digit)
     middle_angles = 0.5 * (low + high)
-    half = 0.5 * (high - low)
+    half_range = 0.5 * (high - low)
 
     def excite_step(
         step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
     ) -> ExciteStep:
         target_values = () if targets is None else tuple(targets.tolist())
-        given = {"digit": name, "name": step_name, "kind": kind, "duration_s": duration_s} | more
-        return ExciteStep.model_validate(given | {"targets": target_values})
+        step_fields = {
+            "digit": name,
+            "name": step_name,
+            "kind": kind,
+            "duration_s": duration_s,
+        } | more
+        return ExciteStep.model_validate(step_fields | {"targets": target_values})
 
     sweep_steps = []
     for signs in _sign_patterns(len(middle_angles)):
-        sweep_steps.append(excite_step("approach", "move", 0.4, middle_angles - signs * half))
+        sweep_steps.append(excite_step("approach", "move", 0.4, middle_angles - signs * half_range))
         for duration in SWEEP_DURATIONS_S:
             sweep_steps += [
-                excite_step("sweep", "move", duration, middle_angles + side * signs * half)
+                excite_step("sweep", "move", duration, middle_angles + side * signs * half_range)
                 for side in (1.0, -1.0)
             ]
-    amplitudes = tuple(_swing_amplitudes(hand, digit, middle_angles, half).tolist())
+    amplitudes = tuple(_swing_amplitudes(hand, digit, middle_angles, half_range).tolist())
     swing_step = excite_step(
         "swing",
         "chirp",
@@ -130,7 +135,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         low_Hz=SWING_MIN_FREQUENCY_HZ,
         high_Hz=SWING_MAX_FREQUENCY_HZ,
     )
-    rest, stretch_ranges = _stretched_tensions(hand, digit)
+    rest_tension, stretch_ranges = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
     _, largest = _tension_limits(hand, digit)
     closing_tensions = (
@@ -141,12 +146,17 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     stretch_steps = []
     for lower, upper in stretch_ranges:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + STRETCH_WAIT_S
-        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
+        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, is_held=True))
         for _ in range(PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
                     excite_step(
-                        "stretch", "tension", duration, goal, rate=TENSION_RATE_N_PER_S, held=True
+                        "stretch",
+                        "tension",
+                        duration,
+                        goal,
+                        rate=TENSION_RATE_N_PER_S,
+                        is_held=True,
                     )
                 )
     return [
@@ -154,7 +164,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             "taut",
             "tension" if pairs else "taut",
             0.4,
-            rest if pairs else _balanced_tensions(hand, digit),
+            rest_tension if pairs else _balanced_tensions(hand, digit),
             rate=40.0,
         ),
         *sweep_steps,
@@ -167,11 +177,16 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             CLOSING_DURATION_S if pairs else 0.8,
             closing_tensions,
             rate=20.0 if pairs else 60.0,
-            held=True,
+            is_held=True,
         ),
         *stretch_steps,
         excite_step(
-            "open", "tension", 0.4, rest if pairs else stretch_ranges[0][0], rate=100.0, held=True
+            "open",
+            "tension",
+            0.4,
+            rest_tension if pairs else stretch_ranges[0][0],
+            rate=100.0,
+            is_held=True,
         ),
         excite_step("open", "move", OPENING_DURATION_S, low),
         excite_step("rest", "limp", 0.1),
@@ -180,17 +195,17 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
 
 def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     """Return the smallest and the largest coordinates (n_c,) in the sweeps of a digit [rad]."""
-    lowest_angles, highest_angles = digit.reach
+    lowest_angles, highest_angles = digit.coordinate_limits
     margin = math.radians(STOP_MARGIN_DEG)
     low = np.maximum(lowest_angles + margin, math.radians(LOWEST_SWEEP_ANGLE_DEG))
     high = np.minimum(highest_angles - margin, math.radians(HIGHEST_SWEEP_ANGLE_DEG))
-    near, far = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
+    near_angle, far_angle = np.radians(SIDEWAYS_SWEEP_RANGE_DEG)
     sideways = (
         digit.sideways_coordinates
-        & (lowest_angles + margin < near)
-        & (highest_angles - margin > far)
+        & (lowest_angles + margin < near_angle)
+        & (highest_angles - margin > far_angle)
     )
-    return np.where(sideways, near, low), np.where(sideways, far, high)
+    return np.where(sideways, near_angle, low), np.where(sideways, far_angle, high)
 
 
 def _sign_patterns(coordinate_count: int) -> list[Array]:
@@ -219,9 +234,9 @@ def _swing_amplitudes(
     tree = HandLinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle_angles
-    moved = tree.mass_matrix(q)[digit.joints, digit.joints]
+    moved_mass = tree.mass_matrix(q)[digit.joints, digit.joints]
     arms = digit.reduced_moment_arms
-    inertia = np.abs(digit.coupling.T @ moved @ digit.coupling).sum(axis=1)
+    inertia = np.abs(digit.coupling.T @ moved_mass @ digit.coupling).sum(axis=1)
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
     motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
@@ -264,21 +279,28 @@ def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tupl
     """
     floor, largest = _tension_limits(hand, digit)
     if hand.is_pair[digit.tendons].any():
-        whole = largest / STRETCH_TENSION_FRACTION
-        return np.zeros(len(whole)), [
-            (-PAIR_MIN_TENSION_FRACTION * whole, -PAIR_MAX_TENSION_FRACTION * whole)
+        full_stretch_tension = largest / STRETCH_TENSION_FRACTION
+        return np.zeros(len(full_stretch_tension)), [
+            (
+                -PAIR_MIN_TENSION_FRACTION * full_stretch_tension,
+                -PAIR_MAX_TENSION_FRACTION * full_stretch_tension,
+            )
         ]
     arms = digit.reduced_moment_arms
     is_opening_tendon = arms.sum(axis=1) < 0.0
     hold = np.where(is_opening_tendon, largest, floor)
-    half = np.where(is_opening_tendon, 0.5 * largest, floor)
-    stretch_ranges = [(half, hold)]
+    half_tension = np.where(is_opening_tendon, 0.5 * largest, floor)
+    stretch_ranges = [(half_tension, hold)]
     for i in np.flatnonzero(~is_opening_tendon).tolist():
         hold_without_tendon = np.where(np.arange(len(hold)) == i, 0.0, hold)
-        opening = -(arms.T @ hold_without_tendon)
-        closing = np.maximum(arms[i], 0.0)
+        opening_torque = -(arms.T @ hold_without_tendon)
+        closing_arms = np.maximum(arms[i], 0.0)
         max_closing_tension = float(
-            (MAX_TORQUE_RATIO * opening[closing > 0.0] / closing[closing > 0.0]).min()
+            (
+                MAX_TORQUE_RATIO
+                * opening_torque[closing_arms > 0.0]
+                / closing_arms[closing_arms > 0.0]
+            ).min()
         )
         upper = hold.copy()
         upper[i] = max(min(max_closing_tension, float(largest[i])), float(floor[i]))

@@ -93,40 +93,49 @@ class TorqueBalance:
             fits: fits of the same tendons.
         """
         first_tendon = data[0]
-        reach = max(1, round(HALF_WINDOW_S / data[0].period))
-        free = np.all(
-            [average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0
+        half_window = max(1, round(HALF_WINDOW_S / data[0].period))
+        is_free_motion = np.all(
+            [
+                average_samples(tendon.free_motion_mask.astype(float), half_window) > 0.999
+                for tendon in data
+            ],
+            axis=0,
         )
         cells = [
-            average_samples(tendon.tension - _cell_drift(tendon, fit), reach)
+            average_samples(tendon.tension - _cell_drift(tendon, fit), half_window)
             for tendon, fit in zip(data, fits, strict=True)
         ]
         tension = np.column_stack(cells)
         speed, acceleration = (
             np.column_stack(values)
-            for values in zip(*(_tendon_rates(tendon, reach) for tendon in data), strict=True)
+            for values in zip(*(_tendon_rates(tendon, half_window) for tendon in data), strict=True)
         )
-        fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
-        complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
-        selected = _spaced_indices(np.flatnonzero(free & fast & complete), 2 * reach)
-        if len(selected) < MIN_DATA_ROWS:
+        is_fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
+        is_complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
+        selected_indices = _spaced_indices(
+            np.flatnonzero(is_free_motion & is_fast & is_complete), 2 * half_window
+        )
+
+        if len(selected_indices) < MIN_DATA_ROWS:
             return None
-        q = first_tendon.joints[selected]
-        dq, ddq = _joint_rates(digit, q, speed[selected], acceleration[selected])
+        q = first_tendon.joints[selected_indices]
+        dq, ddq = _joint_rates(digit, q, speed[selected_indices], acceleration[selected_indices])
         rigid_body_torque = [
             inverse_dynamics(digit, *row)
             for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
         ]
         return TorqueBalance(
             digit=digit,
-            t=first_tendon.t[selected],
+            t=first_tendon.t[selected_indices],
             q=q,
             dq=dq,
             rigid_body_torque=np.array(rigid_body_torque),
-            tension=tension[selected],
-            speed_sign=np.sign(speed[selected]),
-            noise=np.array([f.problem.cell_noise_N for f in fits]) / (2 * reach + 1) ** 0.5,
-            drift_sigma=np.array([_drift_deviation(f, first_tendon.t[selected]) for f in fits]),
+            tension=tension[selected_indices],
+            speed_sign=np.sign(speed[selected_indices]),
+            noise=np.array([f.problem.cell_noise_N for f in fits]) / (2 * half_window + 1) ** 0.5,
+            drift_sigma=np.array(
+                [_drift_deviation(f, first_tendon.t[selected_indices]) for f in fits]
+            ),
         )
 
     def tendon_torque(self, friction: Array, offset: Array) -> Array:
@@ -137,21 +146,21 @@ class TorqueBalance:
             offset: (tendons,) offsets of the load cells [N].
         """
         torque = np.zeros_like(self.q)
-        present = self.digit.moment_arms_at(self.q)
+        present_moment_arms = self.digit.moment_arms_at(self.q)
         for j, arms in enumerate(self.digit.moment_arms):
             angle = np.full(len(self.t), self.digit.wrap[j])
             for i, mean_arm in enumerate(arms.tolist()):
-                arm = present[..., j, i]
+                arm = present_moment_arms[..., j, i]
                 # A prismatic joint, and a joint that the tendon does not cross, add no wrap angle.
                 has_pulley = mean_arm != 0.0 and not self.digit.is_prismatic[i]
                 angle = angle + self.q[:, i] * has_pulley
                 # The direction of the friction depends on the direction in which the tendon moves.
-                lost = np.clip(
+                friction_loss = np.clip(
                     -friction[j] * self.speed_sign[:, j] * angle,
                     -MAX_FRICTION_EXPONENT,
                     MAX_FRICTION_EXPONENT,
                 )
-                torque[:, i] += arm * (self.tension[:, j] - offset[j]) * np.exp(lost)
+                torque[:, i] += arm * (self.tension[:, j] - offset[j]) * np.exp(friction_loss)
         return torque
 
     @property
@@ -198,14 +207,16 @@ def _joint_rates(
         [digit.with_moment_arms_at(row).excursion_to_joints for row in q]
     )
     dq = np.einsum("mjn,mn->mj", excursions_to_joints_by_row, speed)
-    bend = np.einsum(
+    arm_derivative_term = np.einsum(
         "mnj,mj->mn",
         digit.moment_arms_at(q + DIFFERENCE_STEP_S * dq)
         - digit.moment_arms_at(q - DIFFERENCE_STEP_S * dq),
         dq,
     )
     return dq, np.einsum(
-        "mjn,mn->mj", excursions_to_joints_by_row, acceleration - bend / (2.0 * DIFFERENCE_STEP_S)
+        "mjn,mn->mj",
+        excursions_to_joints_by_row,
+        acceleration - arm_derivative_term / (2.0 * DIFFERENCE_STEP_S),
     )
 
 
@@ -255,12 +266,14 @@ def fits_with_digit_solution(
     """
     rows = len(balance.t) * balance.q.shape[1]
     tendon_fits = [replace(fit, ramp=_unexplained_ramp(solution, balance)) for fit in tendon_fits]
-    merged = []
+    merged_fits = []
     for j, fit in enumerate(tendon_fits):
-        shared = SHARED_PARAMETERS if j == 0 else ()
-        places = [len(SHARED_PARAMETERS) + j, *range(len(shared))]
-        merged.append(merge_solution(fit, solution, rows, ("capstan", *shared), places))
-    return merged
+        shared_parameters = SHARED_PARAMETERS if j == 0 else ()
+        parameter_indices = [len(SHARED_PARAMETERS) + j, *range(len(shared_parameters))]
+        merged_fits.append(
+            merge_solution(fit, solution, rows, ("capstan", *shared_parameters), parameter_indices)
+        )
+    return merged_fits
 
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
@@ -281,11 +294,11 @@ def _friction_scales(digit: DigitModel) -> Array:
 
 def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.intp]:
     """Return some of the indices, which are at least `min_spacing` apart, so that their averages share no readings."""
-    selected: list[int] = []
+    selected_indices: list[int] = []
     for index in indices.tolist():
-        if not selected or index - selected[-1] >= min_spacing:
-            selected.append(index)
-    return np.array(selected, dtype=np.intp)
+        if not selected_indices or index - selected_indices[-1] >= min_spacing:
+            selected_indices.append(index)
+    return np.array(selected_indices, dtype=np.intp)
 
 
 def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
@@ -299,11 +312,13 @@ def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
     step = 2 * half_window
     speed = np.full(len(x), np.nan)
     acceleration = np.full(len(x), np.nan)
-    after = x[2 * step :]
-    before = x[: -2 * step]
+    values_after = x[2 * step :]
+    values_before = x[: -2 * step]
     centre = x[step:-step]
-    speed[step:-step] = (after - before) / (2 * step * data.period)
-    acceleration[step:-step] = (after - 2.0 * centre + before) / (step * data.period) ** 2
+    speed[step:-step] = (values_after - values_before) / (2 * step * data.period)
+    acceleration[step:-step] = (values_after - 2.0 * centre + values_before) / (
+        step * data.period
+    ) ** 2
     return speed, acceleration
 
 
@@ -315,7 +330,7 @@ def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
     """Return the standard deviation of the drift of a load cell over the times `t` [N]."""
     knots = fit.problem.drift_knots
-    used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
+    used_knots = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
         PARAMETER_NAMES
     )
-    return max(float(np.sqrt(np.diag(fit.covariance)[used].mean())), 1e-3)
+    return max(float(np.sqrt(np.diag(fit.covariance)[used_knots].mean())), 1e-3)

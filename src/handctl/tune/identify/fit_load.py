@@ -108,23 +108,23 @@ def average_in_bins(
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
-    reach = max(2, round(BIN_DURATION_S / data.period))
-    speed, acceleration = _central_rates(data.travel, data.period, reach)
+    ticks_per_bin = max(2, round(BIN_DURATION_S / data.period))
+    speed, acceleration = _central_rates(data.travel, data.period, ticks_per_bin)
 
     def values_in_bins(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
 
-    complete = values_in_bins(sample_mask.astype(float)).all(axis=1) & np.isfinite(
+    is_complete = values_in_bins(sample_mask.astype(float)).all(axis=1) & np.isfinite(
         values_in_bins(data.tension + data.travel)
     ).all(axis=1)
     if is_moving:
         speeds = values_in_bins(speed)
-        complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
+        is_complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
         # All signs in a bin are equal if the absolute value of their sum is the number of readings.
-        complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
+        is_complete &= np.abs(np.sign(speeds).sum(axis=1)) == count
 
     def mean_of_bins(values: Array) -> Array:
-        return np.asarray(values_in_bins(values).mean(axis=1)[complete])
+        return np.asarray(values_in_bins(values).mean(axis=1)[is_complete])
 
     return SignalBins(
         mean_of_bins(data.t),
@@ -143,11 +143,11 @@ def _central_rates(travel: Array, period: float, half_window: int) -> tuple[Arra
     """
     speed = np.zeros_like(travel)
     acceleration = np.zeros_like(travel)
-    after = travel[2 * half_window :]
-    before = travel[: -2 * half_window]
+    travel_after = travel[2 * half_window :]
+    travel_before = travel[: -2 * half_window]
     centre = travel[half_window:-half_window]
-    speed[half_window:-half_window] = (after - before) / (2 * half_window * period)
-    acceleration[half_window:-half_window] = (after - 2.0 * centre + before) / (
+    speed[half_window:-half_window] = (travel_after - travel_before) / (2 * half_window * period)
+    acceleration[half_window:-half_window] = (travel_after - 2.0 * centre + travel_before) / (
         half_window * period
     ) ** 2
     return np.nan_to_num(speed), np.nan_to_num(acceleration)
@@ -217,11 +217,11 @@ class DigitLoad:
         polynomial = self.varying.arm_polynomials[:1, i : i + 1]
         limits = self.varying.joint_limits[:, i : i + 1]
         angle = q[:, None]
-        here = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
+        arms_at_angle = moment_arms_at(polynomial, limits, angle)[:, 0, 0]
         arm_ahead = moment_arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
         return (
-            here,
-            (arm_ahead - here) / DIFFERENCE_STEP_RAD,
+            arms_at_angle,
+            (arm_ahead - arms_at_angle) / DIFFERENCE_STEP_RAD,
             excursions_at(polynomial, limits, angle)[:, 0, 0],
         )
 
@@ -258,21 +258,22 @@ class DigitLoad:
                         MAX_FRICTION_EXPONENT,
                     )
                 )
-                arm, bend, _ = self._arm_slope_and_excursion(i, q[i])
-                rest = (
-                    (arm - bend * q[i]) * f * friction_factor
+                arm, arm_derivative, _ = self._arm_slope_and_excursion(i, q[i])
+                rest_tension = (
+                    (arm - arm_derivative * q[i]) * f * friction_factor
                     - load_torques[i]
                     - stiffness[i] * p.preload * self.preload[i]
                 )
                 # If a moment arm increases with the joint angle, it acts against the spring.
-                held = np.maximum(
-                    stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i]
+                held_tension = np.maximum(
+                    stiffness[i] - arm_derivative * f * friction_factor,
+                    MIN_STIFFNESS_FRACTION * stiffness[i],
                 )
-                q[i] = rest / held
+                q[i] = rest_tension / held_tension
                 angle = angle + q[i]
                 arm, _, taken_up = self._arm_slope_and_excursion(i, q[i])
                 excursion = excursion + taken_up
                 # `slope` is the derivative of the excursion with respect to the tension.
-                slope = slope + arm * arm * friction_factor / held
+                slope = slope + arm * arm * friction_factor / held_tension
             f = np.maximum(f + (mean_samples.travel - p.offset - excursion) / slope, 0.1)
         return np.asarray(f)

@@ -94,15 +94,15 @@ class WindowWeights(NamedTuple):
     @staticmethod
     def from_period(period: float) -> "WindowWeights":
         """Return the weights for a control period [s]."""
-        half = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
-        half_s = half * period
-        samples = np.arange(-half, half + 1)
-        s = np.asarray(samples / half, np.float64)
+        half_window = max(MIN_HALF_SAMPLES, round(HALF_WINDOW_S / period))
+        half_s = half_window * period
+        samples = np.arange(-half_window, half_window + 1)
+        s = np.asarray(samples / half_window, np.float64)
         return WindowWeights(
             samples,
-            _window_value(s) / half,
-            _window_slope(s) / half_s / half,
-            _window_curvature(s) / half_s**2 / half,
+            _window_value(s) / half_window,
+            _window_slope(s) / half_s / half_window,
+            _window_curvature(s) / half_s**2 / half_window,
         )
 
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
@@ -121,26 +121,32 @@ def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     period = data.period
     weights = WindowWeights.from_period(period)
     samples = weights.samples
-    half = len(samples) // 2
-    centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(SPACING_FRACTION * half)))
+    half_window = len(samples) // 2
+    centres = np.arange(
+        half_window + 3,
+        len(data.t) - half_window - 3,
+        max(1, round(SPACING_FRACTION * half_window)),
+    )
     rows = centres[:, None] + samples
     travel = data.travel[rows]
     _, speed, acceleration = weights.derivatives(travel)
     quick = speed_from_difference(data.travel, period)
-    complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
+    is_complete = data.torque_mask[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(
+        axis=1
+    )
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool_radius
     # All signs in a window are equal if the absolute value of their sum is the number of readings.
-    selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
-    taps = np.arange(-half - 2, half + 3)
+    is_selected = is_complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
+    taps = np.arange(-half_window - 2, half_window + 3)
     return MotorWindows(
-        t=data.t[centres][selected],
-        tension=(data.tension[rows] @ weights.mean)[selected],
-        acceleration=acceleration[selected],
-        speed=speed[selected],
-        sign=np.sign(speed[selected]),
-        commands=data.command[centres[selected][:, None] + taps],
+        t=data.t[centres][is_selected],
+        tension=(data.tension[rows] @ weights.mean)[is_selected],
+        acceleration=acceleration[is_selected],
+        speed=speed[is_selected],
+        sign=np.sign(speed[is_selected]),
+        commands=data.command[centres[is_selected][:, None] + taps],
         offsets=np.append(taps, taps[-1] + 1) * period,
-        half_window_s=half * period,
+        half_window_s=half_window * period,
         noise_ratio=float(np.sqrt((weights.mean**2).sum())),
     )
 
@@ -166,15 +172,15 @@ def _window_value(s: Array) -> Array:
 
 def _window_slope(s: Array) -> Array:
     """Return the first derivative of the window function."""
-    inside = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
-    return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
+    inner_slope = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
+    return np.asarray(np.where(np.abs(s) < 1.0, inner_slope, 0.0))
 
 
 def _window_curvature(s: Array) -> Array:
     """Return the second derivative of the window function."""
     c2 = np.cos(0.5 * np.pi * s) ** 2
-    inside = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
-    return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
+    inner_curvature = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
+    return np.asarray(np.where(np.abs(s) < 1.0, inner_curvature, 0.0))
 
 
 def _window_integral(s: Array) -> Array:

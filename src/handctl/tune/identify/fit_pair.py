@@ -105,7 +105,7 @@ class PairWindows:
 
     Attributes:
         motor: windows of the motor equation. In these windows, the tension is not known.
-        free: True if the digit moves freely, and False if the pair is stretched while the digit is
+        is_free: True if the digit moves freely, and False if the pair is stretched while the digit is
             pressed against a stop.
         inertial: net tension that is necessary at the joints because of inertia and weight [N].
         damping: net tension that is necessary at the joints because of joint damping [N].
@@ -119,7 +119,7 @@ class PairWindows:
     """
 
     motor: MotorWindows
-    free: NDArray[np.bool_]
+    is_free: NDArray[np.bool_]
     inertial: Array
     damping: Array
     wrap_angle: Array
@@ -148,12 +148,15 @@ class PairWindows:
         Raises:
             LogError: the pair hardly moves.
         """
-        own = tendons_data[tendon]
-        spool = hand.motor_of(own.tendon).spool_radius_m
-        windows = motor_windows(replace(own, tension=np.zeros_like(own.travel)), spool)
-        weights = WindowWeights.from_period(own.period)
-        rows = np.rint((windows.t - own.t[0]) / own.period).astype(int)[:, None] + weights.samples
-        is_on_stop = own.stop[rows]
+        own_data = tendons_data[tendon]
+        spool = hand.motor_of(own_data.tendon).spool_radius_m
+        windows = motor_windows(replace(own_data, tension=np.zeros_like(own_data.travel)), spool)
+        weights = WindowWeights.from_period(own_data.period)
+        rows = (
+            np.rint((windows.t - own_data.t[0]) / own_data.period).astype(int)[:, None]
+            + weights.samples
+        )
+        is_on_stop = own_data.stop[rows]
         clear = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
         mean_derivatives = np.array(
             [weights.derivatives(pair.travel[rows]) for pair in tendons_data]
@@ -161,7 +164,7 @@ class PairWindows:
         clear &= np.isfinite(mean_derivatives).all(axis=(0, 1))
         windows, rows = select_windows(windows, clear), rows[clear]
         if len(windows.t) < 20:
-            raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
+            raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(
             digit, mean_derivatives[:, :, clear], tendons_data, rest_angles[digit.joints]
         )
@@ -173,15 +176,15 @@ class PairWindows:
             ]
         )
         torque_to_tension = digit.torque_to_tension[tendon]
-        passed = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
-        quick = speed_from_difference(own.travel, own.period)[rows]
-        travel, excursion, readings = _stretch_readings(digit, tendon, own, rows, weights)
+        passes_joint = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
+        quick = speed_from_difference(own_data.travel, own_data.period)[rows]
+        travel, excursion, readings = _stretch_readings(digit, tendon, own_data, rows, weights)
         return PairWindows(
             motor=windows,
-            free=~own.stop[rows].any(axis=1),
+            is_free=~own_data.stop[rows].any(axis=1),
             inertial=rigid_body_torque @ torque_to_tension,
             damping=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
-            wrap_angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
+            wrap_angle=digit.wrap[tendon] + q[:, passes_joint].sum(axis=1),
             friction_fraction=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
@@ -209,14 +212,18 @@ def _joint_motion(
     the mean of the joint readings.
     """
     travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
-    back = digit.excursion_to_joints.T
-    angles = np.column_stack([pair.travel for pair in tendons_data]) @ back
+    joints_of_excursion = digit.excursion_to_joints.T
+    angles = np.column_stack([pair.travel for pair in tendons_data]) @ joints_of_excursion
     offset = (
         np.nanmean(tendons_data[0].joints - angles, axis=0)
         if np.isfinite(tendons_data[0].joints).any()
         else rest_angles - angles[0]
     )
-    return travel @ back + offset, speed @ back, acceleration @ back
+    return (
+        travel @ joints_of_excursion + offset,
+        speed @ joints_of_excursion,
+        acceleration @ joints_of_excursion,
+    )
 
 
 def _torque_of_digit(
@@ -255,11 +262,11 @@ def _stretch_readings(
     count = read[window_rows].sum(axis=1)
     is_on_stop = data.stop[window_rows].all(axis=1)
     travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
-    known = np.where(
+    known_stretch = np.where(
         count >= MIN_READINGS, (excursion[window_rows] * weight).sum(axis=1) / total, np.nan
     )
     # It is an effective number, because the window gives different weights to the readings.
-    return travel, known, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
+    return travel, known_stretch, total**2 / np.maximum((weight**2).sum(axis=1), 1e-12)
 
 
 def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array) -> Array:
@@ -278,16 +285,20 @@ def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array)
         * (net_tension + pretension * (1.0 / pulley_ratios - pulley_ratios))
         / (pulley_ratios + 1.0 / pulley_ratios)
     )
-    single = np.where(
+    single_tension = np.where(
         tension_if_both_taut > 0.0, net_tension / pulley_ratios, net_tension * pulley_ratios
     )
-    return np.where(np.abs(tension_if_both_taut) < 2.0 * pretension, tension_if_both_taut, single)
+    return np.where(
+        np.abs(tension_if_both_taut) < 2.0 * pretension, tension_if_both_taut, single_tension
+    )
 
 
 def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> Array:
     """Return the length (m,) [m] by which the spool of a pair is ahead of its joints, at a net tension (m,) [N]."""
-    single = np.sign(net_tension) * (np.abs(net_tension) - pretension) / stiffness
-    return np.where(np.abs(net_tension) < 2.0 * pretension, 0.5 * net_tension / stiffness, single)
+    single_stretch = np.sign(net_tension) * (np.abs(net_tension) - pretension) / stiffness
+    return np.where(
+        np.abs(net_tension) < 2.0 * pretension, 0.5 * net_tension / stiffness, single_stretch
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +353,7 @@ class PairProblem:
             self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
         )
         load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
-        passed = np.exp(
+        passed_ratio = np.exp(
             np.clip(
                 -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0
             )
@@ -350,7 +361,7 @@ class PairProblem:
         return tension_of_pair(
             load / self.parameter_value(z, "moment_arm"),
             self.parameter_value(z, "pretension"),
-            passed,
+            passed_ratio,
         )
 
     def stretch(self, z: Array) -> Array:
@@ -359,7 +370,7 @@ class PairProblem:
         If a window contains too few joint-encoder readings, the length is NaN.
         """
         w = self.windows
-        time_skew_travel = np.where(w.free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
+        time_skew_travel = np.where(w.is_free, z[-1] * SENSOR_SKEW_S * w.motor.speed, 0.0)
         return np.asarray(
             w.travel
             - self.parameter_value(z, "moment_arm") * w.excursion
@@ -372,20 +383,24 @@ class PairProblem:
         w = self.windows
         stiffness = self.parameter_value(z, "tendon_stiffness")
         pretension = self.parameter_value(z, "pretension")
-        measured = self.measured_tension(z)
-        needed = self.tension_in_free_motion(z)
+        measured_tension = self.measured_tension(z)
+        needed_tension = self.tension_in_free_motion(z)
         stretch_from_tension = stretch_of_pair(
-            np.where(w.free, needed, measured), stiffness, pretension
+            np.where(w.is_free, needed_tension, measured_tension), stiffness, pretension
         )
-        motor_residuals = np.where(w.free, measured - needed, 0.0) / self.motor_noise
+        motor_residuals = (
+            np.where(w.is_free, measured_tension - needed_tension, 0.0) / self.motor_noise
+        )
         min_stiffness = (
             self.motor_noise / self.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
         )
         noise = np.hypot(
-            self.reading_noise / np.sqrt(w.reading_count), np.where(w.free, 0.0, min_stiffness)
+            self.reading_noise / np.sqrt(w.reading_count), np.where(w.is_free, 0.0, min_stiffness)
         )
-        known = np.isfinite(w.excursion)
-        stretch_residuals = np.where(known, self.stretch(z) - stretch_from_tension, 0.0) / noise
+        is_measured = np.isfinite(w.excursion)
+        stretch_residuals = (
+            np.where(is_measured, self.stretch(z) - stretch_from_tension, 0.0) / noise
+        )
         spread = np.array(
             [
                 *(
@@ -402,11 +417,11 @@ class PairProblem:
 
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
-        signed = np.array(
+        signed_parameters = np.array(
             [name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True]
         )
-        return np.where(signed, -np.inf, MIN_SCALED_PARAMETER), np.where(
-            signed, np.inf, MAX_SCALED_PARAMETER
+        return np.where(signed_parameters, -np.inf, MIN_SCALED_PARAMETER), np.where(
+            signed_parameters, np.inf, MAX_SCALED_PARAMETER
         )
 
     def with_estimated_noise(self, z: Array) -> "PairProblem":
@@ -415,8 +430,12 @@ class PairProblem:
         The noise is estimated from the median of the absolute residuals.
         """
         w = self.windows
-        rest = (self.measured_tension(z) - self.tension_in_free_motion(z))[w.free]
-        size = 1.48 * float(np.median(np.abs(rest))) if len(rest) else self.motor_noise
+        free_residual = (self.measured_tension(z) - self.tension_in_free_motion(z))[w.is_free]
+        size = (
+            1.48 * float(np.median(np.abs(free_residual)))
+            if len(free_residual)
+            else self.motor_noise
+        )
         return replace(self, motor_noise=max(size, MIN_NOISE_N))
 
 
@@ -434,12 +453,12 @@ def fit_pair(
     Raises:
         LogError: the pair hardly moves.
     """
-    own = pair_data[tendon]
-    rest = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
-    windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest)
+    own_data = pair_data[tendon]
+    rest_angles = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
+    windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest_angles)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
-    motor = hand.motor_of(own.tendon)
-    value_scales = parameter_scales(hand, own.tendon)
+    motor = hand.motor_of(own_data.tendon)
+    value_scales = parameter_scales(hand, own_data.tendon)
     problem = PairProblem(
         windows,
         motor.spool_radius_m,
@@ -449,13 +468,17 @@ def fit_pair(
         _start_parameters(windows),
     )
     times = np.tile(windows.motor.t, 2)
-    tried = [
+    solutions = [
         solve_least_squares(problem.residuals, start, problem.parameter_bounds(), times)
         for start in _start_candidates(problem.start_parameters)
     ]
-    first = min(tried, key=lambda solution: _robust_cost(problem.residuals(solution.z)))
-    problem = problem.with_estimated_noise(first.z)
-    solution = solve_least_squares(problem.residuals, first.z, problem.parameter_bounds(), times)
+    first_solution = min(
+        solutions, key=lambda solution: _robust_cost(problem.residuals(solution.z))
+    )
+    problem = problem.with_estimated_noise(first_solution.z)
+    solution = solve_least_squares(
+        problem.residuals, first_solution.z, problem.parameter_bounds(), times
+    )
     return with_model_error(_as_tendon_fit(hand, problem, solution), PAIR_MODEL_ERROR)
 
 
@@ -464,14 +487,16 @@ def _start_parameters(windows: PairWindows) -> Array:
 
     They consist of the values in the hand file and of a first estimate of the stretch offset.
     """
-    first = np.ones(len(PAIR_PARAMETERS) + 2)
-    known = np.isfinite(windows.excursion)
+    first_parameters = np.ones(len(PAIR_PARAMETERS) + 2)
+    is_measured = np.isfinite(windows.excursion)
     offset = (
-        float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
+        float(np.median(windows.travel[is_measured] - windows.excursion[is_measured]))
+        if is_measured.any()
+        else 0.0
     )
-    first[PAIR_PARAMETERS.index("stretch_offset")] = offset / STRETCH_OFFSET_SCALE_M
-    first[-2:] = 0.0
-    return first
+    first_parameters[PAIR_PARAMETERS.index("stretch_offset")] = offset / STRETCH_OFFSET_SCALE_M
+    first_parameters[-2:] = 0.0
+    return first_parameters
 
 
 def _start_candidates(first_candidate: Array) -> list[Array]:
@@ -481,12 +506,12 @@ def _start_candidates(first_candidate: Array) -> list[Array]:
     which one tendon is slack and the stiffness is twice as large. From this wrong solution, small
     steps cannot lead to the right parameters.
     """
-    starts = []
+    start_candidates = []
     for factor in PRETENSION_START_FACTORS:
         start = first_candidate.copy()
         start[PAIR_PARAMETERS.index("pretension")] *= factor
-        starts.append(start)
-    return starts
+        start_candidates.append(start)
+    return start_candidates
 
 
 def _robust_cost(residual: Array) -> float:
@@ -502,22 +527,22 @@ def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> T
     windows = problem.windows
     count = len(PARAMETER_NAMES)
     target = [PARAMETER_NAMES.index(name) for name in PAIR_PARAMETERS]
-    own = len(target)
+    own_count = len(target)
     z = np.append(np.ones(count), (0.0, 0.0))
-    z[target] = solution.z[:own]
+    z[target] = solution.z[:own_count]
     covariance = np.eye(count + 2) * DEFAULT_PRIOR_DEVIATION**2
-    covariance[np.ix_(target, target)] = solution.covariance[:own, :own]
+    covariance[np.ix_(target, target)] = solution.covariance[:own_count, :own_count]
     degrees_of_freedom = np.full(count + 2, MIN_DEGREES_OF_FREEDOM)
-    degrees_of_freedom[target] = solution.degrees_of_freedom[:own]
+    degrees_of_freedom[target] = solution.degrees_of_freedom[:own_count]
     sensitivity = np.zeros((2 * len(windows.motor.t), count))
-    sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
-    measured = problem.measured_tension(solution.z)
+    sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own_count]
+    measured_tension = problem.measured_tension(solution.z)
     empty_array = np.zeros(0)
     empty_bins = SignalBins(empty_array, empty_array, empty_array, empty_array, empty_array, 1)
-    seen = np.isfinite(windows.excursion) & ~windows.free
-    t = windows.motor.t[seen]
-    rest = np.zeros(len(t))
-    stretch = problem.stretch(solution.z)[seen]
+    is_measured_in_contact = np.isfinite(windows.excursion) & ~windows.is_free
+    t = windows.motor.t[is_measured_in_contact]
+    rest_tension = np.zeros(len(t))
+    stretch = problem.stretch(solution.z)[is_measured_in_contact]
     return TendonFit(
         problem=TendonFitProblem(
             spool_radius_m=problem.spool_radius_m,
@@ -526,11 +551,13 @@ def _as_tendon_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> T
             motor_windows=replace(
                 windows.motor,
                 tension=np.where(
-                    windows.free, problem.tension_in_free_motion(solution.z), measured
+                    windows.is_free, problem.tension_in_free_motion(solution.z), measured_tension
                 ),
             ),
             free_motion_bins=empty_bins,
-            open_stop_bins=SignalBins(t, stretch, measured[seen], rest, rest, 1),
+            open_stop_bins=SignalBins(
+                t, stretch, measured_tension[is_measured_in_contact], rest_tension, rest_tension, 1
+            ),
             slack_tendon_bins=empty_bins,
             drift_knots=windows.motor.t[[0, -1]],
             cell_noise_N=problem.motor_noise,

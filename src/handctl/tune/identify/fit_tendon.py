@@ -115,26 +115,28 @@ class TendonFitProblem:
         motor = hand.motor_of(data.tendon)
         digit = DigitModel.from_hand(hand, data.digit)
         spool = motor.spool_radius_m
-        if not data.acting.any() or len(data.t) < 2:
+        if not data.torque_mask.any() or len(data.t) < 2:
             raise LogError(f"{data.tendon} is never driven", "the log", "a run with the hand armed")
-        span = float(data.t[-1] - data.t[0])
+        duration_s = float(data.t[-1] - data.t[0])
         windows = motor_windows(data, spool)
         if len(windows.t) < 20:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
-        sprung = any(digit.spring_stiffness)
-        single = digit.moment_arms.shape[0] == 1
+        has_springs = any(digit.spring_stiffness)
+        has_single_tendon = digit.moment_arms.shape[0] == 1
         # In a digit without springs, the joint encoders show how much the tendon is stretched, see
         # `fit_travel`.
-        stop = data.stop & sprung
+        stop = data.stop & has_springs
         return TendonFitProblem(
             spool_radius_m=spool,
             parameter_scales=parameter_scales(hand, data.tendon),
-            digit_load=DigitLoad.from_digit(digit) if single and sprung else None,
+            digit_load=DigitLoad.from_digit(digit) if has_single_tendon and has_springs else None,
             motor_windows=windows,
-            free_motion_bins=average_in_bins(data, data.free, is_moving=True),
+            free_motion_bins=average_in_bins(data, data.free_motion_mask, is_moving=True),
             open_stop_bins=average_in_bins(data, stop, is_moving=False, bin_s=STOP_BIN_S),
             slack_tendon_bins=average_in_bins(data, data.slack, is_moving=False, bin_s=STOP_BIN_S),
-            drift_knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
+            drift_knots=np.linspace(
+                data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_S) + 1)
+            ),
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
             ),
@@ -146,21 +148,21 @@ class TendonFitProblem:
 
     def start_parameters(self) -> Array:
         """Return the initial scaled parameters (15 + k,), which come from the hand file."""
-        first = np.ones(len(PARAMETER_NAMES))
-        first[PARAMETER_NAMES.index("delay")] = 1.0
-        first[PARAMETER_NAMES.index("stretch_offset")] = (
+        first_parameters = np.ones(len(PARAMETER_NAMES))
+        first_parameters[PARAMETER_NAMES.index("delay")] = 1.0
+        first_parameters[PARAMETER_NAMES.index("stretch_offset")] = (
             self._initial_stretch_offset() / STRETCH_OFFSET_SCALE_M
         )
-        return np.append(first, np.zeros(len(self.drift_knots)))
+        return np.append(first_parameters, np.zeros(len(self.drift_knots)))
 
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return the lower and the upper bounds of the scaled parameters.
 
         Only the delay and the stretch offset may be negative.
         """
-        free = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
-        low = -free
-        high = free
+        unbounded = np.full(len(PARAMETER_NAMES) + len(self.drift_knots), np.inf)
+        low = -unbounded
+        high = unbounded
         positive_indices = [
             i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")
         ]
@@ -252,12 +254,12 @@ class TendonFitProblem:
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
     """Return the scale (15,) of each parameter of a tendon, which is usually the value in the hand file."""
-    known = hand.tendon[hand.tendon_names.index(tendon)]
+    tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     value_scales = np.array([
         1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, DELAY_SCALE_S,
-        known.stiffness_N_per_m, 1.0, 1.0, known.friction_coefficient, 1.0, 1.0,
-        STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, known.pretension_N or 1.0,
+        tendon_section.stiffness_N_per_m, 1.0, 1.0, tendon_section.friction_coefficient, 1.0, 1.0,
+        STRETCH_OFFSET_SCALE_M, STOP_SOFTNESS, 1.0, tendon_section.pretension_N or 1.0,
     ])  # fmt: skip
     # Even a parameter that is zero in the hand file needs a scale.
     return np.where(value_scales > 0.0, value_scales, 1e-3)
@@ -341,7 +343,7 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
         problem.residuals, problem.start_parameters(), problem.parameter_bounds(), times
     )
     sensitivity = solution.jacobian[: len(times), : len(PARAMETER_NAMES)]
-    ramp = _unexplained_ramp(problem, solution)
+    residual_ramp = _unexplained_ramp(problem, solution)
     return TendonFit(
         problem,
         solution.z,
@@ -349,7 +351,7 @@ def fit_tendon(problem: TendonFitProblem) -> TendonFit:
         solution.degrees_of_freedom,
         sensitivity,
         solution.residual,
-        ramp,
+        residual_ramp,
     )
 
 
@@ -358,11 +360,11 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
 
     If there are no free sweeps, return None.
     """
-    free = problem.free_motion_bins
+    free_bins = problem.free_motion_bins
     load = problem.digit_load
-    if load is None or not len(free.t):
+    if load is None or not len(free_bins.t):
         return None
-    first = (
+    first_residual = (
         len(problem.motor_windows.t)
         + len(problem.open_stop_bins.t)
         + len(problem.slack_tendon_bins.t)
@@ -372,9 +374,11 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
         solution.z[PARAMETER_NAMES.index("tendon_stiffness")]
         * problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
     )
-    angle = load.mean_angle(free.travel - offset - free.tension / stiffness)
-    unit = np.full(len(free.t), free.count**0.5 / problem.cell_noise_N)
-    return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
+    angle = load.mean_angle(free_bins.travel - offset - free_bins.tension / stiffness)
+    unit = np.full(len(free_bins.t), free_bins.count**0.5 / problem.cell_noise_N)
+    return steepest_ramp(
+        solution.jacobian, solution.residual, first_residual, np.asarray(angle), (unit,)
+    )
 
 
 def _row_times(problem: TendonFitProblem) -> Array:

@@ -89,36 +89,41 @@ def fit_travel(
     problem = fit.problem
     tension = average_samples(data.tension, SAMPLES_EACH_SIDE)
     speed = np.gradient(data.travel, data.period)
-    used = (
+    used_samples = (
         np.isfinite(data.joints).all(axis=1)
         & np.isfinite(tension + data.travel + speed)
         & (tension > MIN_TENSION_N)
     )
-    if used.sum() < MIN_DATA_ROWS:
+    if used_samples.sum() < MIN_DATA_ROWS:
         return fit
-    excursion = tendon_excursions(digit, tendon, data.joints[used])
-    travel, tension, speed, t = data.travel[used], tension[used], speed[used], data.t[used]
+    excursion = tendon_excursions(digit, tendon, data.joints[used_samples])
+    travel, tension, speed, t = (
+        data.travel[used_samples],
+        tension[used_samples],
+        speed[used_samples],
+        data.t[used_samples],
+    )
     nominal = problem.parameter_scales[PARAMETER_NAMES.index("tendon_stiffness")]
     noise = np.hypot(
         joint_noise * float(np.linalg.norm(digit.moment_arms[tendon])),
         problem.cell_noise_N / (2 * SAMPLES_EACH_SIDE + 1) ** 0.5 / nominal,
     )
     knots = problem.drift_knots
-    own = 3
+    own_count = 3
     offset = float(np.mean(travel - excursion - tension / nominal))
 
     def residuals(z: Array) -> Array:
         stretch = tension / (z[0] * nominal)
-        moving = np.interp(t, knots, z[own:]) * STRETCH_OFFSET_SCALE_M
+        moving = np.interp(t, knots, z[own_count:]) * STRETCH_OFFSET_SCALE_M
         expected = z[1] * excursion + stretch + offset + moving + z[2] * SENSOR_SKEW_S * speed
         # The offset follows the drift of the load cell, which is a random walk.
-        steps = np.diff(z[own:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
+        steps = np.diff(z[own_count:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
         prior = np.array(
             [
                 (z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION,
                 (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION,
                 z[2],
-                z[own] / 10.0,
+                z[own_count] / 10.0,
             ]
         )
         return np.concatenate([(travel - expected) / noise, steps, prior])
@@ -128,5 +133,7 @@ def fit_travel(
     high = np.full(len(start), np.inf)
     low[:2], high[:2] = MIN_SCALED_PARAMETER, MAX_SCALED_PARAMETER
     solution = solve_least_squares(residuals, start, (low, high), t)
-    merged = merge_solution(fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS)))
-    return with_model_error(merged, TRAVEL_MODEL_ERROR)
+    merged_fit = merge_solution(
+        fit, solution, len(t), TRAVEL_PARAMETERS, range(len(TRAVEL_PARAMETERS))
+    )
+    return with_model_error(merged_fit, TRAVEL_MODEL_ERROR)

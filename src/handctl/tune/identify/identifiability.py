@@ -70,13 +70,13 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     # Each right singular vector is a combination of parameters. The singular value of this vector
     # measures how much the data say about the combination.
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
-    widths = fit.half_widths
+    half_widths = fit.half_widths
     values = fit.parameter_values
     names = tuple(
         name
         for name in PARAMETER_UNITS
         if name not in unobservable_reasons
-        and _is_interval_narrow(name, values[name], widths[name])
+        and _is_interval_narrow(name, values[name], half_widths[name])
         and _is_parameter_excited(jacobian, name)
     )
     reasons = {
@@ -168,17 +168,17 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     """
     index = hand.tendon_names.index(tendon)
     is_pair = bool(hand.is_pair[index])
-    sprung = hand.digit_named(digit).has_springs
+    has_springs = hand.digit_named(digit).has_springs
     reason_by_parameter = {} if is_pair else {"pretension": ""}
     if is_pair:
         reason_by_parameter["torque_gain"] = (
             "without a load cell the torque of the drive is the unit of all forces"
         )
-    if not sprung:
+    if not has_springs:
         reason_by_parameter |= dict.fromkeys(
             ("spring_stiffness", "spring_preload"), "the hand file has no springs"
         )
-    if sprung:
+    if has_springs:
         reason_by_parameter["moment_arm"] = (
             "it trades off with springs and stretch, so the moment arms of the hand file are used"
         )
@@ -240,7 +240,7 @@ def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     At a coherence of 1, the speed follows from the force through a linear system. Noise, friction,
     and other causes of the motion reduce the coherence.
     """
-    is_used = data.acting & np.isfinite(data.travel)
+    is_used = data.torque_mask & np.isfinite(data.travel)
     force = data.command[is_used]
     travel = data.travel[is_used]
     if len(force) < 64:

@@ -121,9 +121,14 @@ def _draw_motor_equation(axes: Any, result: TendonResult) -> None:
         color=MEASURED_COLOR,
         label="remaining force",
     )
-    ends = np.array([windows.acceleration.min(), windows.acceleration.max()])
+    acceleration_range = np.array([windows.acceleration.min(), windows.acceleration.max()])
     label = f"J = {values['motor_inertia']:.3g} kg m2"
-    axes.plot(ends, values["motor_inertia"] / r**2 * ends, color=MODEL_COLOR, label=label)
+    axes.plot(
+        acceleration_range,
+        values["motor_inertia"] / r**2 * acceleration_range,
+        color=MODEL_COLOR,
+        label=label,
+    )
     axes.set(title="rotor: force less friction", xlabel="tendon acceleration [m/s2]", ylabel="[N]")
     axes.legend()
 
@@ -145,7 +150,7 @@ def _draw_parameters(axes: Any, result: TendonResult) -> None:
     """Draw every identified parameter, divided by its value in the hand file, with its confidence interval."""
     names = [name for name in PARAMETER_UNITS if name != "delay"]
     values = result.fit.parameter_values
-    widths = result.fit.half_widths
+    half_widths = result.fit.half_widths
     nominal = result.fit.problem.parameter_scales
     low = 0.4
     high = 1.6
@@ -154,12 +159,12 @@ def _draw_parameters(axes: Any, result: TendonResult) -> None:
         identified = name in result.identifiability.names
         color = MEASURED_COLOR if identified else WARN_COLOR
         if identified:
-            low = min(low, (values[name] - widths[name]) / scale)
-            high = max(high, (values[name] + widths[name]) / scale)
+            low = min(low, (values[name] - half_widths[name]) / scale)
+            high = max(high, (values[name] + half_widths[name]) / scale)
             axes.errorbar(
                 values[name] / scale,
                 row,
-                xerr=widths[name] / scale,
+                xerr=half_widths[name] / scale,
                 fmt="o",
                 color=color,
                 capsize=3,

@@ -109,18 +109,18 @@ class TendonResult:
 
         The fitted parameters come first, and then other quantities.
         """
-        missing = dict(text.split(": ", 1) for text in self.identifiability.missing)
+        reason_by_parameter = dict(text.split(": ", 1) for text in self.identifiability.missing)
         invalid_reasons = dict.fromkeys(self.identifiability.names, "invalid because of a contact")
         if self.is_incoherent and not self.blocked_event:
             invalid_reasons |= dict.fromkeys(SWING_PARAMETERS, LOW_COHERENCE_TEXT)
-        reasons = dict.fromkeys(PARAMETER_UNITS, "") | invalid_reasons | missing
+        reasons = dict.fromkeys(PARAMETER_UNITS, "") | invalid_reasons | reason_by_parameter
         return {
             name: reason
             for name, reason in reasons.items()
             if reason and name not in self.identified_names
         }
 
-    def calibration_entry(self, log: Path, made_at: str) -> IdentifiedParameters | None:
+    def calibration_entry(self, log: Path, creation_date: str) -> IdentifiedParameters | None:
         """Return the entry of the tendon for the calibration file.
 
         If no parameter is identified and valid, return None.
@@ -133,28 +133,28 @@ class TendonResult:
         # In the fit, parameters are scaled. In the file, they are in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.parameter_values
-        widths = self.fit.half_widths
+        half_widths = self.fit.half_widths
         return IdentifiedParameters(
             names=names,
             values=tuple(values[name] for name in names),
-            half_widths=tuple(widths[name] for name in names),
+            half_widths=tuple(half_widths[name] for name in names),
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             missing=self.identifiability.missing,
             log=(str(log),),
-            made=made_at,
+            made=creation_date,
         )
 
     def as_json(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
         values = self.fit.parameter_values
-        widths = self.fit.half_widths
+        half_widths = self.fit.half_widths
         nominal = self.fit.problem.parameter_scales
-        together = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
+        simultaneous_half_widths = self.fit.half_widths_of(max(1, len(self.identifiability.names)))
         rows = {
             name: {
                 "value": values[name],
-                "half_width_95": widths[name],
-                "half_width_95_all_at_once": together[name],
+                "half_width_95": half_widths[name],
+                "half_width_95_all_at_once": simultaneous_half_widths[name],
                 "unit": PARAMETER_UNITS[name],
                 "hand_file": 0.0
                 if name == "delay"
@@ -256,8 +256,8 @@ def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> Tendo
     the whole sweep, the event of the controller is therefore ignored.
     """
     contact = contact_text(hand, result)
-    ramp = result.fit.ramp
-    has_no_contact = not contact and ramp is not None and ramp.excludes_contact
+    residual_ramp = result.fit.ramp
+    has_no_contact = not contact and residual_ramp is not None and residual_ramp.excludes_contact
     return replace(result, contact_text=contact, blocked_event="" if has_no_contact else event)
 
 
@@ -266,19 +266,19 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
 
     If there was no contact, the text is empty.
     """
-    ramp = result.fit.ramp
-    if ramp is not None and ramp.is_contact:
+    residual_ramp = result.fit.ramp
+    if residual_ramp is not None and residual_ramp.is_contact:
         has_several_tendons = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
         size = (
-            f"{1e3 * abs(ramp.rise):.1f} mN m at a joint"
+            f"{1e3 * abs(residual_ramp.rise):.1f} mN m at a joint"
             if has_several_tendons
-            else f"{abs(ramp.rise):.1f} N"
+            else f"{abs(residual_ramp.rise):.1f} N"
         )
-        kind = "higher" if ramp.rise > 0.0 else "lower"
-        start, end = np.degrees([ramp.begin, ramp.end])
+        kind = "higher" if residual_ramp.rise > 0.0 else "lower"
+        start, end = np.degrees([residual_ramp.begin, residual_ramp.end])
         return (
             f"from {start:.0f} deg on the load is {kind} than the springs explain, by {size} at {end:.0f} deg "
-            f"({abs(ramp.score):.1f} standard deviations)"
+            f"({abs(residual_ramp.score):.1f} standard deviations)"
         )
     return _blocked_joint_text(hand, result)
 
@@ -294,7 +294,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     if load is None or "spring_preload" not in result.identifiability.names:
         return ""
     stretch = data.tension / values["tendon_stiffness"] + values["stretch_offset"]
-    travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
+    travel = float(np.nanmax(np.where(data.torque_mask, data.travel - stretch, np.nan)))
     closed_angles = np.radians(hand.digit_named(data.digit).joint_max_deg)
     full_excursion = float(abs(load.arms) @ closed_angles)
     if load.varying is not None:
@@ -366,8 +366,8 @@ def _tendon_result(
 ) -> TendonResult:
     """Return the result for a tendon, without information about contacts."""
     spectrum = excitation_coherence(data)
-    inside = (spectrum[0] >= EXCITATION_BAND_HZ[0]) & (spectrum[0] <= EXCITATION_BAND_HZ[1])
-    mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
+    is_in_band = (spectrum[0] >= EXCITATION_BAND_HZ[0]) & (spectrum[0] <= EXCITATION_BAND_HZ[1])
+    mean = float(spectrum[1][is_in_band].mean()) if is_in_band.any() else float("nan")
     return TendonResult(
         data,
         fit,
@@ -420,8 +420,8 @@ def result_table(result_of_tendon: dict[str, TendonResult], is_verbose: bool = F
 
 def _table_row(*cells: str) -> str:
     """Return a row of a table of results, given the text for each cell."""
-    fixed = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
-    return "  " + " ".join([*fixed, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
+    fixed_cells = [cell.ljust(width) for cell, width in zip(cells, COLUMN_WIDTHS, strict=False)]
+    return "  " + " ".join([*fixed_cells, *cells[len(COLUMN_WIDTHS) :]]).rstrip()
 
 
 def _identified_row(result: TendonResult, key: str) -> str:
@@ -444,9 +444,9 @@ def _identified_row(result: TendonResult, key: str) -> str:
 def _combination_lines(result: TendonResult) -> list[str]:
     """Return lines about all parameters of a tendon together: joint intervals, combinations and correlations."""
     names = result.identified_names
-    widths = result.fit.half_widths
-    together = result.fit.half_widths_of(max(1, len(names)))
-    width_ratios = [together[name] / widths[name] for name in names]
+    half_widths = result.fit.half_widths
+    simultaneous_half_widths = result.fit.half_widths_of(max(1, len(names)))
+    width_ratios = [simultaneous_half_widths[name] / half_widths[name] for name in names]
     lines = []
     if width_ratios:
         lines.append(

@@ -76,14 +76,18 @@ def solve_least_squares(
     """
     run = partial(least_squares, x_scale="jac", bounds=parameter_bounds, max_nfev=MAX_SOLVER_STEPS)
     # In the first round, a soft L1 loss limits the effect of outliers.
-    first = run(residual_function, start_parameters, loss="soft_l1", f_scale=OUTLIER_RESIDUAL)
-    weight = np.ones_like(first.fun)
-    weight[: len(sample_times)] = np.abs(first.fun[: len(sample_times)]) < 2.0 * OUTLIER_RESIDUAL
+    first_solution = run(
+        residual_function, start_parameters, loss="soft_l1", f_scale=OUTLIER_RESIDUAL
+    )
+    weight = np.ones_like(first_solution.fun)
+    weight[: len(sample_times)] = (
+        np.abs(first_solution.fun[: len(sample_times)]) < 2.0 * OUTLIER_RESIDUAL
+    )
 
     def weighted_residuals(z: Array) -> Array:
         return residual_function(z) * weight
 
-    result = run(weighted_residuals, first.x)
+    result = run(weighted_residuals, first_solution.x)
     jacobian = np.asarray(result.jac)
     covariance, degrees_of_freedom = _parameter_covariance(jacobian, result.fun, sample_times)
     return FitSolution(result.x, covariance, jacobian, result.fun, degrees_of_freedom)

@@ -55,8 +55,8 @@ class TendonData:
             reading.
         slack: (n,) True if the tendon is slack, so that the load cell shows its offset.
         stop: (n,) True if the tendon is taut and the digit is at its open stop.
-        free: (n,) True if the tendon is taut and the digit moves freely.
-        acting: (n,) True if the motor equation is valid between this time and the next.
+        free_motion_mask: (n,) True if the tendon is taut and the digit moves freely.
+        torque_mask: (n,) True if the motor equation is valid between this time and the next.
     """
 
     tendon: str
@@ -69,8 +69,8 @@ class TendonData:
     joints: Array
     slack: Mask
     stop: Mask
-    free: Mask
-    acting: Mask
+    free_motion_mask: Mask
+    torque_mask: Mask
 
 
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
@@ -117,20 +117,25 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             joints=log.field("joint_encoder")[1:, hand.digit_joints[digit]],
             slack=_step_mask(phases, digit, SLACK_STEP_NAMES, transient_ticks)[:-1],
             stop=_step_mask(phases, digit, STOP_STEP_NAMES, settling_ticks)[:-1] & active,
-            free=_step_mask(phases, digit, FREE_STEP_NAMES, settling_ticks)[:-1] & active,
-            acting=active & is_consecutive & ~_step_mask(phases, digit, CONTACT_PHASES, 0)[:-1],
+            free_motion_mask=_step_mask(phases, digit, FREE_STEP_NAMES, settling_ticks)[:-1]
+            & active,
+            torque_mask=active
+            & is_consecutive
+            & ~_step_mask(phases, digit, CONTACT_PHASES, 0)[:-1],
         )
         if excited_digits:
             result += (
                 [_restrict_to_excitation(data, phases, digit)] if digit in excited_digits else []
             )
         else:
-            taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (
+            is_taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (
                 data.tension > MIN_TENSION_N
             )
-            taut |= bool(hand.is_pair[i])
-            free = active & taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
-            result.append(replace(data, free=free))
+            is_taut |= bool(hand.is_pair[i])
+            is_free_motion = (
+                active & is_taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
+            )
+            result.append(replace(data, free_motion_mask=is_free_motion))
     return result
 
 
@@ -163,12 +168,13 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     # Near the ends of a joint's range, the stop of the joint carries a part of the load.
     q = np.degrees(log.field("q")[:, joints])
     margin = STOP_DISTANCE_DEG
-    inside = (q > np.array(digit_file.joint_min_deg) + margin) & (
+    is_inside_range = (q > np.array(digit_file.joint_min_deg) + margin) & (
         q < np.array(digit_file.joint_max_deg) - margin
     )
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
     return _lasting_mask(
-        np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns)
+        np.asarray(moving & is_inside_range.all(axis=1)),
+        round(TRANSIENT_S * 1e9 / log.header.period_ns),
     )
 
 
@@ -176,19 +182,19 @@ def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
     # `last` is the index of the last False at or before each tick. Before the first False, its
     # value is -1.
-    last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
-    return np.asarray(np.arange(len(mask)) - last > tick_count)
+    last_index = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
+    return np.asarray(np.arange(len(mask)) - last_index > tick_count)
 
 
 def _step_mask(
     phase_of_tick: NDArray[np.str_], digit: str, step_names: tuple[str, ...], settling_ticks: int
 ) -> Mask:
     """Return a mask of the ticks in the named steps of a digit, without `settling_ticks` at the start of each step."""
-    inside = np.isin(phase_of_tick, [f"{digit} {step}" for step in step_names])
-    settled = inside.copy()
+    is_in_step = np.isin(phase_of_tick, [f"{digit} {step}" for step in step_names])
+    settled_mask = is_in_step.copy()
     for shift in range(1, settling_ticks):
-        settled[shift:] &= phase_of_tick[shift:] == phase_of_tick[:-shift]
-    return np.asarray(settled)
+        settled_mask[shift:] &= phase_of_tick[shift:] == phase_of_tick[:-shift]
+    return np.asarray(settled_mask)
 
 
 def _restrict_to_excitation(
@@ -207,8 +213,8 @@ def _restrict_to_excitation(
             "joints",
             "slack",
             "stop",
-            "free",
-            "acting",
+            "free_motion_mask",
+            "torque_mask",
         )
     }
     return replace(data, **parts)

@@ -112,10 +112,12 @@ class GainDesign:
         Args:
             reason: reason why the hand does not come to rest.
         """
-        before = {loop: unproven_margins(margin) for loop, margin in self.margins_before.items()}
+        margins_before = {
+            loop: unproven_margins(margin) for loop, margin in self.margins_before.items()
+        }
         return replace(
             self,
-            margins_before=before,
+            margins_before=margins_before,
             worst_margins_before=unproven_margins(self.worst_margins_before),
             old_gains_unrest_reason=reason,
         )
@@ -183,16 +185,16 @@ def gains_with_poles(
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
         model, w, damping
     )
-    shared = _without_tendon_forces(model.gains, kind)
+    shared_gains = _without_tendon_forces(model.gains, kind)
     if kind == LoopKind.MOTION:
-        motion = shared.motion
+        motion = shared_gains.motion
         force = force_weight_at_period(motion.force_N, model.period)
         table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
-        return _gains_with_sections(shared, motion={**motion.model_dump(), **table})
-    tension = shared.tension
+        return _gains_with_sections(shared_gains, motion={**motion.model_dump(), **table})
+    tension = shared_gains.tension
     force = force_weight_at_period(tension.force_N, model.period)
     table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
-    return _gains_with_sections(shared, tension={**tension.model_dump(), **table})
+    return _gains_with_sections(shared_gains, tension={**tension.model_dump(), **table})
 
 
 def _scaled_tendon_forces(
@@ -204,11 +206,13 @@ def _scaled_tendon_forces(
     """
     return [
         {
-            "name": one.name,
-            "motion_force_N": one.motion_force_N and one.motion_force_N * motion_authority,
-            "tension_force_N": one.tension_force_N and one.tension_force_N * tension,
+            "name": tendon_gains.name,
+            "motion_force_N": tendon_gains.motion_force_N
+            and tendon_gains.motion_force_N * motion_authority,
+            "tension_force_N": tendon_gains.tension_force_N
+            and tendon_gains.tension_force_N * tension,
         }
-        for one in gains.tendon
+        for tendon_gains in gains.tendon
     ]
 
 
@@ -373,7 +377,7 @@ def design_gains(
         ValueError: the smallest authority already violates a margin, or no gains pass the further
             test.
     """
-    unproven = False
+    has_unproven_design = False
     for rejection in DISTURBANCE_REJECTION_FRACTIONS:
         if rejection > model.gains.motion.disturbance_rejection:
             continue
@@ -383,20 +387,20 @@ def design_gains(
         candidate = candidate and model_with_largest_authority(candidate, LoopKind.TENSION, plants)
         if not candidate:
             continue
-        for tried in _models_with_decreasing_authority(candidate, plants):
-            after = worst_margins(tried, plants)
-            if after.are_sufficient and passes_test(tried):
+        for tried_model in _models_with_decreasing_authority(candidate, plants):
+            margins_after = worst_margins(tried_model, plants)
+            if margins_after.are_sufficient and passes_test(tried_model):
                 return GainDesign(
-                    tried.gains,
+                    tried_model.gains,
                     all_margins(model),
-                    all_margins(tried),
+                    all_margins(tried_model),
                     worst_margins(model, plants),
-                    after,
+                    margins_after,
                 )
-            unproven = unproven or after.are_sufficient
+            has_unproven_design = has_unproven_design or margins_after.are_sufficient
         # A smaller disturbance rejection changes only one term of the control law. If the hand does
         # not come to rest even then, another term must be the cause.
-        if unproven:
+        if has_unproven_design:
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
             )
@@ -485,7 +489,7 @@ def _largest_force(
     then bisected. Larger forces are not tried.
     """
 
-    def keeps_margins(log_force: float) -> bool:
+    def has_required_margins(log_force: float) -> bool:
         return keeps_required_margins(
             _model_with_common_force(model, kind, _rounded_force(log_force)),
             plants,
@@ -496,7 +500,7 @@ def _largest_force(
     best = None
     at = math.log(MIN_FORCE_N)
     while at < math.log(MAX_FORCE_N):
-        if keeps_margins(at):
+        if has_required_margins(at):
             best = at
         elif best is not None:
             break
@@ -506,17 +510,19 @@ def _largest_force(
     high = min(at, math.log(MAX_FORCE_N))
     for _ in range(BISECTION_STEPS):
         tried_force = (best + high) / 2.0
-        if keeps_margins(tried_force):
+        if has_required_margins(tried_force):
             best = tried_force
         else:
             high = tried_force
     # The search uses the response at few frequencies. At more frequencies, or by the eigenvalues,
     # the margins may be smaller.
     for _ in range(MAX_REDUCTIONS):
-        tried = _model_with_common_force(model, kind, _rounded_force(best))
+        tried_gains = _model_with_common_force(model, kind, _rounded_force(best))
         if all(
             margin.are_sufficient
-            for margin in _margins_of_loops(tried, plants, (kind,), confirmed_margins, (tendon,))
+            for margin in _margins_of_loops(
+                tried_gains, plants, (kind,), confirmed_margins, (tendon,)
+            )
         ):
             break
         best -= FORCE_REDUCTION_LOG_STEP
@@ -534,9 +540,9 @@ def _rounded_force(log_force: float) -> float:
 def _without_tendon_forces(gains: Gains, kind: LoopKind) -> Gains:
     """Return gains in which no single tendon has a separate force in a loop."""
     removed_key = f"{kind}_force_N"
-    entries = [one.model_copy(update={removed_key: None}) for one in gains.tendon]
+    entries = [tendon_gains.model_copy(update={removed_key: None}) for tendon_gains in gains.tendon]
     kept_entries = [
-        one.model_dump() for one in entries if one.motion_force_N or one.tension_force_N
+        entry.model_dump() for entry in entries if entry.motion_force_N or entry.tension_force_N
     ]
     return _gains_with_sections(gains, tendon=kept_entries)
 
@@ -571,8 +577,18 @@ def design_with_poles(
     Raises:
         ValueError: no weights lead to these poles.
     """
-    moved = model_with_gains(model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping))
-    moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))
-    before = worst_margins(model, plants)
-    after = worst_margins(moved, plants)
-    return GainDesign(moved.gains, all_margins(model), all_margins(moved), before, after)
+    moved_model = model_with_gains(
+        model, gains_with_poles(model, LoopKind.MOTION, motion_hz, damping)
+    )
+    moved_model = model_with_gains(
+        moved_model, gains_with_poles(moved_model, LoopKind.TENSION, tension_hz, damping)
+    )
+    margins_before = worst_margins(model, plants)
+    margins_after = worst_margins(moved_model, plants)
+    return GainDesign(
+        moved_model.gains,
+        all_margins(model),
+        all_margins(moved_model),
+        margins_before,
+        margins_after,
+    )

@@ -281,18 +281,18 @@ def _tick_with_state(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
     """Return the result of a tick after a step of state j."""
-    moved = state.copy()
-    moved[j] += deviation
-    return tick(moved, reading)
+    moved_state = state.copy()
+    moved_state[j] += deviation
+    return tick(moved_state, reading)
 
 
 def _tick_with_reading(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
     """Return the result of a tick after a step of reading j."""
-    moved = reading.copy()
-    moved[j] += deviation
-    return tick(state, moved)
+    shifted_reading = reading.copy()
+    shifted_reading[j] += deviation
+    return tick(state, shifted_reading)
 
 
 STATE_ROWS = [
@@ -410,16 +410,16 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     )
     table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
-    seen = np.isfinite(_joint_gain(model))
-    table[s.MEASURED_EXCURSION] = np.where(seen, table[s.EXCURSION], math.nan)
+    is_joint_measured = np.isfinite(_joint_gain(model))
+    table[s.MEASURED_EXCURSION] = np.where(is_joint_measured, table[s.EXCURSION], math.nan)
     layout.view(block, "regime")[...] = TendonRegime.FREE if moving else TendonRegime.HELD
     layout.view(block, "stopped")[...] = 0
     layout.view(block, "planned_contact")[...] = not moving
     layout.view(block, "started")[...] = 1
     estimated = block.copy()
     bench.run_filter(estimated)
-    reached = layout.table(estimated, "tendon")
-    table[s.SETPOINT] = reached[s.TENSION]
+    reached_values = layout.table(estimated, "tendon")
+    table[s.SETPOINT] = reached_values[s.TENSION]
     table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
@@ -428,8 +428,8 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
                 digit,
                 position,
                 rate,
-                reached[s.EXCURSION, digit.tendons],
-                reached[s.SPEED, digit.tendons],
+                reached_values[s.EXCURSION, digit.tendons],
+                reached_values[s.SPEED, digit.tendons],
                 tendon - digit.tendons.start,
             )
             for digit, position, rate in zip(model.digits, coordinates, rates, strict=True)
@@ -453,10 +453,10 @@ def _half_closed_coordinates(digit: DigitModel) -> Matrix:
     if np.all(joints >= low + margin) and np.all(joints <= high - margin):
         return position
     count = digit.coupling.shape[1]
-    span = (high - low)[:, None]
+    joint_range = (high - low)[:, None]
     solution = linprog(
         np.append(np.zeros(count), -1.0),
-        A_ub=np.block([[digit.coupling, span], [-digit.coupling, span]]),
+        A_ub=np.block([[digit.coupling, joint_range], [-digit.coupling, joint_range]]),
         b_ub=np.concatenate([high, -low]),
         bounds=[(None, None)] * count + [(None, 0.5)],
     )
@@ -481,8 +481,10 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 
 def _joint_gain(model: HandModel) -> Matrix:
     """Return 1 for each tendon whose excursion is measured by joint encoders, and NaN for all others, (N,)."""
-    seen = [bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks]
-    return np.where(seen, 1.0, math.nan)
+    is_joint_measured = [
+        bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks
+    ]
+    return np.where(is_joint_measured, 1.0, math.nan)
 
 
 def _hold_goal(tendons: slice) -> DigitGoal:
@@ -497,14 +499,19 @@ def _hold_goal(tendons: slice) -> DigitGoal:
 
 
 def _move_goal(
-    digit: DigitModel, position: Matrix, goal_rate: Matrix, reached: Matrix, speed: Matrix, i: int
+    digit: DigitModel,
+    position: Matrix,
+    goal_rate: Matrix,
+    reached_position: Matrix,
+    speed: Matrix,
+    i: int,
 ) -> DigitGoal:
     """Return a motion goal equal to the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
-        position = position + direction * (reached[i] - digit.excursion_at(q)[i])
+        position = position + direction * (reached_position[i] - digit.excursion_at(q)[i])
         goal_rate = goal_rate + direction * (speed[i] - arms[i] @ goal_rate)
     return DigitGoal(
         GoalKind.MOTION, SampledTrajectory(position, goal_rate, np.zeros_like(position))

@@ -98,19 +98,19 @@ def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
 
-def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
+def smaller_margins(first_margins: LoopMargins, second_margins: LoopMargins) -> LoopMargins:
     """Return for each margin the smaller of two values.
 
     For the crossover frequency and the peak, return the larger one.
     """
     return LoopMargins(
-        gain_db=min(first.gain_db, second.gain_db),
-        phase_deg=min(first.phase_deg, second.phase_deg),
-        disk=min(first.disk, second.disk),
-        delay_s=min(first.delay_s, second.delay_s),
-        crossover_hz=float(np.fmax(first.crossover_hz, second.crossover_hz)),
-        peak=max(first.peak, second.peak),
-        stable=first.stable and second.stable,
+        gain_db=min(first_margins.gain_db, second_margins.gain_db),
+        phase_deg=min(first_margins.phase_deg, second_margins.phase_deg),
+        disk=min(first_margins.disk, second_margins.disk),
+        delay_s=min(first_margins.delay_s, second_margins.delay_s),
+        crossover_hz=float(np.fmax(first_margins.crossover_hz, second_margins.crossover_hz)),
+        peak=max(first_margins.peak, second_margins.peak),
+        stable=first_margins.stable and second_margins.stable,
     )
 
 
@@ -232,10 +232,12 @@ def _largest_confirmed_margin(
 
     The last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
-    tried = linear_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
-    for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
-        if not is_confirmed(float(at)):
-            return float(before)
+    tried_margins = linear_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
+    for previous_margin, tried_margin in zip(
+        [0.0, *tried_margins[:-1]], tried_margins, strict=True
+    ):
+        if not is_confirmed(float(tried_margin)):
+            return float(previous_margin)
     return linear_margin
 
 

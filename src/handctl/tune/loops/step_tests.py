@@ -160,18 +160,22 @@ def simulate_swing(
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), plant_factors, seed)
-    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == HandMode.ACTIVE]
-    ends = {
+    active = [
+        (entry.t_ns, tick_output.phase)
+        for entry, tick_output in ticks
+        if tick_output.mode == HandMode.ACTIVE
+    ]
+    phase_ends = {
         name: max((t for t, phase in active if phase == name), default=None)
         for name in ("move", "hold")
     }
-    if failure or ends["hold"] is None or ends["move"] is None:
+    if failure or phase_ends["hold"] is None or phase_ends["move"] is None:
         return StepOscillation(
             np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active"
         )
-    angle, free = _measure_swing(hand, truth, model, ends["move"])
-    _, hold = _measure_swing(hand, truth, model, ends["hold"])
-    return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
+    angle, free_deviation = _measure_swing(hand, truth, model, phase_ends["move"])
+    _, hold = _measure_swing(hand, truth, model, phase_ends["hold"])
+    return StepOscillation(float(angle.max()), float(free_deviation.max()), tuple(hold.tolist()))
 
 
 def swings_with_other_noise(
@@ -221,8 +225,8 @@ def _measure_swing(
         round(model.period * 1e9),
         dtype=np.int64,
     )
-    real = GroundTruth.from_record(truth, hand, times)
-    return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
+    ground_truth = GroundTruth.from_record(truth, hand, times)
+    return _peak_to_peak(ground_truth.angle), _peak_to_peak(ground_truth.tension)
 
 
 def _peak_to_peak(values: Matrix) -> Matrix:
@@ -232,10 +236,10 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     """
     t = np.linspace(-1.0, 1.0, len(values))
     # The columns of this matrix are t^2, t and 1.
-    powers = np.vander(t, 3)
+    time_powers = np.vander(t, 3)
     # The rest after the least-squares parabola is subtracted is the oscillation.
     return np.asarray(
-        np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0)
+        np.ptp(values - time_powers @ np.linalg.lstsq(time_powers, values, rcond=None)[0], axis=0)
     )
 
 

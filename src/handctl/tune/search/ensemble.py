@@ -44,18 +44,20 @@ def sample_ensemble(
     Returns:
         `plant_count` tables, each with the factor of each key.
     """
-    half = {
+    half_widths = {
         key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread_of_factor or {}).get(key, 0.0)))
         for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
     # A Sobol sequence is balanced only if its length is a power of two. Therefore the length is
     # rounded up to a power of two.
-    drawn = qmc.Sobol(len(half), seed=seed).random(
+    drawn_samples = qmc.Sobol(len(half_widths), seed=seed).random(
         1 << max(0, (max(plant_count - 1, 1) - 1).bit_length())
     )
-    factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(plant_count - 1, 0)] - 1.0)
-    nominal = dict.fromkeys(half, 1.0)
-    return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[
+    factors = 1.0 + np.array(list(half_widths.values())) * (
+        2.0 * drawn_samples[: max(plant_count - 1, 0)] - 1.0
+    )
+    nominal = dict.fromkeys(half_widths, 1.0)
+    return (nominal, *(dict(zip(half_widths, map(float, row), strict=True)) for row in factors))[
         :plant_count
     ]
 
@@ -80,9 +82,11 @@ def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[s
     """
     spread: dict[str, float] = {}
     for tendon in identified.values():
-        for name, value, half in zip(tendon.names, tendon.values, tendon.half_widths, strict=True):
+        for name, value, half_width in zip(
+            tendon.names, tendon.values, tendon.half_widths, strict=True
+        ):
             if name in FACTOR_OF_PARAMETER and value > 0.0:
                 spread[FACTOR_OF_PARAMETER[name]] = max(
-                    spread.get(FACTOR_OF_PARAMETER[name], 0.0), half / value
+                    spread.get(FACTOR_OF_PARAMETER[name], 0.0), half_width / value
                 )
     return spread

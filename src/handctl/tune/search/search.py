@@ -79,13 +79,15 @@ class SearchPlan:
     @property
     def identity(self) -> str:
         """Return the part of the plan that must stay the same if an interrupted study is resumed."""
-        plain = {
+        plain_fields = {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
             "plants": self.plants,
             "seed": self.seed,
         }
-        return json.dumps(plain | {"gains": self.gains.model_dump(by_alias=True)}, sort_keys=True)
+        return json.dumps(
+            plain_fields | {"gains": self.gains.model_dump(by_alias=True)}, sort_keys=True
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,9 +150,9 @@ class SearchResult:
 
 def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
     """Return the score that serves as the reference for costs."""
-    first = trials[0].score
+    first_score = trials[0].score
     feasible_scores = (trial.score for trial in trials if trial.is_feasible)
-    return next(feasible_scores, first) if first.failure else first
+    return next(feasible_scores, first_score) if first_score.failure else first_score
 
 
 def _dominates(score: GainScore, other_score: GainScore) -> bool:
@@ -277,12 +279,12 @@ def _run_batch(
     trials = _unscored_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.trial_job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
     scores: dict[int, dict[str, Any]] = {}
-    reported = 0
+    reported_count = 0
     for i, score in workers.compute_scores(jobs):
         scores[i] = score
-        while reported in scores:
-            _report_score(study, trials[reported], GainScore(**scores[reported]))
-            reported += 1
+        while reported_count in scores:
+            _report_score(study, trials[reported_count], GainScore(**scores[reported_count]))
+            reported_count += 1
             show_result(SearchResult.from_trials(_finished_trials(study)))
 
 
@@ -357,8 +359,8 @@ def _finished_trials(study: Any) -> tuple[SearchTrial, ...]:
     """Return the finished trials of a study in order."""
     from optuna.trial import TrialState
 
-    done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    finished_trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     return tuple(
         SearchTrial(i, dict(trial.params), GainScore(**trial.user_attrs["score"]))
-        for i, trial in enumerate(done)
+        for i, trial in enumerate(finished_trials)
     )

@@ -94,16 +94,16 @@ class ProcessPool:
         Raises:
             ConfigError: a job is invalid, or every worker that tries a job dies.
         """
-        waiting = deque(range(len(jobs)))
+        pending_jobs = deque(range(len(jobs)))
         attempts_by_job = [0] * len(jobs)
-        busy: dict[int, int] = {}
-        while waiting or busy:
+        job_by_worker: dict[int, int] = {}
+        while pending_jobs or job_by_worker:
             for slot in range(len(self._processes)):
-                if slot not in busy and waiting:
-                    busy[slot] = waiting.popleft()
-                    self._send_job(slot, jobs[busy[slot]])
-            for slot in self._wait_for_readable(busy):
-                i = busy.pop(slot)
+                if slot not in job_by_worker and pending_jobs:
+                    job_by_worker[slot] = pending_jobs.popleft()
+                    self._send_job(slot, jobs[job_by_worker[slot]])
+            for slot in self._wait_for_readable(job_by_worker):
+                i = job_by_worker.pop(slot)
                 line = _read_output(self._processes[slot]).readline()
                 if line.endswith(b"\n"):
                     yield i, _check_result(json.loads(line))
@@ -118,13 +118,13 @@ class ProcessPool:
                     )
                 # If a worker has died, its job is the next one that is run. So the order of the
                 # results changes only a little.
-                waiting.appendleft(i)
+                pending_jobs.appendleft(i)
 
     def _wait_for_readable(self, busy_workers: Iterable[int]) -> list[int]:
         """Wait until a worker has written a line or has ended, and return the indices of all such workers."""
         slot_by_output = {_read_output(self._processes[slot]): slot for slot in busy_workers}
-        ready, _, _ = select.select(list(slot_by_output), [], [])
-        return [slot_by_output[output] for output in ready]
+        readable_outputs, _, _ = select.select(list(slot_by_output), [], [])
+        return [slot_by_output[output] for output in readable_outputs]
 
     def _send_job(self, worker_slot: int, job: ScoreJob) -> None:
         """Send a job to a worker. If the worker has died, replace it first."""

@@ -42,14 +42,14 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
     left = rrb.Vertical(
         _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
     )
-    right = rrb.Vertical(
+    right_column = rrb.Vertical(
         _force_plots(window),
         _angle_plots(run, window),
         _state_lanes_view(window),
         row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
+        rrb.Horizontal(left, right_column, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
         rrb.BlueprintPanel(state=PanelState.Collapsed),
         rrb.SelectionPanel(state=PanelState.Collapsed),
@@ -69,13 +69,13 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     view_centre = mounts.mean(axis=0) * (1, 0, 1) + run.longest_digit_m * np.array(
         [0.4, -0.05, -0.06]
     )
-    shown = (
+    shown_entities = (
         "object and table as in the simulator"
         if run.truth
         else "forces of the object on the fingertips"
     )
     return rrb.Spatial3DView(
-        name=f"{run.hand.name}, {run.name}: {shown}",
+        name=f"{run.hand.name}, {run.name}: {shown_entities}",
         contents=["+ /hand/**", "+ /force/**", "+ /true/**", "+ /tf/**", "+ /tf_static/**"],
         spatial_information=rrb.SpatialInformation(target_frame="palm"),
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND_RGB),
@@ -140,10 +140,12 @@ def _state_lanes_view(window: PlotTimeRange) -> rrb.StateTimelineView:
 
 def _timing_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of the lateness of the ticks and of the bus loads."""
-    late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
+    lateness_title = (
+        "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
+    )
     return rrb.Horizontal(
         rrb.TimeSeriesView(
-            name=late,
+            name=lateness_title,
             contents="/loop/**",
             axis_x=LINKED_TIME_AXIS,
             time_ranges=window,

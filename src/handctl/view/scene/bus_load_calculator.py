@@ -53,23 +53,26 @@ class BusLoadCalculator:
 
     def loads_of_ticks(self, ticks: pa.StructArray) -> FloatArray:
         """Return the load of each bus (0 to 1) in each of the next n ticks, as an array (n, buses)."""
-        now = np.asarray(ticks.field("t_ns"))
-        t = np.concatenate([self._t, now])
-        spent = np.concatenate(
+        tick_times = np.asarray(ticks.field("t_ns"))
+        t = np.concatenate([self._t, tick_times])
+        occupied_times = np.concatenate(
             [
                 self._spent,
                 self._occupied_times(ticks.field("received"))
                 + self._occupied_times(ticks.field("sent")),
             ]
         )
-        total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
+        total = np.concatenate(
+            [np.zeros((1, occupied_times.shape[1]), np.int64), np.cumsum(occupied_times, axis=0)]
+        )
         # A difference of two running totals is the sum over a window.
-        first = np.searchsorted(t, now - LOAD_WINDOW_NS, side="right")
-        span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
-        self._t = t[first[-1] :]
-        self._spent = spent[first[-1] :]
+        first_index = np.searchsorted(t, tick_times - LOAD_WINDOW_NS, side="right")
+        window_ns = np.clip(tick_times + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
+        self._t = t[first_index[-1] :]
+        self._spent = occupied_times[first_index[-1] :]
         return np.asarray(
-            (total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64
+            (total[len(t) - len(tick_times) + 1 :] - total[first_index]) / window_ns[:, None],
+            np.float64,
         )
 
     def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
@@ -88,6 +91,8 @@ class BusLoadCalculator:
         flags = flags[is_valid_frame]
         size = size[is_valid_frame]
         extended = (can_id[is_valid_frame] & EXTENDED_FLAG) // EXTENDED_FLAG
-        spent = np.zeros((len(frames), len(self._times)), np.int64)
-        np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size])
-        return spent
+        occupied_times = np.zeros((len(frames), len(self._times)), np.int64)
+        np.add.at(
+            occupied_times, (tick, bus), self._times[bus, (flags & FDF) // FDF, extended, size]
+        )
+        return occupied_times

@@ -70,8 +70,8 @@ def chunk_with_run_times(chunk: Chunk, offset_ns: int) -> Chunk:
         fields.append(field)
         columns.append(column)
     schema = pa.schema(fields, metadata=batch.schema.metadata)
-    (new,) = Chunk.from_record_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
-    return new
+    (new_chunk,) = Chunk.from_record_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
+    return new_chunk
 
 
 def decoded_messages(chunk: Chunk) -> pa.StructArray | None:

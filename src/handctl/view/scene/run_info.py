@@ -43,8 +43,8 @@ class RunInfo:
             LogError: the description of the hand and the header contain different names.
             ConfigError: the description in the log is not a valid hand.
         """
-        where = f"{name}, attachment hand.toml"
-        return cls(header, described_hand(header, where), printable_text(name))
+        location = f"{name}, attachment hand.toml"
+        return cls(header, described_hand(header, location), printable_text(name))
 
     @cached_property
     def meshes(self) -> dict[str, AttachedMesh]:
@@ -57,10 +57,10 @@ class RunInfo:
 
         The text is empty if no mesh is missing.
         """
-        missing = attached_meshes(self.hand, self.header.attachments)[1]
-        if not missing:
+        missing_meshes = attached_meshes(self.hand, self.header.attachments)[1]
+        if not missing_meshes:
             return ""
-        return f"capsules are drawn for {shortened_list(missing)}: the log does not have the meshes"
+        return f"capsules are drawn for {shortened_list(missing_meshes)}: the log does not have the meshes"
 
     @property
     def application_id(self) -> str:
@@ -78,13 +78,13 @@ class RunInfo:
             and did not know a field, the array of this field is NaN.
         """
         slices = columns_of_fields(self.header, row_fields(self.header, telemetry_table.shape[1]))
-        missing = {
+        missing_names = {
             name: np.full((len(telemetry_table), len(self.header.axis_names(axis))), np.nan)
             for name, axis in _missing_fields(slices)
         }
         return {
             name: telemetry_table[:, columns_of_field] for name, columns_of_field in slices.items()
-        } | missing
+        } | missing_names
 
     @property
     def tension_limits(self) -> list[float]:

@@ -99,8 +99,8 @@ class TopicConverters:
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
         limits = limits_near_tensions(self._run.tension_limits, part["tension"])
         if not np.isnan(limits).all():
-            drawn = plot_lines(np.tile(limits, (2, 1)))
-            yield timed_chunk("/tension/limit", times[[0, -1]], drawn)
+            drawn_lines = plot_lines(np.tile(limits, (2, 1)))
+            yield timed_chunk("/tension/limit", times[[0, -1]], drawn_lines)
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
             angle = factor * part["q"][:, joints]
@@ -120,9 +120,11 @@ class TopicConverters:
         """Convert the lateness of each tick to a plot line [us]."""
         messages = decoded_messages(chunk)
         if messages is not None:
-            late = np.asarray(messages.field("late"), np.float64) * 1e6
+            lateness_us = np.asarray(messages.field("late"), np.float64) * 1e6
             yield timed_chunk(
-                "/loop/late", times_since_start(chunk, self._offset), plot_lines(late[:, None])
+                "/loop/late",
+                times_since_start(chunk, self._offset),
+                plot_lines(lateness_us[:, None]),
             )
 
     def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
@@ -160,10 +162,10 @@ def lines_with_band(line_values: FloatArray, sigma: FloatArray) -> rr.ComponentC
 
     The band has a gap where the standard deviation is unknown.
     """
-    measured = rr.Measurements.columns(
+    measured_lines = rr.Measurements.columns(
         values=line_values.ravel(), variances=np.nan_to_num(sigma**2).ravel()
     )
-    return measured.partition([line_values.shape[1]] * len(line_values))
+    return measured_lines.partition([line_values.shape[1]] * len(line_values))
 
 
 def plot_lines(line_values: FloatArray) -> rr.ComponentColumnList:
@@ -175,10 +177,10 @@ def plot_lines(line_values: FloatArray) -> rr.ComponentColumnList:
 
 def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
     """Return the forces of the object on a fingertip (n,) [N] as arrows in the coordinate frame of the tip."""
-    shown = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
+    shown_force = np.where(force >= MIN_ARROW_FORCE_N, force, 0.0)
     force_vectors = np.zeros((len(force), 3))
     # A closing tip moves along +y of its own frame, so the object pushes the tip along -y.
-    force_vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown
-    labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
-    radii = np.where(shown > 0, ARROW_RADIUS_M, 0.0)
+    force_vectors[:, 1] = -ARROW_LENGTH_M_PER_N * shown_force
+    labels = [f"{value:.1f} N" if value else "" for value in shown_force.tolist()]
+    radii = np.where(shown_force > 0, ARROW_RADIUS_M, 0.0)
     return rr.Arrows3D.columns(vectors=force_vectors, labels=labels, radii=radii)

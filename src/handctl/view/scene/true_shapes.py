@@ -39,8 +39,8 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     """
     if run.truth is None:
         return
-    described = run.truth.header.get("shapes")
-    shapes = described if isinstance(described, Mapping) else {}
+    shape_sections = run.truth.header.get("shapes")
+    shapes = shape_sections if isinstance(shape_sections, Mapping) else {}
     offset = run.header.truth_offset_ns
     times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), POSE_PERIOD_NS)
     times = times[times >= offset]
@@ -68,11 +68,11 @@ def _solid_shape(true_shape: Mapping[str, Any], colour: Colour) -> Any:
     style: dict[str, Any] = {"fill_mode": [rr.components.FillMode.Solid], "colors": [colour]}
     if true_shape["shape"] == "cylinder":
         return rr.Cylinders3D.columns(lengths=[z], radii=[x / 2.0], **style)
-    half = [(x / 2.0, y / 2.0, z / 2.0)]
+    half_sizes = [(x / 2.0, y / 2.0, z / 2.0)]
     if true_shape["shape"] == "sphere":
-        return rr.Ellipsoids3D.columns(half_sizes=half, **style)
+        return rr.Ellipsoids3D.columns(half_sizes=half_sizes, **style)
     if true_shape["shape"] == "box":
-        return rr.Boxes3D.columns(half_sizes=half, **style)
+        return rr.Boxes3D.columns(half_sizes=half_sizes, **style)
     raise LogError(
         f"shape {true_shape['shape']!r}", "the simulator's truth", "cylinder, sphere or box"
     )
