@@ -146,7 +146,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     stretch_steps = []
     for lower, upper in stretch_ranges:
         duration = float(np.abs(upper - lower).max()) / TENSION_RATE_N_PER_S + STRETCH_WAIT_S
-        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, is_held=True))
+        stretch_steps.append(excite_step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCH_COUNT if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(
@@ -156,7 +156,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
                         duration,
                         goal,
                         rate=TENSION_RATE_N_PER_S,
-                        is_held=True,
+                        held=True,
                     )
                 )
     return [
@@ -177,7 +177,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             CLOSING_DURATION_S if pairs else 0.8,
             closing_tensions,
             rate=20.0 if pairs else 60.0,
-            is_held=True,
+            held=True,
         ),
         *stretch_steps,
         excite_step(
@@ -186,7 +186,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             0.4,
             rest_tension if pairs else stretch_ranges[0][0],
             rate=100.0,
-            is_held=True,
+            held=True,
         ),
         excite_step("open", "move", OPENING_DURATION_S, low),
         excite_step("rest", "limp", 0.1),

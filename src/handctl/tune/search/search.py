@@ -310,7 +310,7 @@ def _unscored_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[
         for gains in (plan.gains, *plan.others):
             study.enqueue_trial(clamped_gains(gains))
     study.sampler = _make_sampler(plan.seed, finished_count // BATCH_SIZE)
-    return [study.next_request_payload(_gain_distributions()) for _ in range(count)]
+    return [study.ask(_gain_distributions()) for _ in range(count)]
 
 
 def _fail_unfinished_trials(study: Any) -> None:
@@ -318,7 +318,7 @@ def _fail_unfinished_trials(study: Any) -> None:
     from optuna.trial import TrialState
 
     while study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
-        study.next_request_payload()
+        study.ask()
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
         study.tell(trial.number, state=TrialState.FAIL)
 
