@@ -46,7 +46,7 @@ if NUMBA_INSTALLED:
 F = TypeVar("F", bound=Callable[..., Any])
 
 KERNEL_SOURCES = (
-    "compiled.py", "core", "safety",
+    "compiled.py", "extras.py", "core", "safety",
     "drives/contract.py", "drives/frame.py", "drives/frame_records.py", "drives/readback.py",
     "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py", "runtime/buses/canfd_structs.py",

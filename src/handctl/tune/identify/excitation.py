@@ -152,7 +152,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         for goal in (high, low)
     ]
     press_steps = [
-        excite_step("press", "tension", 0.22, goal, 250.0, held=True)
+        excite_step("press", "tension", 0.22, goal, 250.0, is_held=True)
         for _ in range(3)
         for goal in (high_tension, medium_tension)
     ]
@@ -176,9 +176,9 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         excite_step("approach", "move", 0.3, middle_angle),
         swing_step,
         excite_step("approach", "move", 0.3, high),
-        excite_step("close", "tension", 0.5, medium_tension, 80.0, held=True),
+        excite_step("close", "tension", 0.5, medium_tension, 80.0, is_held=True),
         *press_steps,
-        excite_step("open", "tension", 0.7, released_tension, 60.0, held=True),
+        excite_step("open", "tension", 0.7, released_tension, 60.0, is_held=True),
         excite_step("open", "move", 0.5, low),
         excite_step("rest", "limp", 0.1),
     ]
