@@ -17,7 +17,7 @@ BENCH_BUS = "bench"
 
 
 class BenchInterface(Protocol):
-    """The attributes and methods of a test bench of drives that faults use.
+    """Interface of a test bench of drives, with the attributes and methods that injected faults use.
 
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.

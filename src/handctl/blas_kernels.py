@@ -13,7 +13,7 @@ from pathlib import Path
 
 KERNELS_VARIABLE = "OPENBLAS_CORETYPE"
 """Environment variable with the family of processors whose kernels OpenBLAS uses."""
-PORTABLE_KERNELS = "Haswell"
+PORTABLE_MATRIX_KERNELS = "Haswell"
 REQUIRED_FEATURES = frozenset({"avx2", "fma"})
 """Features of a processor that can execute the portable kernels."""
 CPU_DESCRIPTION = Path("/proc/cpuinfo")
@@ -26,7 +26,7 @@ def use_portable_kernels() -> None:
     chosen kernels, or if the processor cannot execute these.
     """
     if portable_kernels_run():
-        os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_KERNELS)
+        os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS)
 
 
 def portable_kernels_run() -> bool:

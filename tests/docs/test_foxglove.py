@@ -22,12 +22,12 @@ PANEL_KINDS = {"3D", "Plot", "RosOut", "StateTransitions"}
 """Kinds of panels, with the names that Foxglove itself writes when it exports a layout."""
 
 
-def text_leaves(layout_node: Any) -> list[str]:
+def panel_names(layout_node: Any) -> list[str]:
     """Return the names of all panels below a node of the layout tree."""
     return (
         [layout_node]
         if isinstance(layout_node, str)
-        else [*text_leaves(layout_node["first"]), *text_leaves(layout_node["second"])]
+        else [*panel_names(layout_node["first"]), *panel_names(layout_node["second"])]
     )
 
 
@@ -63,7 +63,7 @@ def topics_of_layout() -> set[str]:
 
 
 def test_every_panel_has_its_place() -> None:
-    assert sorted(text_leaves(FOXGLOVE_LAYOUT["layout"])) == sorted(LAYOUT_PANELS)
+    assert sorted(panel_names(FOXGLOVE_LAYOUT["layout"])) == sorted(LAYOUT_PANELS)
     assert {name.partition("!")[0] for name in LAYOUT_PANELS} == PANEL_KINDS
 
 

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
-FETCHING_ELEMENT_PATTERN = re.compile(
+EXTERNAL_RESOURCE_PATTERN = re.compile(
     r"<(?:script|img|iframe)[^>]*src=\"https?:[^\"]+|<link[^>]*rel=\"stylesheet\"[^>]*https?:[^\"]+"
 )
 """Pattern of HTML elements whose content a browser would load from another server."""
@@ -38,7 +38,7 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
         len(page_paths) == len(list((REPOSITORY_ROOT / "docs").rglob("*.md"))) + 1
     )  # the error page 404.html is added to the pages
     texts = [page.read_text(encoding="utf-8") for page in page_paths]
-    assert [match[0] for text in texts for match in FETCHING_ELEMENT_PATTERN.finditer(text)] == []
+    assert [match[0] for text in texts for match in EXTERNAL_RESOURCE_PATTERN.finditer(text)] == []
     # If there is no empty line before a list, the list becomes a part of the paragraph above.
     paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
     assert [

@@ -50,7 +50,7 @@ SAMPLED_FAULTS = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def campaign_report():
-    """Return the report of a campaign: some rows with MIT drives, and one second of a hand without faults."""
+    """Return the report of a short campaign: a few faults with MIT drives, and one second without a fault."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, is_quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,

@@ -44,7 +44,7 @@ def derived_energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Return an expression in which the names in the formulas replace functions of time."""
+    """Return an expression with the symbols of the formulas in place of functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {

@@ -34,10 +34,10 @@ def replayed_logs(golden_folder: Path, tmp_path_factory: pytest.TempPathFactory)
     Return the path of the log.
     """
     path = tmp_path_factory.mktemp("drive") / "again.mcap"
-    with RunLog(golden_folder / "jamia-grasp.mcap") as log_before:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as original_log:
         state = short_runs.record_lockstep_run(
             path,
-            playback_program(log_before, 1 / 250, replays_tensions=False),
+            playback_program(original_log, 1 / 250, replays_tensions=False),
             rate_hz=250.0,
             seed=5,
         )
@@ -49,19 +49,23 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
     golden_folder: Path, replayed_logs: Path
 ) -> None:
     with (
-        RunLog(golden_folder / "jamia-grasp.mcap") as log_before,
-        RunLog(replayed_logs) as log_after,
+        RunLog(golden_folder / "jamia-grasp.mcap") as original_log,
+        RunLog(replayed_logs) as replayed_log,
     ):
-        comparison = compare_replay(log_before, log_after)
-        recorded_start, _ = active_interval(log_before)
+        comparison = compare_replay(original_log, replayed_log)
+        recorded_start, _ = active_interval(original_log)
         at_rest = [
-            change.t_ns * 1e-9 for change in log_before.phases if change.name in ("hold", "release")
+            change.t_ns * 1e-9
+            for change in original_log.phases
+            if change.name in ("hold", "release")
         ]
         times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
-        start = next(change.t_ns * 1e-9 for change in log_after.phases if change.name == "playback")
+        start = next(
+            change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"
+        )
         old, new = (
             resampled_field(*run, times).mean(axis=0)
-            for run in ((log_before, "tension", recorded_start), (log_after, "tension", start))
+            for run in ((original_log, "tension", recorded_start), (replayed_log, "tension", start))
         )
     assert all(row["rms"] < 1.0 for row in comparison["joint_deg"].values())
     assert all(abs(row["delay_s"]) < 0.02 for row in comparison["joint_deg"].values())

@@ -31,8 +31,11 @@ class RunAndRepeat:
     raw: bool
 
     def compare_replay(self) -> dict[str, dict[str, dict[str, float]]]:
-        with RunLog(self.folder / "first.mcap") as log_before, RunLog(self.repeat) as log_after:
-            return compare_replay(log_before, log_after)
+        with (
+            RunLog(self.folder / "first.mcap") as original_log,
+            RunLog(self.repeat) as replayed_log,
+        ):
+            return compare_replay(original_log, replayed_log)
 
     @property
     def repeat(self) -> Path:
@@ -40,9 +43,12 @@ class RunAndRepeat:
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times since the start of the interval [s], and true values of both runs (times, names)."""
-        with RunLog(self.folder / "first.mcap") as log_before, RunLog(self.repeat) as log_after:
-            recorded_start, end = active_interval(log_before)
-            start = next(change.t_ns for change in log_after.phases if change.name == "playback")
+        with (
+            RunLog(self.folder / "first.mcap") as original_log,
+            RunLog(self.repeat) as replayed_log,
+        ):
+            recorded_start, end = active_interval(original_log)
+            start = next(change.t_ns for change in replayed_log.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
         first, second = (
             read_truth(path)
@@ -59,9 +65,9 @@ class RunAndRepeat:
 
         Both times are measured from the start of the interval [s].
         """
-        with RunLog(self.folder / "first.mcap") as log_before:
-            starts = {change.name: change.t_ns * 1e-9 for change in log_before.phases}
-            start, _ = active_interval(log_before)
+        with RunLog(self.folder / "first.mcap") as original_log:
+            starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
+            start, _ = active_interval(original_log)
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
     def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
@@ -89,8 +95,8 @@ def run_and_repeat(run_folder: Path, request: pytest.FixtureRequest) -> RunAndRe
     The repetition follows either the recorded angles or the recorded tensions.
     """
     made = RunAndRepeat(run_folder, request.param)
-    with RunLog(run_folder / "first.mcap") as log_before:
-        program = playback_program(log_before, 1 / RATE_HZ, made.raw)
+    with RunLog(run_folder / "first.mcap") as original_log:
+        program = playback_program(original_log, 1 / RATE_HZ, made.raw)
     truth = made.repeat.with_suffix(".truth")
     assert (
         short_runs.record_lockstep_run(

@@ -109,10 +109,10 @@ def test_a_cut_log_that_repeats_is_lossy(
 
 def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_path: Path) -> None:
     rate = 250.0
-    with RunLog(golden_folder / "jamia-grasp.mcap") as log_before:
+    with RunLog(golden_folder / "jamia-grasp.mcap") as original_log:
         program, (start, end) = (
-            playback_program(log_before, 1 / rate, replays_tensions=False),
-            active_interval(log_before),
+            playback_program(original_log, 1 / rate, replays_tensions=False),
+            active_interval(original_log),
         )
         short_runs.record_lockstep_run(
             tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP_REQUEST,)}
@@ -120,20 +120,20 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden_folder: Path, tmp_pat
         short_runs.record_lockstep_run(
             tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP_REQUEST,)}
         )
-        with RunLog(tmp_path / "late.mcap") as log_after:
+        with RunLog(tmp_path / "late.mcap") as replayed_log:
             started = next(
-                change.t_ns * 1e-9 for change in log_after.phases if change.name == "playback"
+                change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"
             )
-            assert followed_duration_s(log_before, log_after) == pytest.approx(
+            assert followed_duration_s(original_log, replayed_log) == pytest.approx(
                 1000 / rate - started, abs=2 / rate
             )
-            assert 0.2 < followed_duration_s(log_before, log_after) < end - start - 0.5
-            result = compare_replay(log_before, log_after)
+            assert 0.2 < followed_duration_s(original_log, replayed_log) < end - start - 0.5
+            result = compare_replay(original_log, replayed_log)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
-        with RunLog(tmp_path / "early.mcap") as log_after:
+        with RunLog(tmp_path / "early.mcap") as replayed_log:
             assert (
-                followed_duration_s(log_before, log_after),
-                compare_replay(log_before, log_after),
+                followed_duration_s(original_log, replayed_log),
+                compare_replay(original_log, replayed_log),
             ) == (0.0, {})
 
 

@@ -1,6 +1,6 @@
 """Test snapshots of the state in a log.
 
-A log can be executed in several parts at the same time, each from a snapshot. The parts together
+Several processes can execute parts of a log again, and each process starts at a snapshot. The parts together
 give the same outputs as one execution of the whole log.
 """
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl import blas_kernels
-from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_KERNELS, cpu_features
+from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
 
 WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PRINT_KERNELS_AND_NUMPY = (
@@ -25,7 +25,7 @@ def test_features_are_those_of_the_first_processor() -> None:
 @pytest.mark.parametrize(
     ("description", "chosen_before", "kernels"),
     [
-        (WITH_AVX2, None, PORTABLE_KERNELS),
+        (WITH_AVX2, None, PORTABLE_MATRIX_KERNELS),
         (WITH_AVX2, "Zen", "Zen"),
         ("flags : fpu avx\n", None, None),
         ("Features : fp asimd\n", None, None),

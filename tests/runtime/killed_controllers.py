@@ -99,7 +99,7 @@ class KillVerdict(NamedTuple):
     Attributes:
         run: record of the run.
         was_taut: True if a tendon was taut at the time of the signal.
-        made_torque: True if a motor made torque at the time of the signal.
+        had_motor_torque: True if a motor made torque at the time of the signal.
         max_torque_off_ms: time from ``before_signal_ns`` until no motor made torque [ms].
         min_torque_off_ms: time from ``after_signal_ns`` until no motor made torque [ms].
         remaining_tension_N: largest tension after a time in which the fingers could open [N].
@@ -107,7 +107,7 @@ class KillVerdict(NamedTuple):
 
     run: DisturbedRun
     was_taut: bool
-    made_torque: bool
+    had_motor_torque: bool
     max_torque_off_ms: float
     min_torque_off_ms: float
     remaining_tension_N: float
@@ -343,7 +343,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     return KillVerdict(
         run,
         was_taut=bool(tension[begin].max() > MIN_TAUT_N),
-        made_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
+        had_motor_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
         min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
         remaining_tension_N=float(tension[min(over, len(tension) - 1)].max()),
@@ -399,7 +399,7 @@ def summary_of_kills(verdicts: list[KillVerdict]) -> str:
     safe_run_count = sum(run.torque_ended_in_time for run in verdicts)
     complete = sum(run.has_complete_log for run in verdicts)
     pulled = sum(run.was_taut for run in verdicts)
-    driven = sum(run.made_torque for run in verdicts)
+    driven = sum(run.had_motor_torque for run in verdicts)
     latest = max(run.max_torque_off_ms for run in verdicts)
     tension = max(run.remaining_tension_N for run in verdicts)
     return (

@@ -36,7 +36,7 @@ def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale)
         "a log lacks the last ticks that were on the bus"
     )
     assert max(run.remaining_tension_N for run in runs) < 5.0, summary_of_kills(runs)
-    assert sum(run.made_torque for run in runs) >= CONTROLLER_COUNT // 2, (
+    assert sum(run.had_motor_torque for run in runs) >= CONTROLLER_COUNT // 2, (
         "most runs are disturbed while a motor makes torque"
     )
     assert sum(run.was_taut for run in runs) >= CONTROLLER_COUNT // 5, (

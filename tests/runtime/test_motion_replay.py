@@ -59,11 +59,11 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
     assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
         "as in lockstep, tests/replay/test_drive.py"
     )
-    with RunLog(GOLDEN_LOG) as log_before, RunLog(work_folder / "again.mcap") as log_after:
-        apart = mean_angle_differences(log_before, log_after)
+    with RunLog(GOLDEN_LOG) as original_log, RunLog(work_folder / "again.mcap") as replayed_log:
+        apart = mean_angle_differences(original_log, replayed_log)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
-        old, new = mean_held_tensions(log_before, log_after)
+        old, new = mean_held_tensions(original_log, replayed_log)
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 

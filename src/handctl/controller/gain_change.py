@@ -57,12 +57,12 @@ class DesignCache:
         designed_pieces: control loops that are designed so far, for each of the last ``CACHE_SIZE``
             sets of requested gains.
         controllers: controllers whose design is complete.
-        current_gains: gains of the controller that was returned last.
+        gains_in_use: gains of the controller that was returned last.
     """
 
     designed_pieces: dict[Gains, list[Vector]] = field(default_factory=dict)
     controllers: dict[Gains, Any] = field(default_factory=dict)
-    current_gains: Gains | None = None
+    gains_in_use: Gains | None = None
 
     def advance(self, model: HandModel, pending_gains: PendingGains) -> DesignProgress | None:
         """Design one more control loop for pending gains.
@@ -84,7 +84,7 @@ class DesignCache:
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains, and keep the design for these gains in the cache."""
-        self.current_gains = gains
+        self.gains_in_use = gains
         if gains not in self.controllers:
             old_controller: Any = controller
             model = old_controller.model
@@ -107,7 +107,7 @@ class DesignCache:
             oldest_gains = next(
                 designed_piece
                 for designed_piece in self.designed_pieces
-                if designed_piece != self.current_gains
+                if designed_piece != self.gains_in_use
             )
             self.controllers.pop(oldest_gains, None)
             del self.designed_pieces[oldest_gains]

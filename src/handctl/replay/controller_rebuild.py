@@ -82,8 +82,8 @@ def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
     metadata = log.header.metadata
     names = (metadata.get(key, UNKNOWN_IDENTITY) for key in ("version", "code"))
-    writing_version = "handctl {}, code {}".format(*names)
-    reading_version = f"handctl {version('handctl')}, code {code_identity()}"
+    version_of_writer = "handctl {}, code {}".format(*names)
+    version_of_reader = f"handctl {version('handctl')}, code {code_identity()}"
     return printable_text(
-        f"the log, written by {writing_version}"
-    ), f"a log that this one can execute: {reading_version}"
+        f"the log, written by {version_of_writer}"
+    ), f"a log that this one can execute: {version_of_reader}"

@@ -121,7 +121,7 @@ def playback_program(log: RunLog, period: float, replays_tensions: bool) -> Play
     return PlaybackProgram(recorded_targets(log, period), replays_tensions)
 
 
-def compare_replay(log_before: RunLog, log_after: RunLog) -> dict[str, Any]:
+def compare_replay(original_log: RunLog, replayed_log: RunLog) -> dict[str, Any]:
     """Compare a replay with the recorded run, for each joint [deg] and each tendon [N].
 
     The comparison covers only the part of the recorded run that the replay has repeated.
@@ -130,35 +130,35 @@ def compare_replay(log_before: RunLog, log_after: RunLog) -> dict[str, Any]:
         the differences from `compare_runs`. The mapping is empty if the replay never began to
         follow the recorded run.
     """
-    replay_start = _playback_start(log_after)
+    replay_start = _playback_start(replayed_log)
     return (
         {}
         if replay_start is None
         else compare_runs(
-            log_before,
-            active_interval(log_before)[0],
-            log_after,
+            original_log,
+            active_interval(original_log)[0],
+            replayed_log,
             replay_start,
-            followed_duration_s(log_before, log_after),
+            followed_duration_s(original_log, replayed_log),
         )
     )
 
 
-def followed_duration_s(log_before: RunLog, log_after: RunLog) -> float:
+def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
     """Return how long a replay followed the recorded run [s]."""
-    start, end = active_interval(log_before)
-    replay_start = _playback_start(log_after)
+    start, end = active_interval(original_log)
+    replay_start = _playback_start(replayed_log)
     if replay_start is None:
         return 0.0
-    active = log_after.times[log_after.mode == int(HandMode.ACTIVE)]
+    active = replayed_log.times[replayed_log.mode == int(HandMode.ACTIVE)]
     return min(end - start, max(0.0, float(active[-1]) - replay_start)) if len(active) else 0.0
 
 
-def _playback_start(log_after: RunLog) -> float | None:
+def _playback_start(replayed_log: RunLog) -> float | None:
     """Return the time at which a replay began to follow the recorded run [s].
 
     If it never began, return None.
     """
     return next(
-        (change.t_ns * 1e-9 for change in log_after.phases if change.name == "playback"), None
+        (change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"), None
     )

@@ -83,7 +83,7 @@ class TargetBox:
         self.socket.setblocking(False)
 
     def read_targets(self) -> tuple[StreamTarget, ...]:
-        """Return the newest of the waiting targets, sorted from old to new.
+        """Return the newest targets that wait in the socket, sorted from old to new.
 
         A datagram of a wrong form is dropped.
         """

@@ -130,7 +130,7 @@ class Viewer:
 
 
 @dataclass(frozen=True, slots=True)
-class StartingViewer:
+class ViewerProcess:
     """Viewer process that is still starting.
 
     Attributes:
@@ -160,7 +160,7 @@ class StartingViewer:
         return Viewer(self.process, url)
 
 
-def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -> StartingViewer:
+def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -> ViewerProcess:
     """Start a viewer on a free port of this machine.
 
     The viewer sends no usage data to the makers of Rerun.
@@ -190,7 +190,7 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
         check=False,
         capture_output=True,
     )
-    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.wait_until_ready` closes it)
+    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`ViewerProcess.wait_until_ready` closes it)
     command = [viewer_program, "--bind", LOOPBACK_ADDRESS, "--port", "0", *viewer_arguments]
     # The viewer runs in a process session of its own, so that Ctrl-C in the terminal does not
     # interrupt the viewer.
@@ -202,7 +202,7 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
         stderr=notes,
         start_new_session=True,
     )
-    return StartingViewer(process, notes)
+    return ViewerProcess(process, notes)
 
 
 def start_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
@@ -217,7 +217,7 @@ def start_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) -
 @contextmanager
 def launched_viewer(
     viewer_arguments: Sequence[str], environment: dict[str, str]
-) -> Iterator[StartingViewer]:
+) -> Iterator[ViewerProcess]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
     At the end of the context, the viewer is closed, and the temporary files of the viewer are

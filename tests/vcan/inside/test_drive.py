@@ -64,10 +64,10 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     assert ran.returncode == 0, ran.stderr + ran.stdout
     result = json.loads(ran.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
-    with RunLog(GOLDEN_LOG) as log_before, RunLog(tmp_path / "again.mcap") as log_after:
+    with RunLog(GOLDEN_LOG) as original_log, RunLog(tmp_path / "again.mcap") as replayed_log:
         apart, (old, new) = (
-            mean_angle_differences(log_before, log_after),
-            mean_held_tensions(log_before, log_after),
+            mean_angle_differences(original_log, replayed_log),
+            mean_held_tensions(original_log, replayed_log),
         )
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")

@@ -25,17 +25,17 @@ from handctl.session.run_plan import commissioning_log_path, default_log_path
 
 def run(args: argparse.Namespace) -> int:
     """Repeat the recorded motion, compare the new log with the recorded log, and return the exit code."""
-    with RunLog(args.recorded) as log_before:
+    with RunLog(args.recorded) as original_log:
         plan = make_plan(args)
-        check_same_hand(log_before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
+        check_same_hand(original_log, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
         # Refuse a log whose hand cannot be loaded, because the names of the columns come from the
         # hand.
-        logged_hand(log_before)
-        program = playback_program(log_before, plan.period_ns * 1e-9, args.raw)
+        logged_hand(original_log)
+        program = playback_program(original_log, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand, plan.buses)
-        start_s, end_s = active_interval(log_before)
-        is_incomplete = warn_if_lossy(args.recorded, log_before.warning)
-        if missing_tick_count := count_missing_ticks(log_before):
+        start_s, end_s = active_interval(original_log)
+        is_incomplete = warn_if_lossy(args.recorded, original_log.warning)
+        if missing_tick_count := count_missing_ticks(original_log):
             print_escaped(
                 f"handctl: caution: {args.recorded}: {missing_tick_count} ticks are missing; the gap is bridged by "
                 "interpolation",
@@ -55,9 +55,9 @@ def run(args: argparse.Namespace) -> int:
             )
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
-        with RunLog(log) as log_after:
-            result = compare_replay(log_before, log_after)
-            seconds = followed_duration_s(log_before, log_after)
+        with RunLog(log) as replayed_log:
+            result = compare_replay(original_log, replayed_log)
+            seconds = followed_duration_s(original_log, replayed_log)
     is_complete = outcome.state.progress.finished
     fields = {
         "seconds": end_s - start_s,
