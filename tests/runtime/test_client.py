@@ -324,10 +324,13 @@ def test_every_thread_gets_the_end_of_the_run(
         running = [threads.submit(repeat, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         exceptions = [one.exception(60.0) for one in running]
-    expected = "the controller ended: it was stopped|the hand no longer accepts goals"
+    # A goal that arrives while the hand relaxes is refused. This is an error of the caller.
+    expected_errors = {
+        DriveError: "the controller ended: it was stopped|the hand no longer accepts goals",
+        ConfigError: "the hand is letting go",
+    }
     for error in exceptions:
-        assert isinstance(error, DriveError), error
-        assert re.search(expected, str(error))
+        assert re.search(expected_errors[type(error)], str(error))
     client.close()
     assert client.result["failure"] == ""
 
