@@ -5,12 +5,12 @@ from pathlib import Path
 REPOSITORY_ROOT = Path(__file__).resolve().parents[2]
 PAGE_FILE = REPOSITORY_ROOT / "docs" / "evidence" / "control.md"
 FIGURES_FOLDER = REPOSITORY_ROOT / "docs" / "figures"
-PAGE_HEAD = """# Measured benefit of each part of the controller
+PAGE_HEAD = """# Benefit of each part of the controller
 
-This page shows how much each part of the filter and of the control law improves the simulated hand. A benchmark writes
-each section, and the section names the command of its benchmark. The benchmarks run the real controller in lockstep
-with the simulated drives and the simulated hand, which is also called the *plant*. All errors are differences from the
-true values of the plant.
+This page shows how much each part of the filter and of the control law reduces the errors of the simulated hand. Each
+section was written by a benchmark, and names the command that runs this benchmark. The benchmarks run the controller in
+lockstep with simulated drives and a simulated hand, which is also called the *plant*. All errors are differences from
+the true values of the plant.
 
 Nothing on this page was measured on hardware. The objects and the physical effects of the plant are fixed in the
 benchmarks, and were not changed to improve a result. Results that are weak or negative are stated as well.
