@@ -1,4 +1,4 @@
-"""Draw random names and sentences of the repository for a reader who does not know it, and count his marks.
+"""Draw random names and sentences for a reader who does not know the repository.
 
 ``python tools/cold_reading.py sample FOLDER --seed 1`` writes three files: ``names.txt`` and
 ``sentences.txt`` for the reader, and ``key.json``. Half of the lines come from well-known projects that

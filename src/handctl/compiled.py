@@ -72,10 +72,8 @@ _INNER_DISPATCHERS: list[Any] = []
 """Numba dispatchers of all functions that only kernels call."""
 KERNEL_FUNCTIONS: list[Callable[..., Any]] = []
 """Python functions of all kernels and of all functions that kernels call."""
-_NUMBA_TYPES: dict[str, Any] = (
-    {}
-    if not NUMBA_INSTALLED
-    else {
+if NUMBA_INSTALLED:
+    _NUMBA_TYPES = {
         "real": types.float64,
         "count": types.int64,
         "block": types.Array(types.float64, 1, "C"),
@@ -94,7 +92,6 @@ _NUMBA_TYPES: dict[str, Any] = (
         "table_words": types.Array(types.uint64, 2, "C", readonly=True),
         "bytes": types.Array(types.uint8, 1, "C", readonly=True),
     }
-)
 
 
 def kernel(*arguments: str) -> Callable[[F], F]:
@@ -320,15 +317,11 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     require_extra("a controller", "numba")
     report = progress or _ignore_progress
     all_of_them = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
-    uncompiled_kernels = [
-        any_kernel for any_kernel in all_of_them if not getattr(any_kernel.code, "signatures", True)
-    ]
-    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(
-        uncompiled_kernels
-    ):
-        _compile_together(_CACHE_FOLDER, uncompiled_kernels, report)
-    for compiled_count, one in enumerate(uncompiled_kernels):
-        report(compiled_count, len(uncompiled_kernels))
+    waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
+    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, waiting) < len(waiting):
+        _compile_together(_CACHE_FOLDER, waiting, report)
+    for compiled_count, one in enumerate(waiting):
+        report(compiled_count, len(waiting))
         if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
         one.code.compile(one.types)  # this call does nothing if the code was loaded from the disk

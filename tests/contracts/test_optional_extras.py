@@ -29,8 +29,6 @@ PACKAGES_OF_DEPENDENCIES = {"pydantic_core"}
 
 The dependency itself pins the version of such a package.
 """
-HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
-"""Python code that hides every optional package from a process."""
 
 
 def hide_packages_code(extra_names: set[str]) -> str:
@@ -38,6 +36,9 @@ def hide_packages_code(extra_names: set[str]) -> str:
     hidden = [package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names]
     return f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
 
+
+HIDE_EXTRAS_CODE = hide_packages_code(set(EXTRA_BY_MODULE.values()))
+"""Python code that hides every optional package from a process."""
 
 COMMANDS_WITH_EXTRA = [
     ("run --hand jamia --bus local:x", "numba", "run needs numba", "controller"),

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.hand_description import load_hand
-from firmware_sim.plant.mjcf import model_text
-from firmware_sim.scene.scene import load_scene
 from tools.figures import runs
+from tools.figures.plant_scene import TruePoses, painted_model, rgba
 from tools.figures.style import CREATOR_TEXT, DIGIT_COLOURS
 
 PICTURE_SIZE_PX = (480, 400)
@@ -24,16 +22,8 @@ SAMPLED_PICTURES = 8
 """Number of colours in the GIF file, and number of pictures from which these colours are chosen."""
 MAX_FILE_BYTES = 3_000_000
 """Largest allowed size of the file [bytes]."""
-SKYBOX_XML = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
-  width="32" height="192"/></asset>"""
 ARROW_M_PER_N = 0.006
 """Length of the arrow for a contact force, per newton of the force [m/N]."""
-
-
-def rgba(colour: str, opacity: float = 1.0) -> tuple[float, float, float, float]:
-    """Return red, green, blue and opacity of a colour such as #3b6fb6."""
-    red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
-    return red, green, blue, opacity
 
 
 def write_gif(folder: Path, path: Path) -> None:
@@ -74,38 +64,24 @@ def grasp_frames(folder: Path) -> list[Any]:
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
     log, truth, _ = runs.grasp_run(folder)
-    hand, scene = load_hand("jamia"), load_scene("cylinder")
-    model = mujoco.MjModel.from_xml_string(
-        model_text(hand, scene, meshes=True).replace("<worldbody>", SKYBOX_XML + "<worldbody>")
-    )
-    paint_model(mujoco, model)
-    model.vis.headlight.ambient[:] = 0.45
-    model.vis.headlight.diffuse[:] = 0.55
+    model = painted_model(mujoco, "jamia", "cylinder", DIGIT_COLOURS)
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.018, 0.0, 0.0)
     camera.distance, camera.azimuth, camera.elevation = 0.21, 192.0, -27.0
-    offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     starts = {change.name: change.t_ns for change in log.phases}
-    times = np.arange(starts["preshape"], int(log.t_ns[-1]), int(1e9 / RATE_HZ)) + offset
-    joints = truth.interpolated_columns([f"q/{joint}" for joint in log.header.joints], times)
-    pose = truth.interpolated_columns(
-        [f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times
-    )
-    sunk = truth.interpolated_column("support", times)
+    times = np.arange(starts["preshape"], int(log.t_ns[-1]), int(1e9 / RATE_HZ))
+    poses = TruePoses(log, truth, times)
     force = {
-        name: truth.interpolated_columns([f"contact_force/{name}/{axis}" for axis in "xyz"], times)
+        name: truth.interpolated_columns(
+            [f"contact_force/{name}/{axis}" for axis in "xyz"], poses.times_ns
+        )
         for name in DIGIT_COLOURS
     }
-    top = float(data.mocap_pos[0, 2])
     pictures = []
     with mujoco.Renderer(model, PICTURE_SIZE_PX[1], PICTURE_SIZE_PX[0]) as renderer:
         for i in range(len(times)):
-            data.qpos[: joints.shape[1]] = joints[i]
-            data.qpos[joints.shape[1] :] = pose[i]
-            data.mocap_pos[0, 2] = top - sunk[i]
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_camlight(model, data)
+            poses.show(mujoco, model, data, i)
             renderer.update_scene(data, camera)
             for name in DIGIT_COLOURS:
                 link = f"{name}_link{2 if name == 'thumb' else 3}"
@@ -116,23 +92,8 @@ def grasp_frames(folder: Path) -> list[Any]:
                     force[name][i],
                     rgba(DIGIT_COLOURS[name], 0.9),
                 )
-            pictures.append(
-                labelled_picture(renderer.render(), log, int(times[i]) - offset, force, i)
-            )
+            pictures.append(labelled_picture(renderer.render(), log, int(times[i]), force, i))
     return pictures
-
-
-def paint_model(mujoco: Any, model: Any) -> None:
-    """Set the colours of links, palm, object and table in the model."""
-    for geom in range(model.ngeom):
-        body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
-        digit = body.partition("_")[0]
-        plain = {"object": "#d8d2c4", "table": "#8d99a5"}.get(body, "#5b6670")
-        model.geom_rgba[geom] = (
-            rgba(DIGIT_COLOURS[digit])
-            if digit in DIGIT_COLOURS
-            else rgba(plain, 0.55 if body == "object" else 1.0)
-        )
 
 
 def add_arrow(

@@ -1,4 +1,4 @@
-"""Draw the picture of a hand that holds an object, from the true poses of a run of `handctl demo`."""
+"""Draw a hand that holds an object, from the true poses of a run of `handctl demo`."""
 
 import contextlib
 import os
@@ -10,24 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.hand_description import load_hand
-from firmware_sim.plant.mjcf import model_text
-from firmware_sim.scene.scene import load_scene
-from handctl.digit_colours import colour_numbers
-from handctl.hand.hand_loading import load_hand as load_hand_file
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.report.run_figure import digit_colours
 from handctl.report.truth_record import read_truth
 from handctl.session.tasks import scene_for_hand
-from tools.figures.gif import SKYBOX_XML, rgba
-from tools.figures.style import DIGIT_COLOURS
+from tools.figures.plant_scene import TruePoses, body_names, painted_model
 from tools.figures.tuning import call_handctl, empty_folder
 
 PICTURE_SIZE_PX = (640, 480)
 """Width and height of a picture [pixels]."""
-PALETTE = (*DIGIT_COLOURS.values(), "#7a5ea8", "#8a6d3b", "#4aa3a2")
-"""Colours of digits, in the order of ``digit_colours.colour_numbers``."""
-BODY_COLOURS = {"object": "#d8d2c4", "table": "#8d99a5"}
-PALM_COLOUR = "#5b6670"
 HOLD_DELAY_S = 2.0
 """Time from the start of the hold to the picture [s]. The table has sunk by then."""
 CAMERA_ANGLES_DEG = {"jamia": (192.0, -27.0), "jamia11": (192.0, -27.0), "t42": (192.0, -27.0)}
@@ -42,7 +34,7 @@ PACKAGED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1", "orca_like")
 
 
 def picture_of(hand_name: str) -> Callable[[Path], Path]:
-    """Return a function that runs the demo of a hand in a folder, and returns the path of the picture."""
+    """Return a function that runs the demo of a hand in a folder and draws its picture."""
 
     def draw(folder: Path) -> Path:
         os.environ.setdefault("MUJOCO_GL", "egl")
@@ -71,47 +63,16 @@ def save_still(hand_file: str) -> None:
     from PIL import Image
 
     log, truth = RunLog(Path("run.mcap")), read_truth(Path("run.truth"))
-    scene = load_scene(str(scene_for_hand(None, load_hand_file(hand_file))))
-    xml = model_text(load_hand(hand_file), scene, meshes=True)
-    model = mujoco.MjModel.from_xml_string(xml.replace("<worldbody>", f"{SKYBOX_XML}<worldbody>"))
-    paint_digits(mujoco, model, log.header.digits)
-    model.vis.headlight.ambient[:] = 0.45
-    model.vis.headlight.diffuse[:] = 0.55
+    hand = load_hand(hand_file)
+    colours = dict(zip(hand.digit_names, digit_colours(hand), strict=True))
+    model = painted_model(mujoco, hand_file, str(scene_for_hand(None, hand)), colours)
     data = mujoco.MjData(model)
-    hold = next(change.t_ns for change in log.phases if change.name == "hold")
-    offset = int(log.header.metadata.get("truth_offset_ns", "0"))
-    time_ns = np.array([hold + offset + round(HOLD_DELAY_S * 1e9)])
-    joints = truth.interpolated_columns([f"q/{joint}" for joint in log.header.joints], time_ns)[0]
-    parts = ("x", "y", "z", "qw", "qx", "qy", "qz")
-    data.qpos[: len(joints)] = joints
-    data.qpos[len(joints) :] = truth.interpolated_columns(
-        [f"object/{part}" for part in parts], time_ns
-    )[0]
-    data.mocap_pos[0, 2] -= truth.interpolated_column("support", time_ns)[0]
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_camlight(model, data)
+    hold_ns = next(change.t_ns for change in log.phases if change.name == "hold")
+    times_ns = np.array([hold_ns + round(HOLD_DELAY_S * 1e9)])
+    TruePoses(log, truth, times_ns).show(mujoco, model, data, 0)
     with mujoco.Renderer(model, PICTURE_SIZE_PX[1], PICTURE_SIZE_PX[0]) as renderer:
         renderer.update_scene(data, camera_of(mujoco, model, data, hand_file))
         Image.fromarray(renderer.render()).save("hand.png")
-
-
-def body_names(mujoco: Any, model: Any) -> list[str]:
-    """Return the name of the body of each geometry."""
-    return [
-        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "" for body in model.geom_bodyid
-    ]
-
-
-def paint_digits(mujoco: Any, model: Any, digits: tuple[str, ...]) -> None:
-    """Set the colours of links, palm, object and table in the model."""
-    colours = dict(zip(digits, colour_numbers(digits), strict=True))
-    for geom, body in enumerate(body_names(mujoco, model)):
-        digit = body.rpartition("_link")[0]
-        if digit in colours:
-            model.geom_rgba[geom] = rgba(PALETTE[colours[digit] % len(PALETTE)])
-        else:
-            opacity = 0.55 if body == "object" else 1.0
-            model.geom_rgba[geom] = rgba(BODY_COLOURS.get(body, PALM_COLOUR), opacity)
 
 
 def camera_of(mujoco: Any, model: Any, data: Any, hand_name: str) -> Any:

@@ -52,7 +52,7 @@ class _DeferredAttribute:
         )
 
 
-class _DeferredModule(ModuleType):
+class _StandInModule(ModuleType):
     """Stand-in for a module. The first use of a function imports the real module."""
 
     def __getattr__(self, name: str) -> _DeferredAttribute:
@@ -71,10 +71,10 @@ def deferred_imports() -> Iterator[None]:
     module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     module_parts = [(importlib.import_module(package), part) for package, _, part in module_names]
     for package, part in module_parts:
-        sys.modules[f"{package.__name__}.{part}"] = deferred_module = _DeferredModule(
+        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandInModule(
             f"{package.__name__}.{part}"
         )
-        setattr(package, part, deferred_module)
+        setattr(package, part, stand_in)
     try:
         yield
     finally:
@@ -128,15 +128,15 @@ def import_without_package(name: str) -> ModuleType:
     if hasattr(loaded_module, "__path__"):
         return importlib.import_module(name)
     specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
-    module_parts = [
+    package_folders = [
         spec.submodule_search_locations
         for spec in specs
         if spec and spec.submodule_search_locations
     ]
-    if not module_parts:
+    if not package_folders:
         raise ModuleNotFoundError(f"No module named {package!r}", name=package)
     package_stub = ModuleType(package)
-    package_stub.__path__ = list(module_parts[0])
+    package_stub.__path__ = list(package_folders[0])
     sys.modules[package] = package_stub
     try:
         return importlib.import_module(name)

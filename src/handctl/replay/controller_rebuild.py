@@ -81,9 +81,9 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
 def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return two texts for an error message: the version that wrote the log, and the version that reads the log."""
     metadata = log.header.metadata
-    names = (metadata.get(key, UNKNOWN_IDENTITY) for key in ("version", "code"))
-    version_of_writer = "handctl {}, code {}".format(*names)
-    version_of_reader = f"handctl {version('handctl')}, code {code_identity()}"
-    return printable_text(
-        f"the log, written by {version_of_writer}"
-    ), f"a log that this one can execute: {version_of_reader}"
+    writer = metadata.get("version", UNKNOWN_IDENTITY)
+    writer_code = metadata.get("code", UNKNOWN_IDENTITY)
+    return (
+        printable_text(f"the log, written by handctl {writer}, code {writer_code}"),
+        f"a log that this one can execute: handctl {version('handctl')}, code {code_identity()}",
+    )
