@@ -24,7 +24,7 @@ from trials.alternative_filters import (
     cell_only_estimate,
     exponential_average,
 )
-from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, SPREAD_DIGITS_SUFFIX, hand_by_name
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
 from trials.reference_filter import CELL_DRIFT_VARIANCE_N2_PER_S, reference_sigma
@@ -97,7 +97,11 @@ def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepT
             )
         ]
     free_motion_trial = LockstepTrial(
-        hand_name + SPREAD_DIGITS_SUFFIX, MOTION_SCRIPT, seed, None, PLANT_VARIATIONS[plant_name]
+        hand_name + SPREAD_DIGITS_SUFFIX,
+        MOTION_SCRIPT,
+        seed,
+        FREE_MOTION_SCENE,
+        PLANT_VARIATIONS[plant_name],
     )
     return [
         free_motion_trial,

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 from trials import control_page, tracking
-from trials.benchmark_hands import FINGERTIP_LOAD, SIDEWAYS_SUFFIX
+from trials.benchmark_hands import FINGERTIP_LOAD, FREE_MOTION_SCENE, SIDEWAYS_SUFFIX
 from trials.control_laws import GRAVITY_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, run_trial
@@ -50,7 +50,7 @@ def run_gravity_trial(job: tuple) -> dict[str, dict[str, float]]:
         hand + SIDEWAYS_SUFFIX,
         tracking.motion_script(MEASURED_SPEEDS),
         seed,
-        None,
+        FREE_MOTION_SCENE,
         None,
         gains,
         change_controller=GRAVITY_LAW_BY_NAME[law].change_controller,

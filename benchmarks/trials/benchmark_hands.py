@@ -2,7 +2,8 @@
 
 When all joints of a packaged hand are at 60 degrees, the fingertips touch the palm, and the middle
 finger touches the thumb. In benchmarks of free motion, the digits must not touch anything. The
-variants therefore place the digits farther apart. All other properties of the hands are the same.
+variants therefore place the digits farther apart, and their trials use a scene in which the digits
+pass through the palm. All other properties of the hands are the same.
 """
 
 from functools import cache
@@ -13,6 +14,12 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, hand_path
 
 SPREAD_DIGITS_SUFFIX = ".clear"
 """Suffix in the names of the variants with free space around every digit."""
+FREE_MOTION_SCENE = "no_palm"
+"""Scene of the variants.
+
+The palm of the simulator lies behind the mounts of the digits, wherever these are. Digits that are
+farther apart can therefore still touch the palm.
+"""
 SIDEWAYS_SUFFIX = ".side"
 """Suffix in the names of the variants that also lie on their side.
 
@@ -28,8 +35,8 @@ FINGERTIP_LOAD = 10.0
 
 A fingertip then weighs 21 g.
 """
-FORWARD_SHIFT_M, DIGIT_DISTANCE_M = 0.04, 0.1
-"""Distances in the variants [m]: from the palm to the digits, and between neighbouring digits."""
+DIGIT_DISTANCE_M = 0.1
+"""Additional distance between neighbouring digits of the variants [m]."""
 
 
 @cache
@@ -40,7 +47,7 @@ def hand_by_name(hand_name: str) -> Hand:
     content = hand_content(packaged_name(hand_name))
     for i, digit in enumerate(content["digit"]):
         x, y, z = digit["mount_position_m"]
-        digit["mount_position_m"] = [x + FORWARD_SHIFT_M, y, z + i * DIGIT_DISTANCE_M]
+        digit["mount_position_m"] = [x, y, z + i * DIGIT_DISTANCE_M]
         if hand_name.endswith(SIDEWAYS_SUFFIX):
             for key in ("link_mass_kg", "link_inertia_kg_m2"):
                 digit[key][-1] *= FINGERTIP_LOAD

@@ -23,7 +23,7 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
-from trials.benchmark_hands import hand_by_name, hand_file_of, packaged_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
@@ -130,7 +130,11 @@ class TrialRecord:
 
 
 def run_trial(trial: LockstepTrial) -> TrialRecord:
-    """Run a trial and return its record. Equal trials give records that are equal to the bit."""
+    """Run a trial and return its record. Equal trials give records that are equal to the bit.
+
+    Raises:
+        RuntimeError: a digit touched something in the scene of free motion.
+    """
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged_name(trial.hand)]
     controller = trial.change_controller(
@@ -148,7 +152,11 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
             for entry, tick_output in run.run_ticks(trial.time_limit_s):
                 rows.append((entry, tick_output, inputs, run.state))
                 inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
-        return _trial_record(hand, controller, rows, read_truth(path), run.state)
+        record = _trial_record(hand, controller, rows, read_truth(path), run.state)
+    # A digit that hits something makes all results of a motion larger, and no other check sees it.
+    if trial.scene == FREE_MOTION_SCENE and record.contact_force().any():
+        raise RuntimeError(f"{trial.hand}: a digit touched something during free motion")
+    return record
 
 
 def _filtered_tension(

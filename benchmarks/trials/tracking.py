@@ -30,7 +30,7 @@ from handctl.tune.loops.gain_design import keeps_required_margins, linear_factor
 from handctl.tune.loops.linear_models import LoopKind
 from handctl.tune.search.ensemble import sample_ensemble
 from trials import control_page, force_page, force_step, tracking_page
-from trials.benchmark_hands import SPREAD_DIGITS_SUFFIX, hand_by_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, SPREAD_DIGITS_SUFFIX, hand_by_name
 from trials.control_laws import ABLATION_LAW_BY_NAME
 from trials.job_runner import JobPlan, add_job_options, collect_results, job_plan_of
 from trials.lockstep_trial import RATES_HZ, LockstepTrial, TrialRecord, run_trial
@@ -118,7 +118,7 @@ def tracking_trial(
         hand_name + SPREAD_DIGITS_SUFFIX,
         motion_script(speeds),
         seed,
-        None,
+        FREE_MOTION_SCENE,
         PLANT_FACTORS[plant_name],
         config.gains(*lqr_weights, RATES_HZ[hand_name]),
         change_controller=config.change_controller,

@@ -64,6 +64,9 @@ _OPTIONS = f"""
   <default>
     <geom condim="4" solref="0.004 1" solimp="0.95 0.99 0.001" friction="{{friction}} 0.005 0.0001"/>
     <joint type="hinge" solreflimit="0.002 1" solimplimit="0.99 0.9999 0.001"/>
+    <default class="palm">
+      <geom contype="{{palm_category}}" conaffinity="{OBJECT_BIT}"/>
+    </default>
   </default>
 """
 """Options and defaults of the engine. For the source of the settings see ``model_text``."""
@@ -87,7 +90,11 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     """
     mesh_by_link = {mesh.link: mesh for mesh in hand.meshes} if meshes else {}
     friction = scene.grasp_object.friction if scene.grasp_object else HAND_FRICTION
-    options = _OPTIONS.format(gravity=_numbers_text(hand.gravity), friction=friction)
+    options = _OPTIONS.format(
+        gravity=_numbers_text(hand.gravity),
+        friction=friction,
+        palm_category=PALM_BIT if scene.palm_contact else 0,
+    )
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
         _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
@@ -217,9 +224,9 @@ def _palm_element(
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
     box = (
-        f'<geom name="{name}" type="box" size="{_numbers_text(half_sizes.tolist())}" '
+        f'<geom name="{name}" class="palm" type="box" size="{_numbers_text(half_sizes.tolist())}" '
         f'pos="{_numbers_text(centre.tolist())}"'
-        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_group_attribute(link in meshes_by_link)}/>'
+        f"{_group_attribute(link in meshes_by_link)}/>"
     )
     mesh = "" if carrier else _mesh_geom(meshes_by_link.get("palm"))
     digits = "\n".join(

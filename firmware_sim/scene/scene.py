@@ -82,7 +82,8 @@ class GrowingLoad:
 class Scene:
     """The surroundings of a hand: an object, its support, a load on the object, and the stages after the grasp.
 
-    The scene of a hand without an object has none of these.
+    The scene of a hand without an object has none of these. If ``palm_contact`` is False, the digits
+    pass through the palm.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Scene:
     support: SinkingTable | None = None
     load: GrowingLoad | None = None
     stages: tuple[SceneStage, ...] = ()
+    palm_contact: bool = True
 
 
 def packaged_scenes() -> list[str]:
@@ -162,6 +164,7 @@ def _read_scene(path: Any, location: str) -> Scene:
             support,
             load,
             tuple(read_stage(stage) for stage in scene_content.get("stage", ())),
+            _parse_palm_contact(scene_content.get("palm_contact", True)),
         )
     except KeyError as error:
         raise SimulatorError(f"scene {location}: missing or unknown key {error}") from error
@@ -180,6 +183,13 @@ def _read_scene(path: Any, location: str) -> Scene:
             f"scene {location}: stages and load both push the object; expected one of them"
         )
     return scene
+
+
+def _parse_palm_contact(value: object) -> bool:
+    """Check the key that says whether the palm can be touched."""
+    if not isinstance(value, bool):
+        raise ValueError(f"palm_contact {value!r}: expected true or false")
+    return value
 
 
 def _parse_object(object_section: dict[str, Any] | None) -> GraspObject | None:

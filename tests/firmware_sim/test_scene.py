@@ -60,6 +60,17 @@ def test_objects_rest_on_their_table_until_grasped(scene_name: str) -> None:
     assert plant.table is None or plant.table.depth == 0.0
 
 
+@pytest.mark.parametrize(("scene_name", "is_touching"), [("none", True), ("no_palm", False)])
+def test_bent_fingers_touch_the_palm_only_if_the_scene_has_one(
+    scene_name: str, is_touching: bool
+) -> None:
+    plant = Plant(load_hand("jamia"), load_scene(scene_name))
+    angles = [0.0] * 11
+    angles[:3] = [np.radians(60.0)] * 3  # the index finger alone
+    plant.engine.set_joints(angles, [0.0] * 11)
+    assert any(plant.contact_forces()) == is_touching
+
+
 @pytest.mark.parametrize(
     ("original_text", "replacement_text"),
     [
@@ -73,6 +84,7 @@ def test_objects_rest_on_their_table_until_grasped(scene_name: str) -> None:
         ("diameter_m = 0.03", 'diameter_m = "wide"'),
         ("friction = 0.5", "friction = -0.5"),
         ("friction = 0.5", "friction = nan"),
+        ('name = "good"', 'name = "good"\npalm_contact = 0'),
     ],
 )
 def test_wrong_scenes_are_refused_in_one_line(
