@@ -112,11 +112,11 @@ def test_interpreted_kernels_convert_frames_to_the_same_bytes() -> None:
     assert output.strip() == hash_of_frame_conversions()
 
 
-DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
+DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (23, 3), (24, 0)]
 """Number of tendons and seed of each random hand that is tested in ordinary test runs.
 
 In the hands (5, 2), (6, 5) and (11, 1), drives close position loops. The hand (6, 5) has moteus
-drives.
+drives. In ticks of the hand (23, 3), values of the state are NaN.
 """
 
 

@@ -519,6 +519,25 @@ def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
     )
 
 
+@kernel_helper
+def write_standard_nan(block: BlockArray, at: TablePlaces) -> None:
+    """Replace every NaN in the tables of real numbers by the NaN of ``math.nan``.
+
+    An invalid operation may return a NaN with another sign bit, and the sign depends on the order of the operands.
+    The compiler may exchange the operands. Without this step, the hash of a state with NaN could therefore differ
+    between compiled and interpreted code.
+
+    Args:
+        block: state block, modified in place.
+        at: ``BlockLayout.places`` of the layout of the block.
+    """
+    # The tables of real numbers are the first in the block. The loop begins at 0 and always writes, so that the
+    # compiler can handle several numbers at once. Otherwise the loop takes ten times as long.
+    for i in range(at[15]):
+        value = block[i]
+        block[i] = math.nan if math.isnan(value) else value
+
+
 MONITOR_TENDON_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon"]
 MONITOR_TENDON_END_ROW = _MONITOR_END_ROWS["tendon"]
 MONITOR_TENDON_INT_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon_int"]

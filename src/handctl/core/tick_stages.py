@@ -39,7 +39,7 @@ from handctl.core.estimation import (
     posture,
     varying_moment_arms,
 )
-from handctl.core.state_block import state_tables
+from handctl.core.state_block import state_tables, write_standard_nan
 from handctl.core.tick_types import ACTIVE_MODE, ARMING_MODE, DONE_MODE, RELAX_MODE, SILENT_MODE
 from handctl.safety.safety_action import SafetyAction
 
@@ -324,3 +324,4 @@ def store_commands(
         has_reading = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
         x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if has_reading else math.nan
         x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED_TORQUE, n] if has_reading else math.nan
+    write_standard_nan(block, at)
