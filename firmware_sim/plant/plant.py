@@ -395,5 +395,7 @@ class Plant:
 
     def pair_tensions(self) -> list[float]:
         """Return the tensions of the first and the second tendon of each spool pair [N], pair by pair."""
+        if not self._antagonist:
+            return []
         cell_tensions = self.cells().tolist()
         return [float(cell_tensions[i]) for pair in self._antagonist.items() for i in pair]

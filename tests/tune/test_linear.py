@@ -7,9 +7,11 @@ import math
 
 import numpy as np
 import pytest
-from control import frd, stability_margins
+from control import frd, ss, stability_margins
 
+from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.tune.loops import linear_models
 from handctl.tune.loops.linear_models import (
     LoopKind,
@@ -67,6 +69,22 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 
 
 @pytest.mark.parametrize("loop_kind", LOOP_KINDS)
+@pytest.mark.parametrize("hand_name", packaged_hands())
+@pytest.mark.parametrize("rate_hz", [200.0, 1000.0])
+def test_the_frequency_response_solves_the_equations_of_the_system(
+    hand_name: str, loop_kind: LoopKind, rate_hz: float
+) -> None:
+    """The product over the eigenvalues equals C (zI - A)^-1 B + D, as control computes it."""
+    system = open_loop(HandModel.from_hand(load_hand(hand_name), Gains(), rate_hz), 0, loop_kind)
+    omega = frequency_grid(system.period)
+    expected = ss(system.A, system.B, system.C, system.D, system.period)(
+        np.exp(1j * omega * system.period)
+    )
+    error = np.abs(system.frequency_response(omega) - expected)
+    assert (error < 1e-9 * np.abs(1.0 + expected)).all()
+
+
+@pytest.mark.parametrize("loop_kind", LOOP_KINDS)
 @pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])
 def test_margins_are_those_of_control(
     hand_name: str, loop_kind: LoopKind, request: pytest.FixtureRequest
@@ -76,7 +94,7 @@ def test_margins_are_those_of_control(
     omega = frequency_grid(system.period)
     margins = margins_of_loop(system)
     gain, phase, _, _, _, _ = stability_margins(
-        frd(system.frequency_response(omega)[:, 0, 0], omega, smooth=True)
+        frd(system.frequency_response(omega), omega, smooth=True)
     )
     assert margins.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
     assert margins.phase_deg == pytest.approx(phase, abs=0.05)

@@ -72,7 +72,7 @@ def draw_loops(path: Path, model_before: HandModel, model_after: HandModel, titl
 def _draw_loop(axes_row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
     system = open_loop(model, 0, kind)
     omega = frequency_grid(system.period)
-    L = system.frequency_response(omega)[:, 0, 0]
+    L = system.frequency_response(omega)
     gain, phase, plane, step = axes_row
     gain.loglog(omega / (2 * np.pi), np.abs(L), color=colour, label=name)
     phase.semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(L))), color=colour)

@@ -127,7 +127,7 @@ def margins_of_loop(system: LinearSystem, point_count: int = SEARCH_GRID_POINTS)
     omega = frequency_grid(system.period, point_count)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
         return _zero_margins(math.nan, math.inf, is_stable_loop=False)
-    L: NDArray[np.complex128] = system.frequency_response(omega)[:, 0, 0]
+    L: NDArray[np.complex128] = system.frequency_response(omega)
     if not (stable := is_stable(system)) or float(np.abs(L).max()) <= MAX_OPEN_LOOP_GAIN:
         return _zero_margins(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
     sensitivity = 1.0 / (1.0 + L)
