@@ -62,7 +62,9 @@ def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output file: the path of its source file with another suffix.
+    """Return the path of an output file.
+
+    It is the path of the source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.

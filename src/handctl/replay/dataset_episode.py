@@ -245,7 +245,11 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
 
 
 def _limit_rate(angles: Array, max_step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles, but change by at most `max_step` (J,) [rad] per frame."""
+    """Limit the change of joint angles per frame.
+
+    The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)
+    [rad] per frame.
+    """
     limited_angles = angles.copy()
     for i in range(1, len(limited_angles)):
         limited_angles[i] = limited_angles[i - 1] + np.clip(

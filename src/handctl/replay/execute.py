@@ -62,9 +62,10 @@ class LogExecution:
 
 
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
-    """Return True if all decisions are those in the log, and no number differs from the log by more than `tolerance`.
+    """Return True if a new execution of a run agrees with the log.
 
-    A tolerance is useful because another kind of processor may round differently.
+    All decisions must be those in the log. No number may differ from the log by more than
+    `tolerance`. A tolerance is useful because another kind of processor may round differently.
     """
     largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
     return not execution.different_decisions and largest <= tolerance

@@ -183,7 +183,10 @@ class LogFile:
 
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
-    """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
+    """Return the decompressed bytes of a chunk.
+
+    The result has at most one byte more than the chunk declares.
+    """
     # If a chunk is longer than it declares, the additional byte shows this. In this case, the rest
     # of the chunk need not be decompressed.
     if chunk.compression == "lz4":

@@ -229,7 +229,7 @@ class RunLog:
 
     @property
     def _fixed_parts(self) -> NDArray[np.void]:
-        """Return the first part of each Tick message (ticks,), whose length is constant."""
+        """Return the first part of each Tick message (ticks,). The length of this part is constant."""
         return self._chunk_index.constant_parts
 
     def __len__(self) -> int:
