@@ -136,7 +136,7 @@ def _cpu_seconds() -> float:
 def gc_disabled() -> Iterator[None]:
     """Disable garbage collection, as the control loop does.
 
-    Also disable the warnings of numpy about wrong numbers in a log.
+    Also disable numpy's warnings about invalid numbers, because a log may contain such numbers.
 
     A tick creates no reference cycles. So no garbage accumulates.
     """

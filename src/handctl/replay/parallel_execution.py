@@ -33,7 +33,10 @@ PROGRESS_PERIOD_S = 0.2
 
 
 class LogPart(NamedTuple):
-    """Part of a log: the ticks from index `start` up to `stop`, and the controller's state before the first of them."""
+    """Part of a log: the ticks from index `start` to `stop` - 1.
+
+    The part also has the controller's state before the first tick.
+    """
 
     start: int
     stop: int
@@ -41,7 +44,10 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """Worker process, with its part of the log and the read end of the pipe that carries the result."""
+    """Worker process with its part of the log.
+
+    The worker writes the result to a pipe. The class has the read end of this pipe.
+    """
 
     process: int
     pipe: int
@@ -182,8 +188,8 @@ def _result_json(
 ) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
-    If the text is empty, the calling process executes the part itself, finds the damage and reports
-    the error.
+    In this case, the calling process executes the part itself, finds the damage and reports the
+    error.
     """
     try:
         state, difference_tally = runner.execute_part(*part, None, add_executed_ticks)

@@ -289,9 +289,9 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return, for each mark, the left end [s] and the height of its name.
+    """Return, for each mark, the place for its name: the left end [s] and the height.
 
-    Return None if there is no place for the name.
+    If there is no place for a name, the value for this mark is None.
 
     Args:
         times_s: time of each mark [s], the most important mark first.

@@ -253,7 +253,10 @@ class TendonFitProblem:
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
-    """Return the scale (15,) of each parameter of a tendon, which is usually the value in the hand file."""
+    """Return the scales of a tendon's parameters (15,).
+
+    A scale is usually the value in the hand file.
+    """
     tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     value_scales = np.array([
@@ -318,9 +321,10 @@ class TendonFit:
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that contain `parameter_count` parameters with 95 % probability.
+        """Return half of the widths of confidence intervals.
 
-        This is the probability that all of these parameters are in their intervals.
+        With a probability of 95 %, all of `parameter_count` parameters are in their intervals at
+        the same time.
 
         Source: Sidak (1967). If the parameters are not independent of each other, the intervals
             are wider than necessary.
