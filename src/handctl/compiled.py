@@ -225,7 +225,9 @@ def square(value: float) -> float:
 
 
 def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
-    """Generate the code of ``borrowed_array``, which returns an array that owns no memory.
+    """Generate the code of ``borrowed_array``.
+
+    This function returns an array that refers to the memory of another array.
 
     Numba does not count the references to a borrowed array.
 
@@ -262,13 +264,13 @@ def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any)
 def borrowed_array(
     flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Return a part of a contiguous array in another shape, without counting references to the array.
+    """Return a part of a contiguous array in another shape.
 
-    If a function is called with an array, numba counts the references to the array with atomic
-    operations. Kernels pass dozens of tables to the functions that they call, and the counting took
-    longer than all computations. A borrowed array has no reference count, so the caller of the
-    kernel must keep the memory alive. If Python interprets the kernel, the borrowed array is an
-    ordinary view.
+    Numba does not count the references to the returned array. If a function is called with an
+    array, numba counts the references to the array with atomic operations. Kernels pass dozens of
+    tables to the functions that they call, and the counting took longer than all computations. A
+    borrowed array has no reference count, so the caller of the kernel must keep the memory alive.
+    If Python interprets the kernel, the borrowed array is an ordinary view.
 
     Args:
         flat_array: contiguous array.

@@ -172,7 +172,7 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
-    """Return True if pydantic uses this name for a certain model of a union.
+    """Return True if a name is one that pydantic gives to a certain model of a union.
 
     The name is either the tag or the class of the model.
     """

@@ -228,7 +228,7 @@ def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1)
 
 
 def _demands_hold_or_stop(event: TickEvent) -> bool:
-    """Return True if the reaction to a fault is HOLD or a more severe one.
+    """Return True if the reaction to a fault is HOLD or a more severe reaction.
 
     The text of the fault event ends with the name of the reaction.
     """

@@ -355,8 +355,8 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
     """Return the scenarios of every row of the matrix.
 
     Each row is tested in all its stages. If the hand has several parts that the fault can affect,
-    the fault affects the first or the last of these parts. An example is the first and the last
-    motor.
+    there is one test with the first and one test with the last of these parts, for example with the
+    first and with the last motor.
 
     Args:
         hand: description of the simulated hand.

@@ -120,7 +120,9 @@ def homed_run(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = CAMPAIGN_TASK,
 ) -> Iterator[SimulatedRun]:
-    """Yield a simulated run at its start: a homed hand in a scene with a cylinder.
+    """Yield a simulated run at its start.
+
+    The hand is homed, and the scene contains a cylinder.
 
     Args:
         hand: hand to simulate.

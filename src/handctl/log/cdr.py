@@ -145,7 +145,10 @@ class MessageTemplate:
 
 
 class TemplateWriter(CdrWriter):
-    """Builder of a template: a CdrWriter that can also append variable fields."""
+    """Builder of a template.
+
+    The builder is a CdrWriter that can also append variable fields.
+    """
 
     def __init__(self) -> None:
         """Start with an empty message."""

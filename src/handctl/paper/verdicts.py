@@ -105,6 +105,9 @@ def last_digit_value(printed_number: str) -> Fraction:
 
 
 def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
-    """Return the lower and the upper end of the interval of all values that would be rounded to a printed number."""
+    """Return the lower and the upper end of an interval.
+
+    The interval contains all values that would be rounded to a printed number.
+    """
     half_digit = last_digit_value(printed_number) / 2
     return Fraction(printed_number) - half_digit, Fraction(printed_number) + half_digit

@@ -49,7 +49,7 @@ class CommandCollector:
         self._tension.append(tick_output.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
-        """Return the number of ticks before the mode or the reaction to faults first differs from the log."""
+        """Return the number of ticks before the first tick whose mode or reaction to faults differs from the log."""
         mode, action = np.array(self._reactions).T
         is_different = (mode != log.mode) | (action != log.action)
         return int(np.argmax(is_different)) if is_different.any() else len(is_different)

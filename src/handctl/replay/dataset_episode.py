@@ -223,7 +223,8 @@ def _joint_angles(
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
     """Return the angles (frames, J).
 
-    Angles that are slightly outside of the range of their joint are clipped.
+    If an angle is slightly outside of the range of its joint, the angle is set to the end of the
+    range.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the range of the joint.

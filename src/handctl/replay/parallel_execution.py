@@ -1,9 +1,10 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process executes a part of the log, from a snapshot whose hash is in the log. If the state at
-the end of the previous part has the same hash, a serial execution would reach the same state. In
-this case, the results of the two parts can be added. If the hashes differ, one process executes the
-rest of the log serially. The result is therefore always equal to the result of a serial execution.
+Each process executes a part of the log. The part starts from a snapshot, and the hash of this
+snapshot is in the log. After the previous part, the state of the controller may have the same hash.
+Then a serial execution would reach the same state. In this case, the results of the two parts can
+be added. If the hashes differ, one process executes the rest of the log serially. The result is
+therefore always equal to the result of a serial execution.
 """
 
 import json

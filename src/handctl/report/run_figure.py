@@ -138,7 +138,7 @@ def _add_titles_and_phases(
 
 
 def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
-    """Limit the height of a row of plots to the values that occur while the hand is active.
+    """Limit the value axis of a row of plots to the values that occur while the hand is active.
 
     Later, the tendons have no tension and the joints may move far.
     """

@@ -310,7 +310,7 @@ def judge_grasp(
     offset_ns: int,
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the motion of the object in a hold, and the estimated and the true forces on the fingertips.
+    """Return the motion of the object in a hold, and the forces on the fingertips: estimated and true.
 
     If the table never sank, the object still rests on the table. The motion is then NaN.
 

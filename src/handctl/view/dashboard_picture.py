@@ -25,7 +25,7 @@ UNCHANGED_TIMEOUT_S = 10.0
 
 
 def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Path) -> list[str]:
-    """Draw the dashboard of a Rerun recording at one time as PNG.
+    """Draw a PNG picture of the dashboard at one time of a Rerun recording.
 
     Args:
         recording_path: path of the Rerun recording, which also contains the layout of the dashboard.
@@ -88,9 +88,10 @@ def connect_client(viewer: Viewer) -> "ViewerClient":
 
 
 def timeline_end(state: "ViewerState", timeline_name: str) -> int:
-    """Return the latest end of a timeline in all recordings of a viewer, in the unit of the timeline.
+    """Return the end of a timeline, in the unit of the timeline.
 
-    If there are no data, the result is -1.
+    If the timeline has different ends in the recordings of the viewer, return the latest end. If
+    there are no data, the result is -1.
     """
     lines = [
         line

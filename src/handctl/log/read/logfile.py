@@ -141,7 +141,9 @@ class LogFile:
         return data
 
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
-        """Compute the CRC-32 of a part of the file, or continue a CRC-32.
+        """Return the CRC-32 of a part of the file.
+
+        The calculation can continue the CRC-32 of the bytes before this part.
 
         Args:
             start: start of the part [bytes].

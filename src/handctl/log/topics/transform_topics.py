@@ -26,7 +26,9 @@ PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
 
 
 class LinkFrame(NamedTuple):
-    """Frame of a link, given relative to the frame of the parent link.
+    """Frame of a link.
+
+    The position and the rotation are relative to the frame of the parent link.
 
     Attributes:
         parent, child: names of the parent link's frame and of this link's frame.

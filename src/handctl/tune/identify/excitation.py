@@ -1,6 +1,7 @@
-"""Excitation of a digit to identify its parameters, within the limits of the digit.
+"""Excitation of a digit, from which its parameters are identified.
 
-The excitation takes about twenty seconds per digit.
+The motion stays within the limits of the digit. The excitation takes about twenty seconds per
+digit.
 """
 
 import math

@@ -54,7 +54,9 @@ MIN_DATA_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at the times at which it moves freely and its joint encoders are read.
+    """Data of a digit at certain times.
+
+    At these times, the digit moves freely, and its joint encoders are read.
 
     Attributes:
         digit: model of the digit.

@@ -42,9 +42,7 @@ At lower speeds the sign of the friction is not known.
 class MotorWindows:
     """Signals of a motor and its tendon, averaged with a time window.
 
-    Each array has the shape (m,).
-
-    All forces are converted to the tendon.
+    Each array has the shape (m,). All forces are converted to the tendon.
 
     Attributes:
         t: time at the centre of each window [s].

@@ -269,7 +269,10 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 
 
 def stop_stiffness(stiffness: float, relative_compliance: float, nominal_stiffness: Array) -> float:
-    """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
+    """Return the common stiffness of the tendon and the open stop [N/m].
+
+    Both act like springs in series.
+    """
     # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
         1.0
@@ -317,7 +320,10 @@ class TendonFit:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half of the width of each parameter's 95 % confidence interval, in the unit of the parameter."""
+        """Return half of the width of the 95 % confidence interval of each parameter.
+
+        The value has the unit of the parameter.
+        """
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:

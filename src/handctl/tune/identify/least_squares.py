@@ -66,7 +66,7 @@ def solve_least_squares(
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
-    A first, robust round finds the outliers, and the second round leaves them out.
+    The first round is robust, and finds the outliers. The second round leaves the outliers out.
 
     Args:
         residual_function: function from parameters (n,) to residuals in standard deviations. The rows of
@@ -114,10 +114,11 @@ def _parameter_covariance(
     knowledge.
 
     The residuals of a block are corrected. After the correction, they are equal to the residuals of
-    a fit without this block. The covariance is never smaller than that of independent noise.
+    a fit without this block. The covariance is never smaller than the covariance for independent
+    noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
-    not from the residuals. With the degrees of freedom of the residuals, one block with large
+    not from the residuals. If they were calculated from the residuals, one block with large
     residuals could leave less than three degrees of freedom for the friction.
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.

@@ -486,10 +486,10 @@ def _largest_force(
 
     If no authority keeps the margins, return None.
 
-    The search begins with the smallest possible force. Even this force may violate the margins,
-    because an integrator with little other feedback makes a tendon oscillate. After the first force
-    that keeps the margins, the force is increased until a margin is violated. The last increase is
-    then bisected. Larger forces are not tried.
+    The search begins with the smallest possible force. Even this force may violate the margins. The
+    integrator then makes a tendon oscillate, because the other feedback is too weak. After the
+    first force that keeps the margins, the force is increased until a margin is violated. The last
+    increase is then bisected. Larger forces are not tried.
     """
 
     def has_required_margins(log_force: float) -> bool:

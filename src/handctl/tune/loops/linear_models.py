@@ -355,7 +355,10 @@ class _LinearizationBench:
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, its state and readings at the operating point, and small steps of both."""
+    """Return the tick function of a tendon, the state and the readings at the operating point, and small steps.
+
+    There is a small step for each state and each reading.
+    """
     bench = _LinearizationBench(model)
     operating_point = _operating_block(bench, tendon, kind)
 

@@ -179,8 +179,9 @@ def is_stable(system: LinearSystem, loop_factor: complex = 1.0, delay_ticks: int
 def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
-    If an eigenvalue leaves the unit circle within a margin, the margin is reduced. The frequency
-    response alone would miss a resonance between two of its frequencies.
+    The margin is reduced if an eigenvalue is outside of the unit circle at a tested change within
+    the margin. The frequency response is known only at some frequencies. A resonance between two of
+    these frequencies would not be found without the eigenvalues.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:

@@ -32,9 +32,10 @@ def entity_path(path: str) -> str:
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks that draw a part of the hand from the log's URDF as a solid.
+    """Yield the chunks that draw a part of the hand as a solid.
 
-    For a link with a mesh, nothing is yielded.
+    The shape of the part comes from the URDF in the log. For a link with a mesh, nothing is
+    yielded.
 
     Without these chunks, Rerun would draw the shapes of a URDF as wire frames.
     """
