@@ -1,10 +1,12 @@
-"""Choice of the matrix kernels of OpenBLAS, so that a log gives the same bits on every x86 processor.
+"""Choice of the matrix kernels of OpenBLAS.
 
-numpy and scipy compute products of matrices with OpenBLAS. OpenBLAS has kernels for each family of
+With the chosen kernels, a log has the same bits on every x86 processor with AVX2 and FMA. numpy and
+scipy compute products of matrices with OpenBLAS. OpenBLAS has kernels for each family of
 processors, and the kernels of different families can round the last bit differently. The tension
-filter and the design of the controller use such products. So a log from a processor with AVX-512
-would not repeat to the bit on a processor without AVX-512. The kernels for Haswell run on every
-processor with AVX2 and FMA, and need the same time for matrices as small as those of a hand.
+filter and the design of the controller use such products. With the kernels for AVX-512, the numbers
+in a log could therefore differ in their last bits from the numbers on a processor without AVX-512.
+The kernels for Haswell run on every processor with AVX2 and FMA. For matrices as small as those of
+a hand, they are as fast as the other kernels.
 """
 
 import os
@@ -20,10 +22,10 @@ CPU_DESCRIPTION = Path("/proc/cpuinfo")
 
 
 def use_portable_kernels() -> None:
-    """Let OpenBLAS use the kernels for Haswell in this process and in the programs that it starts.
+    """Let OpenBLAS use the kernels for Haswell in this process and in the programs that this process starts.
 
-    The call has an effect only before the first import of numpy. It changes nothing if the user has
-    chosen kernels, or if the processor cannot execute these.
+    The call has an effect only before the first import of numpy. The call changes nothing if the
+    user has chosen other kernels, or if the processor cannot execute the kernels for Haswell.
     """
     if portable_kernels_run():
         os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS)
@@ -41,8 +43,8 @@ def portable_kernels_run() -> bool:
 def cpu_features(lines: Iterable[str]) -> frozenset[str]:
     """Return the features of the first processor in the lines of ``/proc/cpuinfo``.
 
-    A processor that is no x86 processor has no line ``flags``. Its features are unknown, and the
-    result is empty.
+    Only x86 processors have a line ``flags``. For other processors, the features are unknown, and
+    the result is empty.
     """
     for line in lines:
         name, _, value = line.partition(":")

@@ -1,8 +1,9 @@
-"""Compilation of kernels, the functions that run for every tendon, motor or joint in every tick.
+"""Compilation of kernels.
 
-A kernel is a plain function of arrays and numbers, written with loops and ``math``. With
-``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not reorder operations
-(no ``fastmath``), so interpreted and compiled kernels give the same numbers to the last bit.
+Kernels are the functions that run for every tendon, motor or joint in every tick. A kernel is a
+plain function of arrays and numbers, written with loops and ``math``. With ``NUMBA_DISABLE_JIT=1``,
+Python interprets the kernels. Compiled code does not reorder operations (no ``fastmath``). So
+interpreted and compiled kernels give the same numbers to the last bit.
 
 ``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand,
 because the types of a kernel's arguments do not depend on the hand. The compiled code is stored in
@@ -11,7 +12,7 @@ kernels. A change in one of these files leads to a new folder. So no process run
 of another version. If no folder can be written, each process compiles the kernels itself.
 
 A controller needs numba. Without numba, Python interprets the kernels. Programs that only read logs
-or send requests to a controller need no more.
+or send requests to a controller do not need numba.
 """
 
 import contextlib
@@ -152,7 +153,7 @@ def _mark_function(function: F) -> F:
 
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
-    """Let numba store the code of kernels in a folder, within this context.
+    """Let numba store the code of kernels in a folder while this context is active.
 
     The context has no effect on other packages that use numba.
     """
@@ -224,7 +225,9 @@ def square(value: float) -> float:
 
 
 def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any) -> Any:
-    """Generate the code of ``borrowed_array``, which returns an array that owns no memory.
+    """Generate the code of ``borrowed_array``.
+
+    This function returns an array that refers to the memory of another array.
 
     Numba does not count the references to a borrowed array.
 
@@ -261,13 +264,13 @@ def _without_owner(typing_context: Any, flat: Any, first_index: Any, shape: Any)
 def borrowed_array(
     flat_array: NDArray[Any], first_element: int, shape: tuple[int, ...]
 ) -> NDArray[Any]:
-    """Return a part of a contiguous array in another shape, without counting references to the array.
+    """Return a part of a contiguous array in another shape.
 
-    If a function is called with an array, numba counts the references to the array with atomic
-    operations. Kernels pass dozens of tables to the functions that they call, and the counting took
-    longer than all computations. A borrowed array has no reference count, so the caller of the
-    kernel must keep the memory alive. If Python interprets the kernel, the borrowed array is an
-    ordinary view.
+    Numba does not count the references to the returned array. If a function is called with an
+    array, numba counts the references to the array with atomic operations. Kernels pass dozens of
+    tables to the functions that they call, and the counting took longer than all computations. A
+    borrowed array has no reference count, so the caller of the kernel must keep the memory alive.
+    If Python interprets the kernel, the borrowed array is an ordinary view.
 
     Args:
         flat_array: contiguous array.
@@ -403,7 +406,7 @@ def _try_file_lock(lock_file: IO[str]) -> bool:
 def _start_compiler_process(
     remaining_count: int, waiting_kernels: Sequence[_UncompiledKernel]
 ) -> int:
-    """Fork a process that compiles one waiting kernel after the other, until all are compiled.
+    """Fork a process that compiles waiting kernels, one after the other, until no kernel is left.
 
     Return the process id.
     """

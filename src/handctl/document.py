@@ -69,10 +69,10 @@ def _error_line(
 ) -> ConfigError:
     """Return the most specific of the errors that pydantic has found in a document.
 
-    If there are an unknown and a missing key, the unknown key is reported, because a misspelt key
-    causes both errors. If there is no unknown key, the error at the deepest place in the document
-    is reported. In a union of several models, the deepest error belongs to the model that the user
-    meant.
+    A document may have both an unknown key and a missing key. In this case, the unknown key is
+    reported, because a misspelt key causes both errors. If there is no unknown key, the error at
+    the deepest place in the document is reported. In a union of several models, the deepest error
+    belongs to the model that the user meant.
     """
     error_details = error.errors(include_url=False)
     deepest = max(
@@ -106,7 +106,7 @@ def _error_line(
 def _without_tags(
     file_content: Any, key_location: Sequence[str | int], kind: str
 ) -> tuple[str | int, ...]:
-    """Remove from the location of an error the names that pydantic adds for the models of a union.
+    """Return the location of an error without the names that pydantic adds for the models of a union.
 
     All parts of the resulting location exist in the content. If the error is a missing key, the
     last part is this key.
@@ -172,7 +172,7 @@ def _keys_at(type_annotation: Any, key_location: Sequence[str | int]) -> set[str
 
 
 def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
-    """Return True if pydantic uses this name for a certain model of a union.
+    """Return True if a name is one that pydantic gives to a certain model of a union.
 
     The name is either the tag or the class of the model.
     """

@@ -1,7 +1,8 @@
-"""Optional packages, and the extras of handctl (in the sense of pip) that install them.
+"""Optional packages of handctl, and the extras that install these packages.
 
-``pip install handctl`` installs the packages for a client of a controller, for logs, and for looking
-at a bus. Every other package belongs to an extra in pyproject.toml.
+An extra is a group of optional packages in the sense of pip. ``pip install handctl`` installs the
+packages that a program needs to be the client of a controller, to read logs, or to look at a bus.
+Every other package belongs to an extra in pyproject.toml.
 """
 
 import sys
@@ -64,7 +65,10 @@ def is_installed(package: str) -> bool:
 
 
 def extras_installed() -> dict[str, bool]:
-    """Return, by the name of each extra of handctl, True if all packages of the extra are installed."""
+    """Return a bool for each extra of handctl, by the name of the extra.
+
+    The value is True if all packages of the extra are installed.
+    """
     return {
         extra: all(
             is_installed(package)

@@ -1,8 +1,9 @@
-"""Loading of stored kernels without the parts of numba that only compilation needs.
+"""Fast loading of stored kernels.
 
-When numba loads a stored function, three steps take most of the time. First, numba registers all
-types and functions that can be compiled. Second, numba imports the modules of the numba functions
-that the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
+Some parts of numba are needed only for a compilation. This module does not load these parts. When
+numba loads a stored function, three steps take most of the time. First, numba registers all types
+and functions that can be compiled. Second, numba imports the modules of the numba functions that
+the stored function contains. Third, numba parses the intermediate code (bitcode) of the stored
 function. The bitcode is needed only if the stored function is inlined into another function. If the
 folder contains the code of all kernels, a program compiles nothing and needs none of these steps.
 If a function is compiled after all, numba registers the types at that time. If another kernel calls
@@ -80,8 +81,8 @@ def _do_nothing() -> None:
 def _without_module(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
-    The original function of numba also imports the module of the code, which only interpreted code
-    needs.
+    The original function of numba also imports the module of the code. Only interpreted code needs
+    this module.
 
     Args:
         module: name of the module.

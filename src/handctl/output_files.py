@@ -62,7 +62,9 @@ def atomic_path(path: Path, must_be_new: bool = False) -> Iterator[Path]:
 
 
 def path_with_suffix(path: Path, suffix: str) -> Path:
-    """Return the path of an output file: the path of its source file with another suffix.
+    """Return the path of an output file.
+
+    It is the path of the source file with another suffix.
 
     Raises:
         ConfigError: the path has no file name, e.g. ``.`` or ``/``.
@@ -122,7 +124,10 @@ def _is_same_file(target: Path, other_path: Path) -> bool:
 
 
 def _resolve_target(path: Path, must_be_new: bool) -> Path:
-    """Check the path of an output, and return the path of the file to which it leads."""
+    """Check the path of an output, and return the path of the target file.
+
+    If the path is a symbolic link, the link is followed.
+    """
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise ConfigError("no such folder", str(path), "a name in a folder that exists")

@@ -39,7 +39,10 @@ def _escaped_character(character: str) -> str:
 
 
 def printable_text(text: str, max_characters: int = 200) -> str:
-    """Replace unprintable characters of a text, and cut the result after ``max_characters`` characters."""
+    """Replace unprintable characters of a text by escape sequences.
+
+    The result is cut off after ``max_characters`` characters.
+    """
     return escape_text(text[:max_characters]) + ("..." if len(text) > max_characters else "")
 
 
@@ -86,7 +89,10 @@ def escape_surrogates(text: str) -> str:
 
 
 class EscapedStream:
-    """Text stream that writes unprintable characters as escape sequences, except line ends and tabs."""
+    """Text stream that writes unprintable characters as escape sequences.
+
+    Line ends and tabs are written unchanged.
+    """
 
     def __init__(self, stream: Any) -> None:
         self.rich_proxied_file = stream

@@ -1,4 +1,7 @@
-"""Fault campaign for one hand and some drive protocols: all scenarios of the fault matrix, and runs without faults."""
+"""Fault campaign for one hand and some drive protocols.
+
+The campaign runs all scenarios of the fault matrix. It also makes runs without faults.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -88,10 +91,11 @@ def campaign_scenarios(
     row_ids: Sequence[str] = (),
     seed: int = 0,
 ) -> list[FaultScenario]:
-    """Return the scenarios that a campaign runs: all, every seventh, or those of some rows of the fault matrix.
+    """Return the scenarios that a campaign runs.
 
-    A quick campaign runs a sample of the scenarios. The seed determines the first scenario of this
-    sample. Another seed selects another sample.
+    A full campaign runs all scenarios. If `row_ids` is not empty, the campaign runs only the
+    scenarios of these rows of the fault matrix. A quick campaign runs every seventh scenario. The
+    seed determines the first scenario of this sample. Another seed selects another sample.
     """
     period_ms = 1e3 / rate_hz
     selected_scenarios = scenarios_of_hand(hand, protocol, period_ms)
@@ -177,10 +181,11 @@ def run_campaign(
 
 
 def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1) -> list[str]:
-    """Run a hand without faults, but with more noise and with lost frames, and return the false alarms.
+    """Simulate a hand without faults, and return the false alarms.
 
-    During the run, the hand moves and grasps repeatedly. A run that does not reach a grasp counts
-    as a false alarm, because such a run tests too little.
+    The noise is larger than normal, and some frames are lost. During the run, the hand moves and
+    grasps repeatedly. A run that does not reach a grasp counts as a false alarm, because such a run
+    tests too little.
     """
     alarms: list[str] = []
     remaining_s = duration_s
@@ -223,7 +228,7 @@ def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1)
 
 
 def _demands_hold_or_stop(event: TickEvent) -> bool:
-    """Return True if the reaction to a fault is HOLD or a more severe one.
+    """Return True if the reaction to a fault is HOLD or a more severe reaction.
 
     The text of the fault event ends with the name of the reaction.
     """

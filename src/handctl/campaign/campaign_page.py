@@ -79,7 +79,7 @@ def write_page(path: Path, report: CampaignReport) -> None:
 
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return, for each row of the fault matrix, the scenario whose reaction was slowest relative to its limit."""
+    """Return, for each row of the fault matrix, the result with the largest ``bound_fraction``."""
     slowest_by_row: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest_by_row.get(result.id)

@@ -1,8 +1,10 @@
-"""Fault matrix as data: the faults, the parts of the hand they affect, the stages of the run, the required reactions.
+"""Fault matrix as data.
 
-Each row has a time limit from the physical event to the frames with the reaction. The limit is a
-number of ticks, plus milliseconds if the fault or a drive needs more time. An ODrive, for example,
-reports its state only every 100 ms, and the temperature every 200 ms.
+Each row gives a fault, the affected parts of the hand, the stages of the run and the required
+reaction. Each row also has a time limit for the reaction. The time counts from the physical event
+to the CAN frames that carry the reaction. The limit is a number of ticks, plus milliseconds if the
+fault or a drive needs more time. An ODrive, for example, reports its state only every 100 ms, and
+the temperature every 200 ms.
 """
 
 import math
@@ -111,7 +113,7 @@ class MatrixRow(NamedTuple):
         return ticks + math.ceil((self.max_extra_ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
     def missing_sensor_ticks(self, hand: Hand, fault: str, period_ms: float) -> int:
-        """Return the time that is added to the time limit of a fault because a hand lacks sensors [ticks].
+        """Return the additional ticks that the reaction to a fault may take on a hand without some sensors.
 
         Args:
             hand: description of the simulated hand.
@@ -352,8 +354,9 @@ UNTESTED_ROWS = {
 def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios of every row of the matrix.
 
-    Each row is tested in all its stages, on the first and on the last instance, for example the
-    first and the last motor.
+    Each row is tested in all its stages. If the hand has several parts that the fault can affect,
+    there is one test with the first and one test with the last of these parts, for example with the
+    first and with the last motor.
 
     Args:
         hand: description of the simulated hand.
@@ -379,12 +382,12 @@ def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[Fault
 
 
 def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
-    """Return a scenario during a grasp for every pair of the faults in `ROWS_TESTED_IN_PAIRS`.
+    """Return the scenarios with two faults: one for every pair of the faults in `ROWS_TESTED_IN_PAIRS`.
 
-    The fault with the more severe reaction comes first. The other fault of the pair starts a few
-    ticks later, on another part of the hand, such as another motor. If the hand has no part that a
-    fault could affect, such as a load cell, there are no pairs with this fault. `period_ms` is the
-    control period [ms].
+    All these scenarios happen during a grasp. The fault with the more severe reaction comes first.
+    The other fault of the pair starts a few ticks later, on another part of the hand, such as
+    another motor. A hand may lack the part that a fault affects, such as a load cell. In this case,
+    there are no pairs with this fault. `period_ms` is the control period [ms].
     """
     rows = [
         next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)

@@ -225,9 +225,10 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
 
 
 def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
-    """Yield the inputs of each tick, and inject the faults of the simulator in the planned ticks.
+    """Yield the inputs of each tick.
 
-    At the end of the sequence, the inputs have a stop request.
+    Before a planned tick, inject the fault that the simulator has to cause in this tick. After the
+    last tick of the sequence, the inputs contain a stop request.
     """
     host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):
@@ -249,7 +250,7 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
 def violations_in_tick(
     state_before: ControllerState, state_after: ControllerState, is_cleared: bool
 ) -> list[str]:
-    """Return a text for each rule that the controller violates in a tick."""
+    """Return one line of text for each rule that the controller violates in a tick."""
     violations = []
     if SHUTDOWN_MODE_ORDER.index(state_after.mode) < SHUTDOWN_MODE_ORDER.index(state_before.mode):
         violations.append(
@@ -275,10 +276,10 @@ def violations_in_tick(
 def _tension_bound(
     simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]
 ) -> float:
-    """Return the largest tension to expect in a sequence [N].
+    """Return the largest tension that may occur in a sequence [N].
 
-    A runaway drive is assumed to start with a slack tendon, and to pull until the watchdog of the
-    drive has fired.
+    For a runaway drive, two assumptions are made. At the start, the tendon is slack. The drive
+    pulls until its watchdog has fired.
     """
     # Without a runaway drive, the bound is the larger of two tensions: the largest trip tension,
     # and the largest tension at the start.
@@ -315,8 +316,8 @@ def violations_on_replay(
 ) -> list[str]:
     """Execute the ticks of a simulated run again, with the same inputs.
 
-    If a tick has another state, other frames or other events than before, return a text about the
-    first tick of this kind.
+    Return a text about the first tick whose state, frames or events differ from the first
+    execution. If no tick differs, the list is empty.
     """
     for entry, tick_output in simulation.recorded_ticks[first_tick:]:
         state, replayed = simulation.controller.tick(state, entry)

@@ -1,6 +1,7 @@
-"""Simulated hands with each drive protocol, and runs that have reached each stage.
+"""Simulated hands for each drive protocol, and simulated runs up to each stage.
 
-Each scenario runs in a child process that starts as a copy of such a run.
+Each scenario runs in a child process. The child process starts as a copy of a run that has reached
+the stage of the scenario.
 """
 
 import json
@@ -75,12 +76,12 @@ def hand_with_protocol(name: str, protocol: str, motor_type: str | None = None) 
 def hand_with_drives(
     hand: Hand, protocol: str, motor_options: Mapping[str, Any] | None = None
 ) -> Hand:
-    """Return a hand whose drives are replaced by those of a protocol.
+    """Return a copy of a hand in which all drives are replaced by drives with the given protocol.
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of
-    a hand, the motors of the hand are distributed over more buses.
+    The frames of the new drives may allow only a control rate below ``MIN_CONTROL_RATE_HZ``. If the
+    hand has only one bus in this case, the motors of the hand are distributed over more buses.
 
     Args:
         hand: description of the hand.
@@ -119,7 +120,9 @@ def homed_run(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = CAMPAIGN_TASK,
 ) -> Iterator[SimulatedRun]:
-    """Yield a simulated run at its start: a homed hand in a scene with a cylinder.
+    """Yield a simulated run at its start.
+
+    The hand is homed, and the scene contains a cylinder.
 
     Args:
         hand: hand to simulate.
@@ -176,7 +179,10 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
 
 
 class StagedRun(Protocol):
-    """Experiment that starts from a given stage of a run: a scenario of the fault matrix, or random faults."""
+    """Experiment that starts from a given stage of a run.
+
+    The experiment is a scenario of the fault matrix or a sequence of random faults.
+    """
 
     @property
     def name(self) -> str:

@@ -211,10 +211,10 @@ def runaway_tension(
 ) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
-    A runaway drive accelerates a rotor, whose mass at the tendon is m, with the largest force F of
-    the drive. The tendon, with stiffness k, resists. If the tension is T at the start, the tension
-    rises up to F + sqrt((F - T)^2 + k m v^2). Here v is the speed of the rotor at the start, plus
-    the speed that F adds while the finger moves freely.
+    A runaway drive pulls with its largest force F, and accelerates its rotor. The rotor acts like a
+    mass m at the tendon. The tendon has the stiffness k, and resists. If the tension is T at the
+    start, the tension rises up to F + sqrt((F - T)^2 + k m v^2). Here v is the speed of the rotor
+    at the start, plus the speed that F adds while the finger moves freely.
 
     Args:
         model: model of the hand.
@@ -277,8 +277,8 @@ class ReactionStart:
     def update(self, simulation: SimulatedRun, effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
-        The instant is -1 before the first effect. Until the motor force has varied enough, it is
-        the present tick.
+        The instant is -1 before the first effect. While the motor force has not varied enough, the
+        instant is the present tick.
 
         Args:
             simulation: simulation after the present tick.
@@ -394,7 +394,7 @@ class HostFault:
         self.kind, *self.words = fault_text.split()
 
     def tick_arguments(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
-        """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""
+        """Return the arguments for the i-th tick of the simulation after the start of the fault."""
         is_first = i == 0
         if self.kind == "io":
             if not is_first and "lasting" not in self.words:

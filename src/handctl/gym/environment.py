@@ -1,8 +1,10 @@
-"""Base class of the Gymnasium environments: a homed simulated hand in lockstep, which follows a stream of targets.
+"""Base class of the Gymnasium environments.
 
-An action reaches the controller as text in ``TickIn``, as the targets of a client do. Therefore the
-controller checks, clips and limits the action, and the safety monitor reacts as on a real hand. The
-subclasses ``TrackEnv`` and ``GraspEnv`` define the rewards.
+In each environment, a simulated hand runs in lockstep, and follows a stream of targets. The hand is
+already homed. An action reaches the controller as text in ``TickIn``. The targets of a client reach
+the controller in the same way. Therefore the controller checks, clips and limits the action, and
+the safety monitor reacts as on a real hand. The subclasses ``TrackEnv`` and ``GraspEnv`` define the
+rewards.
 """
 
 import json
@@ -175,15 +177,18 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @abstractmethod
     def extra_values(self, name: str) -> Any:
-        """Return the values of an observation part that the telemetry does not contain."""
+        """Return the values of an observation part whose values are not in the telemetry."""
 
     @abstractmethod
     def begin_episode(self) -> None:
-        """Begin an episode. The simulated hand has just started to accept targets."""
+        """Begin an episode. When this method is called, the simulated hand has just begun to accept targets."""
 
     @abstractmethod
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step, True if the episode has ended by success or failure, and further information."""
+        """Return three results of a step: the reward, the success or failure, and further information.
+
+        The second result is True if the episode has ended by success or failure.
+        """
 
     def choose_scene(self) -> str | None:
         """Return the scene of the next episode, or None for a hand without objects.
@@ -230,13 +235,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     @property
     def simulated_world(self) -> Any:
-        """Return the simulated world. The rewards use the true values of this world."""
+        """Return the simulated world. The rewards depend on the true values in this world, and not on measurements."""
         return self.simulated_run.simulated_hand.world
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Float32Array, dict[str, Any]]:
-        """Begin an episode, as ``gymnasium.Env`` defines.
+        """Begin an episode. The method follows the definition of ``gymnasium.Env``.
 
         Power up a homed hand, and wait until the hand accepts targets.
 
@@ -307,9 +312,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of hand and object as MuJoCo draws them, (height, width, 3), values from 0 to 255.
+        """Return a picture of the hand and the object, drawn by MuJoCo.
 
-        Without the render mode ``rgb_array``, return None.
+        The shape of the picture is (height, width, 3), and its values are from 0 to 255. Without
+        the render mode ``rgb_array``, return None.
 
         Raises:
             ConfigError: no episode has begun, or the machine has no graphics library.
@@ -350,7 +356,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def coordinates_of_joints(self, q: Vector) -> Vector:
-        """Return joint angles (J,) in the form of an action's targets (V,).
+        """Convert joint angles (J,) to the coordinates in which an action gives its targets (V,).
 
         The unit of the angles does not change.
         """
@@ -363,8 +369,8 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     def _step_requests(self, action_vector: Vector) -> list[TickRequest]:
         """Return all requests of a step.
 
-        If this step and the last step send targets for different joints or digits, the first
-        request opens a new stream.
+        This step may send targets for other joints or digits than the last step. In this case, the
+        first request opens a new stream.
         """
         requests: list[TickRequest] = list(self.action_requests(action_vector))
         names = self.names_of_targets(action_vector)
@@ -421,9 +427,10 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
 @lru_cache(maxsize=8)
 def _controller_of_file(path: str) -> Controller:
-    """Return the controller of a hand that is already homed.
+    """Return the controller of a hand. In the returned controller, the hand is already homed.
 
-    The object of a controller never changes. Therefore several environments can share it.
+    A controller object never changes after its creation. Therefore several environments can share
+    one controller.
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)

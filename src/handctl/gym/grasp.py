@@ -1,4 +1,7 @@
-"""Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder, and hold it when the table below it sinks."""
+"""Environment ``handctl/Grasp-v0``: the hand shall grasp a cylinder.
+
+The hand shall then hold the cylinder while the table below the cylinder sinks.
+"""
 
 import json
 from collections.abc import Mapping
@@ -39,12 +42,12 @@ class GraspEnv(HandEnv):
     The digits shall close on a cylinder of random diameter, and hold the cylinder while the table
     below it sinks.
 
-    The table sinks after three digits, the thumb among them, have pressed on the cylinder with 1 N
-    for 1.5 s. An action consists of targets, followed by one value t for each digit. If t is
-    positive, the digit holds a tension of t times the largest allowed tension. The other digits
-    follow their targets. The reward of a step is the change of the mean of min(force / 1 N, 1) over
-    the digits. A success adds 10, and a drop or a fault adds -1. The reward uses the true forces
-    and the true height of the object.
+    At least three digits, with the thumb among them, must press on the cylinder with 1 N for 1.5 s.
+    Then the table sinks. An action consists of targets, followed by one value t for each digit. If
+    t is positive, the digit holds a tension of t times the largest allowed tension. The other
+    digits follow their targets. The reward of a step is the change of a mean value during the step.
+    This value is the mean of min(force / 1 N, 1) over all digits. A success adds 10, and a drop or
+    a fault adds -1. The reward uses the true forces and the true height of the object.
     """
 
     has_tensions = True
@@ -167,7 +170,10 @@ class GraspEnv(HandEnv):
         return tensions
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward of a step, True if the object has been held long enough or dropped, and information."""
+        """Return three results of a step: the reward, the end of the episode, and further information.
+
+        The second result is True if the object has been held long enough or has been dropped.
+        """
         forces = np.linalg.norm(np.reshape(self._forces(), (-1, 3)), axis=1)
         mean_force_reward = float(np.minimum(forces / FULL_REWARD_FORCE_N, 1.0).mean())
         reward = mean_force_reward - self._pressing

@@ -102,12 +102,19 @@ class TrackEnv(HandEnv):
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
     def extra_values(self, name: str) -> Any:
-        """Return the present references, or those after the horizon, as the named observation part requires [rad]."""
+        """Return the references of an observation part [rad].
+
+        The name of the part selects the present references, or the references after the horizon.
+        """
         time_ahead_s = self.horizon_s if name == "reference_ahead_rad" else 0.0
         return self.units.si(self.reference_deg(self.t_s + time_ahead_s))
 
     def judge_step(self) -> tuple[float, bool, dict[str, Any]]:
-        """Return the reward for the true tracking error of a step, False (no step ends an episode), and the error."""
+        """Return three results of a step: the reward, False, and the tracking error.
+
+        The reward depends on the true tracking error. The second result is always False, because no
+        step ends an episode.
+        """
         error = self.units.to_displayed(
             self.coordinates_of_joints(self.true_q)
         ) - self.reference_deg(self.t_s)

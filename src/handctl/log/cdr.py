@@ -1,10 +1,11 @@
 """Writer and reader for CDR, the encoding of ROS 2 messages, and templates for messages whose layout is constant.
 
 A message begins with four bytes, called the encapsulation: 0x00, 0x01 for little-endian plain CDR,
-and two option bytes. After these bytes, the fields of the message follow in order. A number of n
-bytes is stored at a multiple of n bytes after the encapsulation. A string consists of its length
-(uint32, including the closing NUL), its bytes, and the NUL. A sequence consists of its length
-(uint32) and its elements. An empty sequence consists only of its length.
+and two option bytes. After these bytes, the fields of the message follow in order. Numbers are
+aligned. The distance from the end of the encapsulation to a number of n bytes is a multiple of n
+bytes. A string consists of its length (uint32, including the closing NUL), its bytes, and the NUL.
+A sequence consists of its length (uint32) and its elements. An empty sequence consists only of its
+length.
 
 Source: OMG CORBA 3.0, section 15.3, as implemented by the packages rosbags and mcap-ros2-support.
 """
@@ -22,7 +23,7 @@ _INT64_STRUCT = struct.Struct("<q")
 class CdrWriter:
     """Writer of the values of a CDR message.
 
-    The writer aligns each value, and appends the value to `data`.
+    The writer inserts padding before each value, and appends the value to `data`.
     """
 
     def __init__(self, start_offset: int = 0) -> None:
@@ -84,7 +85,7 @@ class CdrReader:
     """
 
     def __init__(self, message: bytes) -> None:
-        """Begin to read a message, after the four bytes of encapsulation.
+        """Prepare to read a message from its first field, after the four bytes of encapsulation.
 
         Raises:
             ValueError: the message is not little-endian plain CDR.
@@ -144,7 +145,10 @@ class MessageTemplate:
 
 
 class TemplateWriter(CdrWriter):
-    """Builder of a template: a CdrWriter that can also append variable fields."""
+    """Builder of a template.
+
+    The builder is a CdrWriter that can also append variable fields.
+    """
 
     def __init__(self) -> None:
         """Start with an empty message."""

@@ -1,11 +1,10 @@
 """Compact table of the chunks in a log that is being written.
 
 A log of one day has about 350,000 chunks. After the last chunk, an MCAP file must have an index of
-all chunks. In the form of records of the mcap package, this index would need 2 KB of memory for
-each chunk, or 30 MB for each hour of a run. This table needs 64 bytes for each chunk. Most chunks
-arrange their message indexes in the same way. The table stores each arrangement only once. Full
-blocks of the table are compressed to a third of their size, because successive chunks have similar
-numbers.
+all chunks. The records of the mcap package would need 2 KB of memory for each chunk. This is 30 MB
+for each hour of a run. This table needs 64 bytes for each chunk. Most chunks arrange their message
+indexes in the same way. The table stores each arrangement only once. Full blocks of the table are
+compressed to a third of their size, because successive chunks have similar numbers.
 """
 
 import struct

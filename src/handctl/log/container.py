@@ -267,7 +267,7 @@ class McapContainer:
 def _message_indexes(
     blocks: Sequence[MessageBlock], first_message_offset: int
 ) -> tuple[bytes, dict[int, int]]:
-    """Return the message indexes that follow a chunk, and the offset of each channel's index, by channel id.
+    """Return the message indexes that follow a chunk, and a dict with the offset of each index by channel id.
 
     Args:
         blocks: messages of the chunk.

@@ -131,7 +131,9 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Return the time of the simulator when the time of the run is 0 [ns], or 0 for a run that was not in lockstep.
+        """Return the simulator's time at the instant at which the time of the run is 0 [ns].
+
+        For a run that was not in lockstep, the result is 0.
 
         Raises:
             LogError: the value in the log is not a time.
@@ -182,7 +184,7 @@ class RunHeader:
 
 
 def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
-    """Check the type and the range of an integer from the header of a log, and return it.
+    """Return an integer from the header of a log, after a check of its type and range.
 
     Raises:
         ValueError: the value is not a whole number from `minimum` to `maximum`.
@@ -196,7 +198,7 @@ def _checked_integer(key: str, value: Any, minimum: int, maximum: int) -> int:
 
 
 def _checked_names(key: str, value: Any) -> tuple[str, ...]:
-    """Return a list of names from a log's header, if each name is valid.
+    """Return a list of names from a log's header, after a check that each name is valid.
 
     Raises:
         ValueError: the value is not a list of valid names.

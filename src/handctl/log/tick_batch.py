@@ -192,8 +192,8 @@ class TickBatcher:
     def add_tick(self, body: bytes) -> int:
         """Add one tick, and return the time of the tick since the start of the run [ns].
 
-        If the telemetry has a wrong shape, it is replaced by NaN, and the tick is counted in
-        `misshapen_ticks`.
+        If the telemetry has a wrong shape, the tick gets NaN in place of the telemetry, and is
+        counted in `misshapen_ticks`.
 
         Args:
             body: body of the record of a tick, see `handctl.log.tick_record`.
@@ -221,7 +221,7 @@ class TickBatcher:
         self._add_phase_and_events(message, parts.tail_offset)
 
     def _add_long_payloads(self, data: bytes) -> None:
-        """Divide the payload bytes after the eighth byte between the received and the sent frames of a tick."""
+        """Add the payload bytes after the eighth byte of each frame to the received or the sent frames of a tick."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
         # In the message, the bytes of all received frames come before the bytes of all sent frames.
         received_size = int(np.maximum(lengths - 8, 0).sum())
@@ -231,7 +231,8 @@ class TickBatcher:
     def _add_phase_and_events(self, message: bytes, offset: int) -> None:
         """Add the grasp phase that a Tick message contains.
 
-        If the tick has events, requests or io events, also store its decoded record.
+        If the tick has events, requests or io events, also decode the Tick message and store the
+        result.
 
         Args:
             message: the Tick message.

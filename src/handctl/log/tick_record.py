@@ -163,8 +163,8 @@ def _long_data(records: RecordArray) -> bytes:
 def _tail_without_events(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
-    At every offset that is divisible by four, these bytes are the same. Therefore they can be
-    cached.
+    The bytes depend only on the phase, if the offset of the end in the message is divisible by
+    four. Therefore they can be cached.
     """
     writer = CdrWriter()
     writer.put_string(phase)
@@ -329,7 +329,9 @@ def message_layout(message: bytes) -> MessageLayout:
 
 
 def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return the decoded frames, and the remaining payload bytes, which belong to later frames.
+    """Return the decoded frames, and the bytes that remain in `long_data`.
+
+    The remaining bytes belong to later frames.
 
     Args:
         frame_starts: first FRAME_RECORD_BYTES bytes of each frame.

@@ -1,4 +1,7 @@
-"""The hand of the paper, and the numbers from which all other numbers of the paper follow, as exact fractions."""
+"""The hand of the paper, and some numbers of the paper as exact fractions.
+
+All other numbers of the paper follow from these numbers.
+"""
 
 import math
 from fractions import Fraction
@@ -55,21 +58,27 @@ def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
 
 
 def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
-    """Return the distance between the tip and each joint of a straight digit [mm].
+    """Return, for each joint of a straight digit, the distance between the joint and the tip [mm].
 
-    A force of 1 N at the tip causes a moment at the joint that has the same number [N mm].
+    The distance in mm is also the moment at the joint in N mm for a force of 1 N at the tip.
     """
     lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
 def tension_per_newton(digit: Digit) -> Fraction:
-    """Return the tendon tension that balances joint 1 of a straight digit, per newton of force at the tip [N/N]."""
+    """Return the tendon tension that balances a force of 1 N at the tip of a straight digit [N/N].
+
+    The balance holds at joint 1.
+    """
     return levers_mm(digit)[0] / PULLEY_RADIUS_MM
 
 
 def tension_of_payload_kg(mass: int) -> Fraction:
-    """Return the tension in the tendon of each finger [N] with which three fingers hold a mass by friction [kg]."""
+    """Return the tension in each finger's tendon with which three fingers hold a mass [N].
+
+    The fingers hold the mass [kg] by friction.
+    """
     return (
         mass
         * GRAVITY_M_PER_S2

@@ -58,11 +58,12 @@ def verdict_of_statement(is_true: bool) -> ErrataVerdict:
 
 
 def verdict_of_lower_bound(printed_number: str, value: float) -> ErrataVerdict:
-    """Return the verdict on a lower bound in the paper, given the value that was reached.
+    """Return the verdict on a lower bound that the paper states.
 
-    The lower bound is first judged like any printed number. If this verdict is not ``wrong``, it is
-    returned. Otherwise, the verdict is ``bound`` if the value is above the printed bound, and
-    ``wrong`` if it is below.
+    The argument `value` was reached in practice. The lower bound is first
+    judged like any printed number. If the result is not ``wrong``, it is also the verdict on the
+    bound. Otherwise, the verdict is ``bound`` if the value is above the printed bound, and
+    ``wrong`` if the value is below it.
     """
     verdict = verdict_of_number(printed_number, value)
     return (
@@ -104,6 +105,9 @@ def last_digit_value(printed_number: str) -> Fraction:
 
 
 def rounding_interval(printed_number: str) -> tuple[Fraction, Fraction]:
-    """Return the lower and the upper end of the interval of all values that would be rounded to a printed number."""
+    """Return the lower and the upper end of an interval.
+
+    The interval contains all values that would be rounded to a printed number.
+    """
     half_digit = last_digit_value(printed_number) / 2
     return Fraction(printed_number) - half_digit, Fraction(printed_number) + half_digit

@@ -47,7 +47,9 @@ def logged_setup(log: RunLog) -> RunSetup:
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
-    """Return a controller like the one of a recorded run, with the gains from the log or with other gains.
+    """Rebuild the controller of a recorded run.
+
+    The gains are those in the log, or the given gains.
 
     Raises:
         LogError: a required record is missing from the log.

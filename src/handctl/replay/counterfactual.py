@@ -1,11 +1,12 @@
-"""Commands that the controller would have given in a recorded run with other gains, as numbers and as a figure.
+"""Commands that the controller would have given in a recorded run with other gains.
 
-The controller is executed on the measurements in the log. So the figure shows the new command in
-each tick, but not the motion that the new commands would cause.
+The commands are compared with the logged commands in numbers and in a figure. The controller is
+executed on the measurements in the log. So the figure shows the new command in each tick, but not
+the motion that the new commands would cause.
 
-The measurements in the log are the result of the old commands. To the safety monitor, the new
-commands and the old measurements may together look like a fault, which relaxes the hand. After this
-tick, the commands no longer depend on the gains. So the comparison ends with this tick.
+The measurements in the log are the result of the old commands. The new commands do not fit the old
+measurements. Therefore the safety monitor may see a fault and relax the hand. After this tick, the
+commands no longer depend on the gains. So the comparison ends with this tick.
 """
 
 from pathlib import Path
@@ -48,7 +49,7 @@ class CommandCollector:
         self._tension.append(tick_output.telemetry.tension_goal)
 
     def comparable_ticks(self, log: RunLog) -> int:
-        """Return the number of ticks before the mode or the reaction to faults first differs from the log."""
+        """Return the number of ticks before the first tick whose mode or reaction to faults differs from the log."""
         mode, action = np.array(self._reactions).T
         is_different = (mode != log.mode) | (action != log.action)
         return int(np.argmax(is_different)) if is_different.any() else len(is_different)
@@ -71,7 +72,9 @@ class CommandCollector:
 def command_change(
     log: RunLog, commands: CommandCollector, tick_count: int
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return the RMS and the peak of the difference between new and logged commands, per motor [N m] and tendon [N].
+    """Return the RMS and the peak of the difference between new and logged commands.
+
+    The torque of each motor is in N m, and the tension of each tendon is in N.
 
     Args:
         log: log of the run.
@@ -94,10 +97,11 @@ def command_change(
 def draw_commands(
     path: Path, log: RunLog, commands: CommandCollector, tick_count: int, title: str
 ) -> None:
-    """Draw the logged commands, and the commands with other gains, as PNG: tension and torque of each tendon.
+    """Draw the tension and the torque of each tendon as a PNG file.
 
-    When the other gains have caused a different reaction to a fault, later ticks cannot be
-    compared. The later part of the figure has a grey background.
+    The figure shows the logged commands and the commands with other gains. When the other gains
+    have caused a different reaction to a fault, later ticks cannot be compared. The later part of
+    the figure has a grey background.
 
     Args:
         path: PNG file to write.

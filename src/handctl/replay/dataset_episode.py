@@ -223,7 +223,8 @@ def _joint_angles(
 def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Array:
     """Return the angles (frames, J).
 
-    Angles that are slightly outside of the range of their joint are clipped.
+    If an angle is slightly outside of the range of its joint, the angle is set to the end of the
+    range.
 
     Raises:
         ConfigError: an angle is not finite or lies far outside the range of the joint.
@@ -245,7 +246,11 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
 
 
 def _limit_rate(angles: Array, max_step: Array) -> Array:
-    """Return angles (frames, J) that follow the given angles, but change by at most `max_step` (J,) [rad] per frame."""
+    """Limit the change of joint angles per frame.
+
+    The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)
+    [rad] per frame.
+    """
     limited_angles = angles.copy()
     for i in range(1, len(limited_angles)):
         limited_angles[i] = limited_angles[i - 1] + np.clip(

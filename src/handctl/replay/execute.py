@@ -62,9 +62,10 @@ class LogExecution:
 
 
 def is_within_tolerance(execution: LogExecution, tolerance: float) -> bool:
-    """Return True if all decisions are those in the log, and no number differs from the log by more than `tolerance`.
+    """Return True if a new execution of a run agrees with the log.
 
-    A tolerance is useful because another kind of processor may round differently.
+    All decisions must be those in the log. No number may differ from the log by more than
+    `tolerance`. A tolerance is useful because another kind of processor may round differently.
     """
     largest = relative_error(execution.largest_difference) if execution.largest_difference else 0.0
     return not execution.different_decisions and largest <= tolerance
@@ -135,7 +136,7 @@ def _cpu_seconds() -> float:
 def gc_disabled() -> Iterator[None]:
     """Disable garbage collection, as the control loop does.
 
-    Also disable the warnings of numpy about wrong numbers in a log.
+    Also disable numpy's warnings about invalid numbers, because a log may contain such numbers.
 
     A tick creates no reference cycles. So no garbage accumulates.
     """

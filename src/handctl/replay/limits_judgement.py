@@ -1,7 +1,7 @@
 """Judgement of a recorded run by other safety limits.
 
-The result lists the ticks in which the new limits would have stopped the hand, each with the
-reading that causes the stop.
+The result lists the ticks in which the new limits would have stopped the hand. For each of these
+ticks, it gives the reading that exceeds the limit.
 """
 
 from collections import Counter
@@ -35,7 +35,7 @@ TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 class LimitsFile(Document):
     """Content of a limits file.
 
-    If the file does not contain a limit, the limit of the run applies.
+    A limit that the file does not contain keeps the value that it had in the run.
     """
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
@@ -91,7 +91,7 @@ class LimitsJudgement:
 
 
 def load_limits(path: Path, controller: Controller) -> SafetyLimits:
-    """Return the limits of a controller, where the values of a limits file replace the old values.
+    """Return the limits of a controller, after the values in a limits file have replaced the old values.
 
     Raises:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
@@ -157,7 +157,11 @@ def _judge_ticks(
     limits: SafetyLimits,
     progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
-    """Judge each tick from its logged state, but debounce and latch faults with the new limits."""
+    """Judge each tick with the new limits.
+
+    The judgement of a tick starts from the logged state. Only the debounce counters and the latched
+    faults follow from the new limits.
+    """
     judging_controller = replace(controller, other_limits=limits)
     state = controller.initial_state()
     judging_state = judging_controller.initial_state()
@@ -218,5 +222,5 @@ def _judge_ticks(
 
 
 def _fault_id_in_text(event: TickEvent) -> str:
-    """Return the id of the fault that the text of a fault event names."""
+    """Return the id of the fault at the start of an event's text."""
     return event.text.partition(" ")[0]

@@ -38,8 +38,8 @@ ProgressCallback = Callable[[int], None]
 def relative_error(difference: TickDifference) -> float:
     """Return the size of the difference between a logged value and a computed value.
 
-    For logged numbers below 1, the size is the absolute difference. For larger numbers, it is the
-    relative difference.
+    For logged numbers below 1, the size is the absolute difference. For larger numbers, the size is
+    the relative difference.
 
     Returns:
         the size: 0 for texts, and infinity if a number is NaN.
@@ -94,7 +94,7 @@ class DifferenceTally:
                 self._update_largest_difference(difference)
 
     def _update_largest_difference(self, other: TickDifference | None) -> None:
-        """Replace the largest difference by another difference if the other is larger."""
+        """Store another difference if it is larger than the largest difference so far."""
         if other and (
             self.largest_difference is None
             or relative_error(other) > relative_error(self.largest_difference)

@@ -1,4 +1,7 @@
-"""Repetition of a recorded motion: the recorded targets as a program, and a comparison of both runs."""
+"""Repetition of a recorded motion.
+
+The recorded targets become a program. The two runs can be compared.
+"""
 
 from typing import Any
 
@@ -145,7 +148,7 @@ def compare_replay(original_log: RunLog, replayed_log: RunLog) -> dict[str, Any]
 
 
 def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
-    """Return how long a replay followed the recorded run [s]."""
+    """Return the time for which a replay followed the recorded run [s]."""
     start, end = active_interval(original_log)
     replay_start = _playback_start(replayed_log)
     if replay_start is None:
@@ -157,7 +160,7 @@ def followed_duration_s(original_log: RunLog, replayed_log: RunLog) -> float:
 def _playback_start(replayed_log: RunLog) -> float | None:
     """Return the time at which a replay began to follow the recorded run [s].
 
-    If it never began, return None.
+    If the replay never began to follow the run, return None.
     """
     return next(
         (change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"), None

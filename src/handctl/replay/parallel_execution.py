@@ -1,9 +1,10 @@
 """Re-execution of a log in several processes. Each process starts from a snapshot in the log.
 
-Each process executes a part of the log, from a snapshot whose hash is in the log. If the state at
-the end of the previous part has the same hash, a serial execution would reach the same state. In
-this case, the results of the two parts can be added. If the hashes differ, one process executes the
-rest of the log serially. The result is therefore always equal to the result of a serial execution.
+Each process executes a part of the log. The part starts from a snapshot, and the hash of this
+snapshot is in the log. After the previous part, the state of the controller may have the same hash.
+Then a serial execution would reach the same state. In this case, the results of the two parts can
+be added. If the hashes differ, one process executes the rest of the log serially. The result is
+therefore always equal to the result of a serial execution.
 """
 
 import json
@@ -33,7 +34,10 @@ PROGRESS_PERIOD_S = 0.2
 
 
 class LogPart(NamedTuple):
-    """Part of a log: the ticks from index `start` up to `stop`, and the controller's state before the first of them."""
+    """Part of a log: the ticks from index `start` to `stop` - 1.
+
+    The part also has the controller's state before the first tick.
+    """
 
     start: int
     stop: int
@@ -41,7 +45,10 @@ class LogPart(NamedTuple):
 
 
 class WorkerProcess(NamedTuple):
-    """Worker process, with its part of the log and the read end of the pipe that carries the result."""
+    """Worker process with its part of the log.
+
+    The worker writes the result to a pipe. The class has the read end of this pipe.
+    """
 
     process: int
     pipe: int
@@ -182,8 +189,8 @@ def _result_json(
 ) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
-    If the text is empty, the calling process executes the part itself, finds the damage and reports
-    the error.
+    In this case, the calling process executes the part itself, finds the damage and reports the
+    error.
     """
     try:
         state, difference_tally = runner.execute_part(*part, None, add_executed_ticks)

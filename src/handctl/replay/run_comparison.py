@@ -1,7 +1,7 @@
 """Comparison of two runs.
 
-For each joint and tendon, the comparison gives the RMS and the peak of the difference, and the
-delay of the second run.
+For each joint and tendon, the comparison gives three numbers: the RMS of the difference, the peak
+of the difference, and the delay of the second run.
 """
 
 import math
@@ -60,7 +60,9 @@ def check_same_hand(log: RunLog, name: str, hand_identity: str, location: str) -
 def compare_signals(
     names: tuple[str, ...], signal_before: Array, signal_after: Array, period: float
 ) -> dict[str, dict[str, float]]:
-    """Compare two signals, where equal rows belong to equal times.
+    """Compare two signals, row by row.
+
+    Rows with the same index belong to the same time.
 
     Args:
         names: names of the columns of both signals.
@@ -155,7 +157,7 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
 def compare_runs(
     a: RunLog, first_start_s: float, b: RunLog, second_start_s: float, duration: float
 ) -> dict[str, Any]:
-    """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
+    """Compare two runs over an interval: the angles of all joints [deg] and the tensions of all tendons [N].
 
     The positions of prismatic joints are compared in mm.
 

@@ -219,7 +219,7 @@ def _frame_text(frame: Frame) -> str:
 def _changed_telemetry_numbers(
     logged_bytes: bytes, computed_bytes: bytes
 ) -> list[tuple[int, float, float]]:
-    """Return (column, old, new) for every float64 of the telemetry whose bits differ.
+    """Return (column, old, new) for each float64 number of the telemetry that has different bits.
 
     A number that has become NaN also counts as changed.
     """

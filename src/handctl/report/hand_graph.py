@@ -1,8 +1,9 @@
-"""Picture of the structure of a hand: buses, motors with spools, load cells, tendons, joints with encoders.
+"""Picture of the structure of a hand.
 
-The picture shows each digit as a chain of links. Below the chain, the picture has a row for each
-tendon of the digit. Each row shows the bus, the motor, the spool, the load cell, and then the
-joints that the tendon crosses. The moment arm of the tendon is written at each joint.
+The picture contains the buses, the motors with their spools, the load cells, the tendons, and the
+joints with encoders. The picture shows each digit as a chain of links. Below the chain, the picture
+has a row for each tendon of the digit. Each row shows the bus, the motor, the spool, the load cell,
+and then the joints that the tendon crosses. The moment arm of the tendon is written at each joint.
 """
 
 from collections.abc import Iterator
@@ -140,7 +141,10 @@ def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
 
 
 def _tendon_label(tendon: Tendon) -> str:
-    """Return the label of a tendon: the name, and for the two tendons of a spool pair also the pretension."""
+    """Return the label of a tendon: the name.
+
+    The labels of the two tendons of a spool pair also contain the pretension.
+    """
     if tendon.pretension_N is None:
         return tendon.name
     return f"{tendon.name}, pair, {tendon.pretension_N:g} N"
@@ -180,7 +184,7 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
 def _draw_digit(
     axes: Any, hand: Hand, digit: Digit, y: float, line_ends: dict[str, list[float]]
 ) -> float:
-    """Draw a digit at row ``y`` with all tendons of the digit below, and return the next free row."""
+    """Draw a digit at row ``y``, draw its tendons below the digit, and return the next free row."""
     columns = dict(_joint_xs(digit))
     axes.text(
         FIRST_JOINT_COLUMN_X - 0.35,
@@ -292,7 +296,10 @@ def _bus_x(bus: int) -> float:
 
 
 def _draw_buses(axes: Any, hand: Hand, line_ends: dict[str, list[float]]) -> None:
-    """Draw each bus as a vertical line between the motors on the bus, with its name and its bit rates."""
+    """Draw each bus as a vertical line that connects the motors on the bus.
+
+    The name and the bit rates of the bus are written next to the line.
+    """
     for i, bus in enumerate(hand.bus):
         x = _bus_x(i)
         top_y, bottom = line_ends[bus.name]

@@ -26,7 +26,9 @@ Objects that the hand holds in the demo move by 3 mm at most.
 def judge_lift(
     log: RunLog, truth: TruthRecord | None, offset_ns: int, hold_phases: Collection[str]
 ) -> dict[str, Any]:
-    """Return how far the table sank while the hand held the object, and how far the object moved in this time.
+    """Return two distances: how far the table sank, and how far the object moved.
+
+    Both distances are measured while the hand held the object.
 
     Args:
         log: log of the run.

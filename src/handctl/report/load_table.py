@@ -1,8 +1,10 @@
-"""Table of the bus load of each drive protocol: time of the frames of one tick with 4 or 11 motors.
+"""Table of the bus load of each drive protocol.
 
-The time includes the frames with commands, feedback and load-cell readings, and SYNC frames if the
-protocol needs them. A load-cell frame contains four tendons in 8 bytes, or all tendons in one CAN
-FD frame. The bus load of one particular hand file is computed by ``controller.bus_load``.
+The table gives the time that the frames of one tick need, for hands with 4 and with 11 motors. The
+time includes the frames with commands, the frames with feedback and the frames with load-cell
+readings. If the protocol needs SYNC frames, the time also includes these. A load-cell frame
+contains four tendons in 8 bytes, or all tendons in one CAN FD frame. The bus load of one particular
+hand file is computed by ``controller.bus_load``.
 """
 
 from typing import Any, NamedTuple

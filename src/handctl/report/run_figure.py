@@ -138,7 +138,7 @@ def _add_titles_and_phases(
 
 
 def _fit_value_axis(axes_row: Sequence[Any], start_s: float, end_s: float) -> None:
-    """Limit the height of a row of plots to the values that occur while the hand is active.
+    """Limit the value axis of a row of plots to the values that occur while the hand is active.
 
     Later, the tendons have no tension and the joints may move far.
     """
@@ -289,9 +289,9 @@ def _mark_phases(axes_grid: Any, log: RunLog) -> None:
 def _mark_positions(
     times_s: Sequence[float], time_limits_s: tuple[float, float]
 ) -> list[tuple[float, float] | None]:
-    """Return, for each mark, the left end [s] and the height of its name.
+    """Return, for each mark, the place for its name: the left end [s] and the height.
 
-    Return None if there is no place for the name.
+    If there is no place for a name, the value for this mark is None.
 
     Args:
         times_s: time of each mark [s], the most important mark first.

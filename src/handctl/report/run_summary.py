@@ -83,7 +83,7 @@ def _percentile(values: NDArray[Any], percent: float) -> float:
 
 
 def root_mean_square(values: Array) -> float:
-    """Return the root mean square of those values that are not NaN.
+    """Return the root mean square of all values except NaN.
 
     If all values are NaN, the result is NaN.
     """
@@ -96,9 +96,9 @@ def hold_windows(log: RunLog, hand: Hand) -> list[NDArray[np.bool_]]:
 
     A mask is True where the hold is settled.
 
-    A hold is settled while a digit touches an object and the tension targets of the
-    tension-controlled tendons have been constant for SETTLING_TIME_S. If a tendon holds an angle
-    instead, the target tension of this tendon changes with the load.
+    A hold is settled if two conditions are true. A digit touches an object. For SETTLING_TIME_S,
+    the tension targets of the tension-controlled tendons have been constant. A tendon that holds an
+    angle does not count, because the target tension of this tendon changes with the load.
     """
     goal = np.where(_holding_mask(log, hand), np.nan_to_num(log.field("tension_goal")), 0.0)
     in_contact = log.field("contact").any(axis=1)
@@ -157,9 +157,10 @@ def _settled_mask(
 def mean_angles(hand: Hand, q: Array) -> Array:
     """Return the mean joint angle of each digit (ticks, D) [rad].
 
-    The joint angles q of a digit are weighted with their moment arms r: sum(r q) / sum(r). For a
-    digit of prismatic joints, the result is in m. If a digit has both kinds of joints, a prismatic
-    joint counts with its scale, see ``DisplayUnits``.
+    The mean of the joint angles q of a digit is weighted with the moment arms r of the joints:
+    sum(r q) / sum(r). For a digit of prismatic joints, the result is in m. A digit may have both
+    kinds of joints. In this case, a prismatic joint is converted with the scale of
+    ``DisplayUnits``.
     """
     columns = []
     for name in hand.digit_names:
@@ -250,7 +251,7 @@ def judge_tension(
     active_mask: NDArray[np.bool_],
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the errors of the estimated tensions, the measured tensions and, in holds, the true tensions.
+    """Return the errors of the estimated and the measured tensions, and in holds also of the true tensions.
 
     The errors of estimates and load-cell readings are their differences from the true tensions. The
     errors of the true tensions are their differences from the commanded tensions.
@@ -309,7 +310,7 @@ def judge_grasp(
     offset_ns: int,
     hold_masks: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Return the motion of the object in a hold, and the estimated and the true forces on the fingertips.
+    """Return the motion of the object in a hold, and the forces on the fingertips: estimated and true.
 
     If the table never sank, the object still rests on the table. The motion is then NaN.
 
@@ -432,7 +433,7 @@ ANGLE_SOURCE_TEXTS = {
 
 
 def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
-    """Return one row (title and text) for each digit whose joint angles have an estimated standard deviation."""
+    """Return one row (title and text) for each digit that has an estimated standard deviation of its joint angles."""
     rows = []
     for name, angle in angle_summaries.items():
         if angle["sigma_deg"] != angle["sigma_deg"]:
@@ -463,7 +464,7 @@ def tracking_text(run_summary: Mapping[str, Any]) -> tuple[float, str]:
 def measured_bus_load(
     log: RunLog, bitrate: int, data_bitrate: int | None, sent_lengths: Sequence[tuple[int, bool]]
 ) -> float:
-    """Return the largest fraction of a run's duration during which a bus can have been busy with the given frames.
+    """Return the largest fraction of a run for which the given frames can have occupied a bus.
 
     Args:
         log: log of the run, which gives the duration.

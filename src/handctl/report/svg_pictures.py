@@ -95,9 +95,10 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
 
 
 def _project_points(points_m: Array) -> Array:
-    """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return the result (.., 2) [mm].
+    """Project points (.., 3) in the palm frame [m] to the plane of the picture.
 
-    The viewer looks at an oblique angle along the axes of the joints.
+    The result (.., 2) is in mm. The viewer looks along the axes of the joints, but slightly from
+    the side.
     """
     return np.asarray(
         1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64
@@ -107,7 +108,10 @@ def _project_points(points_m: Array) -> Array:
 def _picture_limits(
     tree: HandLinkTree, palm_points: Array
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of a picture with all digits at rest and the palm, given by (n, 3) corners."""
+    """Return the limits of a picture that contains the palm and all digits at rest.
+
+    The palm is given by its corners (n, 3).
+    """
     digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
     corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm_points)))
     low = corners.min(axis=0)
@@ -125,7 +129,9 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
 
 
 def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
-    """Draw a mesh, the far triangles first. Triangles perpendicular to the light are brighter.
+    """Draw the triangles of a mesh, beginning with the farthest triangles.
+
+    Triangles perpendicular to the light are brighter.
 
     Args:
         axes: axes of the picture.

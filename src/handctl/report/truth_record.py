@@ -70,7 +70,10 @@ class TruthRecord:
     def interpolated_columns(
         self, column_names: list[str], t_ns: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return several columns of the record, interpolated at times on the simulator's clock [ns], (times, names)."""
+        """Return several columns of the record (times, names).
+
+        The columns are interpolated at times on the simulator's clock [ns].
+        """
         return np.column_stack([self.interpolated_column(name, t_ns) for name in column_names])
 
 
@@ -104,10 +107,11 @@ def read_truth(path: Path) -> TruthRecord:
 
 
 def copy_truth(source_path: Path, target_path: Path, start_ns: int, end_ns: int) -> int:
-    """Copy those rows of a truth file that are between two times, and return their number.
+    """Copy the rows of a truth file that are between two times, and return the number of copied rows.
 
-    A simulator may serve many runs, and it writes 1.6 GB per hour. Only the copied rows are read.
-    Without rows, no file is written.
+    The truth file of a simulator may contain many runs. The simulator writes 1.6 GB per hour.
+    Therefore only the copied rows are read. If there are no rows between the two times, no file is
+    written.
 
     Args:
         source_path: truth file of a simulator, which may still write to this file.
@@ -149,9 +153,11 @@ def truth_path_of(log_path: Path) -> Path:
 
 
 def find_truth(given_file: Path | None, log_path: Path, log: RunLog) -> TruthRecord | None:
-    """Return the true values of a run, from the named file or from the file next to the log of a lockstep run.
+    """Return the true values of a run.
 
-    If no file is named and there is no truth file of this run next to the log, return None.
+    The values come from the file that the user has named. If the user has named no file, they come
+    from the file next to the log of a lockstep run. If there is no such file of this run, return
+    None.
 
     Args:
         given_file: truth file that the user has named, or None if the user has named no file.

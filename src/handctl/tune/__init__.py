@@ -1,1 +1,5 @@
-"""Tuning of a hand: identify its unknown parameters, design gains, search for better gains, verify them."""
+"""Tuning of a hand.
+
+A tuning has four steps: identify the unknown parameters of the hand, design gains, search for
+better gains, and verify these gains.
+"""

@@ -1,8 +1,9 @@
-"""Gains of a hand on disk: the present gains, and a numbered history from which every change can be undone.
+"""Gains of a hand on disk.
 
-Runs use `HAND.gains.toml`. All gains applied so far are in `HAND.gains/0001.toml` and the following
-numbers. Each file is written under a temporary name and then renamed. A reader therefore gets
-either the complete old file or the complete new file.
+There is a file with the present gains, and a numbered history. With the history, every change can
+be undone. Runs use `HAND.gains.toml`. The file `HAND.gains/0001.toml` and the files with the next
+numbers contain all gains that have been applied so far. Each file is written under a temporary name
+and then renamed. A reader therefore gets either the complete old file or the complete new file.
 """
 
 import datetime
@@ -85,9 +86,9 @@ class GainsStore:
         return [StoredGains(path, load_gains_file(path)) for path in paths]
 
     def rename_damaged_file(self) -> Path | None:
-        """Rename the file of the present gains if it cannot be used. Return the new path.
+        """Rename the file of the present gains if the file is damaged, and return the new path.
 
-        If the file can be used, return None. A damaged file must be renamed before a rollback is
+        If the file is not damaged, return None. A damaged file must be renamed before a rollback is
         possible.
 
         Raises:
@@ -173,8 +174,8 @@ class GainsStore:
     ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
-        If the history does not contain the present file, for example because a user has copied it,
-        the new gains are recorded as the successor of the newest entry.
+        A user may have copied the present file, so that the history does not contain it. In this
+        case, the new gains are recorded as the successor of the newest entry.
         """
         present_gains = self.present_gains()
         entries = self.history_entries()
@@ -214,7 +215,7 @@ class GainsStore:
 def _number_of_previous_gains(
     gains_by_number: dict[int, StoredGains], present_gains: GainsFile
 ) -> int:
-    """Return the number of the gains in the history that the present gains have replaced.
+    """Return the number that the gains before the present gains have in the history.
 
     After a rollback, the restored gains count as the present gains.
 

@@ -1,11 +1,11 @@
 """Verification of new gains on the hand itself.
 
-The hand executes an exercise, first with the old gains, and then with the new gains in rounds of
-rising amplitude.
+The hand first executes an exercise with the old gains. Then it executes the exercise with the new
+gains, in rounds of rising amplitude.
 
-If a limit is violated, an observer of the run requests the old gains again. The controller receives
-the requests of the observer like those of any client. Therefore the log contains these requests,
-and the run can be executed again.
+If a limit is violated, an observer of the run requests the old gains again. The controller treats
+the requests of the observer like the requests of any client. Therefore the log contains these
+requests, and the run can be executed again.
 """
 
 import json
@@ -62,7 +62,7 @@ AMPLITUDE_ROUNDING_STEP = 0.05
 
 
 def round_amplitudes(max_amplitude: float = 1.0) -> tuple[float, ...]:
-    """Return the amplitudes of the rounds of the exercise, given the largest amplitude."""
+    """Return the amplitude of each round of the exercise for a given largest amplitude."""
     return tuple(max_amplitude * amplitude for amplitude in ROUND_AMPLITUDES)
 
 
@@ -199,9 +199,10 @@ class VerifyObserver:
             self._request_gains(self.old_gains, self.new_gains)
 
     def _blocked_names(self, tick_output: TickOut) -> tuple[str, ...]:
-        """Return the names of the digits in contact, if one of them lags behind its goal.
+        """Return the names of the digits in contact.
 
-        The digit with the largest lag comes first.
+        If none of these digits lags behind its goal, the result is empty. The digit with the
+        largest lag comes first.
         """
         numbers = tick_output.telemetry
         goal_deviation = np.abs(numbers.q_goal - numbers.q) / self.hand.display_units.scale
@@ -235,7 +236,7 @@ class VerifyObserver:
         )
 
     def _request_gains(self, gains: Gains, present_gains: Gains) -> None:
-        """Add a request that sets those of the given gains which a running controller can change."""
+        """Add a request that sets the given gains, as far as a running controller can change these gains."""
         # If a request does not set the force of some tendon, the running controller keeps the
         # present force of this tendon. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {
@@ -254,7 +255,7 @@ class VerifyObserver:
         return [len(digit.joints) for digit in self.hand.digit]
 
     def _torque_rate(self, entry: TickIn, tick_output: TickOut) -> float:
-        """Return the rate of change of the motor torques, as RMS over the window up to this tick [N m/s]."""
+        """Return the RMS of the motor torques' rate of change over the window up to this tick [N m/s]."""
         torque = tick_output.telemetry.motor_torque_goal
         torque_before = self._last_torque
         self._last_torque = torque
@@ -271,7 +272,10 @@ class VerifyObserver:
         return float(np.sqrt(sum(self._squared_torque_rates) / len(self._squared_torque_rates)))
 
     def _tracking_violation(self, telemetry: Telemetry | PackedTelemetry) -> str:
-        """Return a text about the joint farthest from its goal if it violates the limit, or an empty text."""
+        """Return a text about the joint that is farthest from its goal.
+
+        If this joint does not violate the limit, the text is empty.
+        """
         units = self.hand.display_units
         is_touching = np.repeat(telemetry.contact > 0.0, self._joint_counts)
         goal_deviation = np.abs(telemetry.q_goal - telemetry.q) / units.scale
@@ -287,7 +291,10 @@ class VerifyObserver:
         return f"tracking error {largest_error:.1f} {units.names[joint]}, limit {limit:.1f}"
 
     def _violated_limit(self, tick_output: TickOut, torque_rate_N: float) -> str:
-        """Return a text about the limit that a tick violates, or an empty text if it violates none."""
+        """Return a text about the limit that a tick violates.
+
+        If the tick violates no limit, the text is empty.
+        """
         if tick_output.action >= SafetyAction.HOLD:
             return f"safety: {tick_output.action.name}"
         if tick_output.mode != HandMode.ACTIVE:
@@ -323,7 +330,9 @@ MAX_EQUAL_DIFFERENCE_FRACTION = 0.02
 
 @dataclass(frozen=True, slots=True)
 class MeasureComparison:
-    """Comparison of old and new gains by one measure of quality, in the rounds with full amplitude.
+    """Comparison of the old and the new gains by one measure of quality.
+
+    Only the rounds with full amplitude are compared.
 
     Attributes:
         name: name of the measure of quality.
@@ -344,7 +353,10 @@ class MeasureComparison:
 
 
 def compare_rounds(round_scores: list[list[GainScore]]) -> list[MeasureComparison]:
-    """Compare the rounds with full amplitude, with old and with new gains, run by run.
+    """Compare the old and the new gains.
+
+    In each run, the last round with the old gains and the last round with the new gains are
+    compared. Both rounds have the full amplitude.
 
     Args:
         round_scores: scores of the rounds of each run.

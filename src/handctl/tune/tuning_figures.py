@@ -1,4 +1,8 @@
-"""Figures for tuning: control loops before and after a change of gains, trials of a search, and a verification."""
+"""Figures for tuning.
+
+The figures show the control loops before and after a change of gains, the trials of a search, and a
+verification.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -110,7 +114,7 @@ def _style_axes(axes_row: Any, kind: LoopKind) -> None:
 
 
 def draw_search(path: Path, result: SearchResult, title: str) -> None:
-    """Draw the trials of a search with the Pareto front, and the cost of the best trial so far.
+    """Draw two plots of a search: the trials with the Pareto front, and the cost of the best trial so far.
 
     Args:
         path: PNG file to write.

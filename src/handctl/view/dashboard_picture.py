@@ -25,7 +25,7 @@ UNCHANGED_TIMEOUT_S = 10.0
 
 
 def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Path) -> list[str]:
-    """Draw the dashboard of a Rerun recording at one time as PNG.
+    """Draw a PNG picture of the dashboard at one time of a Rerun recording.
 
     Args:
         recording_path: path of the Rerun recording, which also contains the layout of the dashboard.
@@ -56,7 +56,7 @@ def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Pa
 
 
 def settled_screenshot(client: "ViewerClient") -> bytes:
-    """Return a screenshot of the viewer once the screenshots no longer change.
+    """Take screenshots of the viewer until they no longer change, and return the last one.
 
     On a busy machine, the viewer draws the views of the dashboard one after the other.
     """
@@ -88,9 +88,10 @@ def connect_client(viewer: Viewer) -> "ViewerClient":
 
 
 def timeline_end(state: "ViewerState", timeline_name: str) -> int:
-    """Return the latest end of a timeline in all recordings of a viewer, in the unit of the timeline.
+    """Return the end of a timeline, in the unit of the timeline.
 
-    If there are no data, the result is -1.
+    If the timeline has different ends in the recordings of the viewer, return the latest end. If
+    there are no data, the result is -1.
     """
     lines = [
         line
@@ -102,10 +103,11 @@ def timeline_end(state: "ViewerState", timeline_name: str) -> int:
 
 
 def wait_until_loaded(client: "ViewerClient", timeline_name: str, until_ns: int = 0) -> None:
-    """Wait until a viewer shows views and has loaded a recording up to a given time.
+    """Wait until a viewer shows its views, and until it has loaded a recording up to a given time.
 
-    A viewer gets a recording and the layout before the first data. Even before the first data, the
-    viewer reports the end of loading. So a check of this report alone is not enough.
+    A viewer gets a recording and the layout before it gets the first data. At this time, the viewer
+    already reports that the loading has ended. Therefore this report alone does not show that the
+    data are loaded.
 
     Args:
         client: client of the viewer.

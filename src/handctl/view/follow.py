@@ -121,7 +121,10 @@ def follow_log(
 
 
 def _follow_until_end(follower: LogFollower, running_viewer: Viewer, stop: TerminationFlag) -> None:
-    """Send new chunks until the log ends or stops growing, or until the viewer is closed or a stop is requested."""
+    """Send new chunks until the log ends or stops growing.
+
+    Also stop if the viewer is closed, or if a stop is requested.
+    """
     last_chunk_time = time.monotonic()
     while not (follower.has_log_ended or stop.requested) and running_viewer.process.poll() is None:
         start = time.monotonic()

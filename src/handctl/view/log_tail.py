@@ -31,7 +31,9 @@ class LogTail:
         return self._scan.complete
 
     def write_new_chunks(self, path: Path) -> int | None:
-        """Write the chunks that are new since the last call into a log file without an end mark.
+        """Write the chunks that have been added since the last call into a log file.
+
+        The written file has no end mark.
 
         Args:
             path: log file to write. The file also has the definitions of all topics.

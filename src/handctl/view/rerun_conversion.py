@@ -57,7 +57,8 @@ def chunks_of_run_by_part(
 ) -> Iterator[list[Chunk]]:
     """Yield all chunks of a log in parts.
 
-    The first part has the static chunks. The run follows in the order of time.
+    The first part has the static chunks. The later parts have the chunks of the run, in the order
+    of time.
 
     Args:
         path: path of the log. The log may be incomplete.
@@ -79,7 +80,7 @@ def chunks_of_run_by_part(
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:
     """Return the path and the list of records of a complete log.
 
-    If the log ends early, both belong to a repaired copy.
+    If the log ends early, the path and the list are those of a repaired copy.
 
     The copy is necessary because Rerun omits parts of the last chunk of an incomplete log.
 
@@ -130,7 +131,7 @@ def chunks_of_log(
 def _start_time_ns(chunk: Chunk) -> int:
     """Return the log time of the first row of a chunk [ns].
 
-    A chunk without times gets -1, and so comes first.
+    For a chunk without times, the result is -1. So such a chunk comes first.
     """
     return int(times_since_start(chunk, 0)[0]) if LOG_TIME_TIMELINE in chunk.timeline_names else -1
 

@@ -168,7 +168,7 @@ def launch_viewer(viewer_arguments: Sequence[str], environment: dict[str, str]) 
     The function does not wait until the viewer listens.
 
     The system chooses the port. On Rerun's default port 9876, the viewer would also receive streams
-    from other programs, and data meant for a viewer that was closed earlier.
+    from other programs. It would even receive data for a viewer that was closed earlier.
 
     Args:
         viewer_arguments: further arguments of the viewer's command.

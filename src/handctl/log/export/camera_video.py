@@ -2,7 +2,7 @@
 
 A video has one image for each frame of an episode. The program ``ffmpeg`` decodes and encodes the
 videos. Each frame of the dataset gets the latest image that the camera had recorded by the time of
-this frame. The layout of the dataset is that of LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
+this frame. Source of the layout: LeRobot 0.4, ``datasets/lerobot_dataset.py`` and
 ``video_utils.py``. Each episode has its own video file. The statistics are computed for each colour
 channel. The values of a channel are from 0 to 1.
 """
@@ -182,7 +182,7 @@ def write_episode_video(
 
 
 def _run_ffmpeg(source_video: Path, *arguments: str) -> None:
-    """Run ffmpeg on a video file, with the given further arguments.
+    """Run ffmpeg with a video file as input and the given arguments.
 
     Raises:
         LogError: ffmpeg reports an error.

@@ -171,9 +171,9 @@ def _frames_by_time(log: RunLog) -> Iterator[tuple[int, str, Frame]]:
     """Yield the time [ns], the direction (R or T) and the content of all CAN frames, in the order of their times.
 
     The time of a received frame is its arrival. The time of a sent frame is the start of its tick.
-    If a frame arrived in that tick later than this, the time of the latest arrival is used. On a
-    local bus, the arrival of a frame is the moment at which the tick reads it, after the start of
-    the tick.
+    If the tick has read a frame that arrived after this start, the time of the latest such frame is
+    used instead. On a local bus, this happens in every tick that reads a frame. There, the arrival
+    of a frame is the moment at which the tick reads the frame.
     """
     pending_frames: list[tuple[int, str, Frame]] = []
     complete_until_ns = 0

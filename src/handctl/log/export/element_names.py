@@ -1,6 +1,7 @@
 """Names of joint positions in LeRobot datasets. Each name contains the unit.
 
-The export of datasets, their reader, and the plug-in ``lerobot_robot_handctl`` use the same names.
+The same names are used by the export of datasets, by the reader of datasets, and by the plug-in
+``lerobot_robot_handctl``.
 """
 
 from collections.abc import Collection, Iterable

@@ -15,7 +15,8 @@ The file `meta/stats.json` contains the statistics of the whole dataset. Columns
 contain the statistics of each episode. LeRobot needs these statistics to split a dataset or to
 delete episodes.
 
-Source of the paths and fields: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`.
+Source of the file paths and of the names of the fields: LeRobot 0.4 and 0.6, `datasets/utils.py`
+and `dataset_metadata.py`.
 """
 
 import json

@@ -9,7 +9,9 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, location: str) -> Hand:
-    """Return the hand that a log describes, if its names are those in the header of the log.
+    """Return the hand that is described in a log.
+
+    The names in the description must be the names in the header of the log.
 
     Args:
         header: header of the log.
@@ -30,10 +32,10 @@ def described_hand(header: RunHeader, location: str) -> Hand:
 
 
 def prismatic_joints(header: RunHeader) -> frozenset[str]:
-    """Return the names of the prismatic joints in a log, whose positions are in m.
+    """Return the names of the prismatic joints in a log.
 
-    If the log contains no valid description of the hand, all joints count as hinges. So such a log
-    can still be exported.
+    The positions of these joints are in m. If the log contains no valid description of the hand,
+    all joints count as hinges. So such a log can still be exported.
     """
     with suppress(ConfigError, LogError):
         return described_hand(header, "hand.toml in the log").prismatic_joints

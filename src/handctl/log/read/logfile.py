@@ -141,7 +141,9 @@ class LogFile:
         return data
 
     def range_crc(self, start: int, end: int, value: int = 0) -> int:
-        """Compute the CRC-32 of a part of the file, or continue a CRC-32.
+        """Return the CRC-32 of a part of the file.
+
+        The calculation can continue the CRC-32 of the bytes before this part.
 
         Args:
             start: start of the part [bytes].
@@ -183,7 +185,10 @@ class LogFile:
 
 
 def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
-    """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
+    """Return the decompressed bytes of a chunk.
+
+    The result has at most one byte more than the chunk declares.
+    """
     # If a chunk is longer than it declares, the additional byte shows this. In this case, the rest
     # of the chunk need not be decompressed.
     if chunk.compression == "lz4":

@@ -173,7 +173,7 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Return the channel ids of the tick messages and the telemetry, and the channel ids of all topics by name."""
+        """Return the channel id of the Tick messages, the channel id of the telemetry, and all channel ids by topic."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
                 self._file.chunk_content(self._chunks[0])
@@ -229,7 +229,7 @@ class RunLog:
 
     @property
     def _fixed_parts(self) -> NDArray[np.void]:
-        """Return the first part of each Tick message (ticks,), whose length is constant."""
+        """Return the first part of each Tick message (ticks,). The length of this part is constant."""
         return self._chunk_index.constant_parts
 
     def __len__(self) -> int:
@@ -351,8 +351,8 @@ class RunLog:
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield the telemetry in blocks.
 
-        A block consists of its rows as bytes (rows, bytes), and of the sequence numbers of these
-        rows.
+        A block consists of two arrays: the bytes of its rows (rows, bytes), and the sequence
+        numbers of these rows.
         """
         size = VALUES_START_OFFSET + 8 * self._telemetry_column_count + 4
         for chunk, rows in self._message_rows(self._values, chunks):

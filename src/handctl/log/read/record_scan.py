@@ -4,8 +4,8 @@ The scan does not use the index at the end of the file. The scan checks the chec
 attachments, the data section and the summary.
 
 Each record consists of an opcode u8, a length u64 and the content. The data section ends with the
-record DataEnd, which contains the CRC-32 of all bytes before this record. After the data section,
-the summary and the footer follow. The footer has 29 bytes: opcode u8, length u64, two offsets u64,
+record DataEnd, which contains the CRC-32 of all bytes before this record. The summary and the
+footer come after the data section. The footer has 29 bytes: opcode u8, length u64, two offsets u64,
 CRC-32 u32. The file begins and ends with MCAP_MAGIC.
 
 Source: MCAP specification.

@@ -88,7 +88,10 @@ class _DirectionTopics:
         stamps: MessageStamps,
         measured_ns: TimeArray,
     ) -> MessageBlock:
-        """Return a message for each of the given classical CAN frames, in their order."""
+        """Return a message for each of the given classical CAN frames.
+
+        The messages have the order of the frames.
+        """
         bus_indices = np.unique(bus)
         if len(bus_indices) == 1:
             return self._streams[int(bus_indices[0])].block(

@@ -1,8 +1,8 @@
 """Topic with readings of the wall clock and the monotonic clock.
 
-Both clocks are read at the same moment, every ten seconds. From these readings one can see whether
-the wall clock was set during the run. The recorder reads these clocks. The controller does not. The
-log of a run in lockstep contains no such readings, because its messages depend only on the ticks.
+Both clocks are read at the same moment, every ten seconds. These readings show whether the wall
+clock was set during the run. The recorder reads these clocks. The controller does not. The log of a
+run in lockstep contains no such readings, because its messages depend only on the ticks.
 """
 
 import struct

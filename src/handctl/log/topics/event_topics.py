@@ -100,7 +100,11 @@ def _changed_indexes(
 
 
 class EventTopics:
-    """Topics for events, as log lines, and for changes of the grasp phase, mode, reaction and gains."""
+    """Topics for events and changes.
+
+    Events are written as log lines. Changes are those of the grasp phase, the mode, the reaction to
+    faults, and the gains.
+    """
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""

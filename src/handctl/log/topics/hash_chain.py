@@ -1,9 +1,9 @@
 """Hash chain over the ticks of a log. If a byte of a tick is changed, the chain breaks at this tick.
 
-The chain detects damage to the log, and attached files that were exchanged. The chain is not a
-signature, because an attacker can compute all hashes after a change again. The last hash is in the
-end record of the log. If a copy of the last hash is kept in another place, any change of the log
-can be detected.
+The chain shows if the log was damaged, or if an attached file was replaced. The chain is not a
+signature. After a change, an attacker can compute all hashes again. The last hash is in the end
+record of the log. If a copy of the last hash is kept in another place, any change of the log can be
+detected.
 """
 
 import hashlib
@@ -28,7 +28,7 @@ def first_hash(
 ) -> bytes:
     """Compute the hash with which the hash chain begins.
 
-    The hash covers all data of the header except the data about the machine and the date.
+    The hash covers all data of the header, except the entries about the machine and the date.
     """
     digest = hashlib.blake2b(digest_size=HASH_SIZE)
     texts = {

@@ -69,9 +69,9 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
 def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
-    The frame_id of the message names the frame of the palm, because the motors are mounted behind
-    the palm. If the frame of the message were not in /tf, the viewer Rerun would find several root
-    frames and show no hand.
+    The `frame_id` of the message is the name of the palm's frame, because the motors are mounted
+    behind the palm. If the frame of the message were not in /tf, the viewer Rerun would find
+    several root frames and show no hand.
     """
     writer = TemplateWriter()
     writer.put_header(ROOT_FRAME)
@@ -193,7 +193,7 @@ class HealthTopics:
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[tick_index])]
 
     def _count_texts(self) -> dict[str, str]:
-        """Return the counts of io events as texts, by the name of the event."""
+        """Return the number of io events of each kind as a text, by the name of the event."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _bus_statuses(self) -> list[DiagnosticStatus]:

@@ -1,6 +1,6 @@
 """Topic with a snapshot of the controller's state for each second of a run.
 
-From a snapshot on, the rest of the log can be executed again.
+With a snapshot, the controller can execute the later part of the log again.
 """
 
 import struct

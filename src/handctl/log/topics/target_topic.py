@@ -47,7 +47,7 @@ class TargetTopic:
     def _stream_targets(self, requests: tuple[TickRequest, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
-        The request that opens a stream gives the names for the values in all later targets of the
+        The values of a streamed target have no names. The names are in the request that opened the
         stream.
         """
         for request in requests:

@@ -26,7 +26,9 @@ PRISMATIC_JOINT_AXIS = (0.0, 1.0, 0.0)
 
 
 class LinkFrame(NamedTuple):
-    """Frame of a link, given relative to the frame of the parent link.
+    """Frame of a link.
+
+    The position and the rotation are relative to the frame of the parent link.
 
     Attributes:
         parent, child: names of the parent link's frame and of this link's frame.
@@ -121,9 +123,10 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
 
 
 def link_positions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the origin of a link in the frame of its parent at joint positions (n,) [rad or m], (n, 3) [m].
+    """Return the origin of a link in the frame of its parent (n, 3) [m].
 
-    A hinge does not move the origin of its link. For a hinge, the result has one row.
+    The joint positions `q` (n,) are in rad or m. A hinge does not move the origin of its link. For
+    a hinge, the result has one row.
     """
     if not link.is_prismatic:
         return np.array([link.position])
@@ -178,7 +181,7 @@ class TfTopics:
         return self._static.block(stamps, values)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
-        """Return the /tf messages. The first tick in each period of 20 ms gets one."""
+        """Return the /tf messages. The first tick in each period of 20 ms gets one message."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
         period_starts = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

@@ -246,7 +246,10 @@ class LogWriter:
             self._close_after_failure(error)
 
     def _clock_pair(self, t_ns: int) -> list[MessageBlock]:
-        """Return a message with new readings of both clocks, if PAIR_PERIOD_NS has passed since the last ones."""
+        """Return a message with new readings of both clocks.
+
+        If less than PAIR_PERIOD_NS has passed since the last readings, return no message.
+        """
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PAIR_PERIOD_NS

@@ -210,12 +210,12 @@ class Recorder:
     def take_events(self) -> tuple[IoEvent, ...]:
         """Return the events of the recorder since the last call. The loop calls this method in every tick.
 
-        The recorder process is asked for events in the first of `CALLS_PER_PROCESS_CHECK` calls only.
+        Only one of every `CALLS_PER_PROCESS_CHECK` calls asks the recorder process for its events.
 
         All these events have the kind "recorder".
 
         `where` is one of:
-            dropped: records were dropped. Value: their number.
+            dropped: records were dropped. Value: number of dropped records.
             gone: the recorder process has ended.
             filling: the pipe to the recorder has become more than half full. Value: bytes in it.
             disk_low: little disk space is left. Value: number of free bytes.

@@ -1,9 +1,10 @@
-"""Start of the recorder process, possibly before it is known which run will be recorded.
+"""Start of the recorder process, possibly in advance.
 
-The recorder process needs half a second for its imports. A command that records a run starts the
-recorder process before it imports other modules (`recorder_process_started_in_advance`). Both processes then
-import modules at the same time, on two cores. Therefore this module itself imports only a few
-modules.
+A process that is started in advance does not know yet which run it will record. The recorder
+process needs half a second for its imports. If a command records a run, the command starts the
+recorder process before the command imports other modules (`recorder_process_started_in_advance`).
+Both processes then import modules at the same time, each on one core. Therefore this module itself
+imports only a few modules.
 """
 
 import os

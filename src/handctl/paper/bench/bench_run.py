@@ -76,7 +76,7 @@ def run_bench_task(
 
 @cache
 def _hand_model(hand_file: str) -> HandModel:
-    """Return the model of a hand, with the gains designed for it.
+    """Return the model of a hand, and design the gains for this hand.
 
     The result is cached, because the design of the gains takes about a second.
     """

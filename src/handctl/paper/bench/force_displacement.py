@@ -71,7 +71,8 @@ class TendonCurve:
 def blocked_hand(knee_tensions: tuple[float, ...]) -> Hand:
     """Return the hand of the test bench, with all joints clamped.
 
-    In this hand, the first tendons have the given tensions at the knee of their curves [N].
+    The curve of a tendon has a knee. The first tendons of the returned hand have this knee at the
+    given tensions [N].
     """
     content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
@@ -158,7 +159,10 @@ def curve_of_tendon(measured_curve: Mapping[str, Any], noise_N: float) -> Tendon
 
 
 def _fit_knee(displacement: Array, force: Array, initial_slope: float) -> tuple[float, float]:
-    """Fit a curve with a knee by least squares, and return the tension at the knee and its standard deviation [N]."""
+    """Fit a curve with a knee to measurements, by least squares.
+
+    Return the tension at the knee, and the standard deviation of this tension [N].
+    """
 
     def knee_curve(x: Array, knee: float, stiffness_ratio: float, width: float) -> Array:
         tendon = TendonElasticity(initial_slope, stiffness_ratio * initial_slope, knee, width, 0.0)
@@ -180,7 +184,10 @@ def curves_of_tendons(measured_results: Mapping[str, Any]) -> list[TendonCurve]:
 
 
 def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
-    """Return items that compare the measured knees of the curves with the knees that the paper states."""
+    """Return errata items about the knees of the curves.
+
+    Each item compares the knee of a measured curve with a knee that the paper states.
+    """
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEE_TENSIONS_N], None)
     for place, tendon in zip(

@@ -1,7 +1,7 @@
 """Measurement of the payload of a hand in the simulator.
 
-The hand grips a cylinder with 6 N per finger. Then a force along one axis pulls the cylinder, and
-grows until the cylinder slips.
+The hand grips a cylinder with 6 N per finger. Then a force pulls the cylinder along one axis. The
+force grows until the cylinder slips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -76,12 +76,14 @@ rate_N_per_s = {rate}
 
 
 def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
-    """Return the tension of each digit at which each finger presses with 6 N, and the start time of the grip.
+    """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
-    The tension is interpolated between the tensions of the search. Because of friction, the normal
-    force depends on the earlier tensions of the grip. Therefore a second grip goes directly to the
-    interpolated tension, and its result corrects this tension once. The thumb balances the fingers,
-    and gets their mean tension. In all runs with this diameter, the grip begins at the same time.
+    The search increases the tension in steps. The result is interpolated between these steps.
+    Because of friction, the normal force depends on the earlier tensions of the grip. Therefore a
+    second grip starts directly with the interpolated tension. The forces in the second grip are
+    used to correct the tension once. The thumb must balance the fingers. Therefore the tension of
+    the thumb is the mean tension of the fingers. In all runs with this diameter, the grip begins at
+    the same time.
     """
     names = src.paper_hand().digit_names
     phases = [
@@ -228,7 +230,7 @@ def _object_positions(truth: TruthRecord, t_ns: Any) -> Array:
 
 
 def _find_slip(truth: TruthRecord, first_row: int, end_row: int) -> tuple[int, str]:
-    """Return the row of the ground truth at which the object slips, and the name of the criterion for the slip."""
+    """Return the row of the ground truth at which the object slips, and the name of the slip criterion."""
     positions = _object_positions(truth, truth.t_ns[first_row:end_row])
     window = round(SPEED_WINDOW_S * 1000)
     object_motion = np.linalg.norm(positions - positions[0], axis=1)

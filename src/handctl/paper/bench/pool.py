@@ -19,7 +19,7 @@ ReportFunction = Callable[[ExperimentJob, bool], None]
 
 @contextmanager
 def worker_pool(worker_count: int, report: ReportFunction) -> Iterator[JobRunner]:
-    """Start worker processes. The processes end with the context, even after an error.
+    """Start worker processes. The processes end at the end of the context, even after an error.
 
     Args:
         worker_count: number of processes.

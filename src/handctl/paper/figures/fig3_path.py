@@ -79,7 +79,10 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
 def _draw_reachable_area(
     axes: Any, tip_positions: Array, x_limits: tuple[float, float], y_limits: tuple[float, float]
 ) -> None:
-    """Fill the cells that contain a sampled position of the fingertip, and also the gaps between these cells."""
+    """Fill the cells that contain a sampled position of the fingertip.
+
+    The gaps between these cells are filled, too.
+    """
     bins = [np.arange(low, high + AREA_CELL_MM, AREA_CELL_MM) for low, high in (x_limits, y_limits)]
     # Otherwise, empty cells between two samples would look like positions that the tip cannot
     # reach.

@@ -1,4 +1,7 @@
-"""Fig. 4 and 6 of the paper: moments that a force on the tip and the tendon cause at the joints of a straight digit."""
+"""Fig. 4 and 6 of the paper: moments at the joints of a straight digit.
+
+A force on the tip causes some of these moments. The tendon causes the others.
+"""
 
 from typing import Any
 

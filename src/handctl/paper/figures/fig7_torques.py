@@ -1,4 +1,8 @@
-"""Fig. 7 of the paper: parts of the torque that closes a digit, and T_1 by Eq. 10, both as printed and corrected."""
+"""Fig. 7 of the paper: parts of the torque that closes a digit.
+
+The figure also shows T_1 by Eq. 10, once for the printed equation and once for the corrected
+equation.
+"""
 
 from typing import Any
 

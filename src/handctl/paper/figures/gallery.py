@@ -22,7 +22,7 @@ DrawFunction = Callable[[Any], None]
 def figure_contents(
     experiment_results: Mapping[str, Any] | None,
 ) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
-    """Return the size [inch] and the drawing function of each figure, by the name of the figure.
+    """Return a dict with the size [inch] and the drawing function of each figure, by the name of the figure.
 
     Without results of experiments, the figures of measurements are left out.
     """

@@ -158,7 +158,7 @@ def _draw_payload_bars(axes: Any, payload_results: Sequence[Mapping[str, Any]]) 
 
 
 def _draw_lines(axes: Any) -> None:
-    """Draw a line at the payload in the paper, and a line at the payload with friction on both sides."""
+    """Draw two lines: the payload in the paper, and the payload with friction on both sides."""
     two_sided_payload_kg = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N))
     right_edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (

@@ -143,7 +143,10 @@ def _check_bending() -> ErrataItem:
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_ANGLES_DEG) -> Array:
-    """Return the normal forces (3,) at the middles of the three links that balance a tendon on equal pulleys [N]."""
+    """Return the normal forces at the middles of three links (3,) [N].
+
+    These forces balance the tendon, which runs over equal pulleys.
+    """
     lengths = np.array(paper_digit("index").lengths)
     link_angles = np.cumsum(np.radians(angles_deg))
     lever_matrix = np.zeros((3, 3))

@@ -230,7 +230,7 @@ def _node_without_minus(formula_node: ast.expr) -> ast.expr:
 def _text_in_brackets(formula_node: ast.expr, min_precedence: int) -> str:
     """Return a node of the syntax tree as text.
 
-    If its precedence is lower than required, add brackets.
+    If the operator of the node has a lower precedence than required, add brackets.
     """
     text, precedence = _pretty_text(formula_node)
     return text if precedence >= min_precedence else f"({text})"

@@ -51,7 +51,7 @@ StateSamples = Mapping[str, Any]
 
 @cache
 def random_states() -> StateSamples:
-    """Return random parameters, angles, rates and accelerations of order 1, with (STATES,) values of each.
+    """Return random parameters, angles, rates and accelerations of order 1. Each has the shape (STATES,).
 
     These random values are the same in every run.
     """
@@ -171,7 +171,10 @@ def _dimension_evidence(term: EquationTerm) -> str:
 
 
 def _symmetry_evidence(term: EquationTerm) -> str:
-    """Return a text if the printed coefficients of a term and its mirror term differ, or an empty text."""
+    """Compare the printed coefficients of a term and its mirror term.
+
+    If the coefficients differ, return a text about this. Otherwise, return an empty text.
+    """
     if not term.mirror_id:
         return ""
     mirror_term = next(
@@ -277,7 +280,10 @@ def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
 
 
 def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
-    """Convert joint torques tau of handctl to torques for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
+    """Convert joint torques tau of handctl to torques T for absolute angles.
+
+    The equation is T = S^-T tau. Each torque has the shape (STATES,) and the unit N m.
+    """
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 

@@ -1,4 +1,7 @@
-"""Dynamics of section 7 in a motion: the torque that closes a digit, divided by cause."""
+"""Dynamics of section 7 in a motion.
+
+The torque that closes a digit is divided into parts. Each part has one cause.
+"""
 
 from dataclasses import dataclass
 
@@ -89,7 +92,10 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
 
 
 def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
-    """Return the times [s], and the torque T_1 of a closing finger by Eq. 10, as printed and as corrected [N m]."""
+    """Return the times [s], and the torque T_1 of a closing finger at these times [N m].
+
+    T_1 is computed with the printed form and with the corrected form of Eq. 10.
+    """
     digit = upright_digit("index")
     times = np.linspace(0.0, duration_s, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_JOINT_ANGLE_DEG]), duration_s)
@@ -109,8 +115,8 @@ def closing_torque_t1(duration_s: float) -> tuple[Array, Array, Array]:
 def motion_items() -> list[ErrataItem]:
     """Return the errata items about the torque during a motion.
 
-    The items concern Eq. 10 for a straight finger, the completeness of Eq. 3 to 12, and the torque
-    that section 8 mentions.
+    The items are about Eq. 10 for a straight finger, about the completeness of Eq. 3 to 12, and
+    about the torque that section 8 mentions.
     """
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 

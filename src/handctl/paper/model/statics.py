@@ -1,4 +1,7 @@
-"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire, calculated from its numbers."""
+"""Sections 5 and 6 of the paper: moments, tension, torque, payload and wire.
+
+All these values are calculated from numbers of the paper.
+"""
 
 import math
 from fractions import Fraction
@@ -104,7 +107,7 @@ Joints are counted from the palm, beginning with 0.
 def _check_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
-    If one label names several joints, it states that the moments at these joints are equal.
+    Some labels name several joints. Such a label states that the moments at these joints are equal.
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:

@@ -111,7 +111,10 @@ def _depends_on_rate(energy_terms: Sequence[EquationTerm], name: str) -> bool:
 
 
 def _check_phalanges() -> ErrataItem:
-    """Check whether the energy of each link is independent of the other links, as in separate fingers."""
+    """Check whether the energy of each link is independent of the other links.
+
+    In separate fingers, the energies would be independent.
+    """
     # In a single finger, the energy of link 2 depends on the rate of link 1, and the energy of link
     # 3 on the rate of link 2.
     are_independent = not _depends_on_rate(
@@ -159,7 +162,10 @@ def _check_lengths() -> ErrataItem:
 
 
 def _check_axis_of_inertia() -> ErrataItem:
-    """Compare the kinetic energy of a bar that turns in the x-y plane with its moments of inertia about y and z."""
+    """Compare the energy of a bar with its moments of inertia about the axes y and z.
+
+    The bar turns in the x-y plane, and the energy is its kinetic energy.
+    """
     length = 30.0
     height = 8.0
     width = 10.0

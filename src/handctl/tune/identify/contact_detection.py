@@ -1,8 +1,8 @@
 """Detection of a contact during the sweeps of a digit, from the residuals of the fit.
 
-If a digit touches an obstacle at some angle, an additional tension begins at this angle and grows
-as the digit closes. The fit attributes most of the additional tension to the springs, but no
-parameter can reproduce the kink in the curve. The fit therefore includes a ramp of tension that
+Assume that a digit touches an obstacle at some angle. From this angle on, an additional tension
+grows while the digit closes. The fit attributes most of the additional tension to the springs, but
+no parameter can reproduce the kink in the curve. The fit therefore includes a ramp of tension that
 begins at some angle. The ramp is fitted together with all parameters, in the linearised fit. The
 score of the contact is the size of the ramp in standard deviations.
 Source: score test (Rao 1948).
@@ -10,7 +10,7 @@ Source: score test (Rao 1948).
 A contact that lasts during the whole sweep causes no kink. If a contact blocks one of n joints
 during the whole sweep, the digit behaves like a free digit with other springs. The springs then
 seem to have n / (n - 1) of the stiffness and (n - 1) / n of the preload. The travel shows whether a
-joint is blocked: if the digit closes farther than n - 1 joints can, then all joints move.
+joint is blocked. If the digit closes farther than n - 1 joints can, no joint is blocked.
 """
 
 from collections.abc import Sequence

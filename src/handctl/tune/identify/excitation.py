@@ -1,6 +1,7 @@
-"""Excitation of a digit to identify its parameters, within the limits of the digit.
+"""Excitation of a digit, from which its parameters are identified.
 
-The excitation takes about twenty seconds per digit.
+The motion stays within the limits of the digit. The excitation takes about twenty seconds per
+digit.
 """
 
 import math
@@ -113,7 +114,10 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
 
 
 def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Return the steps for a digit: tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle."""
+    """Return the steps for a digit.
+
+    The steps are a tare, stretches, slow and fast sweeps, a swing, and presses against an obstacle.
+    """
     tendons = hand.tendon[hand.digit_tendons[digit]]
     max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
@@ -193,7 +197,10 @@ def _sweep_range(hand: Hand, digit: str) -> tuple[float, float]:
 
 
 def lift_off_tension(hand: Hand, digit: str) -> float:
-    """Return the tension at which the first joint of a digit leaves its open stop [N], without friction and weight."""
+    """Return the tension at which the first joint of a digit leaves its open stop [N].
+
+    The friction and the weight are neglected.
+    """
     digit_file = hand.digit_named(digit)
     model = DigitModel.from_hand(hand, digit)
     arms = abs(model.moment_arms_at(model.joint_min)).sum(axis=0)

@@ -2,10 +2,10 @@
 
 Such a digit has n + 1 tendons and no springs, or it has spool pairs.
 
-First, the digit sweeps about a middle posture. The joints first move together, and then against
-each other, so that each tendon is wound up while others are paid out. After the sweeps, the digit
-oscillates. At the end, the tendons are stretched while the digit is pressed against its lower
-stops.
+First, the digit sweeps about a middle posture. The joints first move together. Then they move
+against each other, so that the digit winds up each tendon while it pays out others. After the
+sweeps, the digit oscillates. At the end, the tendons are stretched while the digit is pressed
+against its lower stops.
 """
 
 import math
@@ -252,7 +252,10 @@ def _swing_amplitudes(
 
 
 def _tension_limits(hand: Hand, digit: DigitModel) -> tuple[Array, Array]:
-    """Return the floors and the largest stretch tensions of the tendons of a digit, (n_t,) each [N]."""
+    """Return the tension floors and the largest stretch tensions of a digit's tendons [N].
+
+    Both have the shape (n_t,).
+    """
     tendons = hand.tendon[digit.tendons]
     floor = np.array([tendon.tension_floor_N for tendon in tendons])
     return floor, STRETCH_TENSION_FRACTION * np.array([tendon.tension_max_N for tendon in tendons])
@@ -269,7 +272,7 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:
-    """Return the tensions that hold a digit at rest, and the lower and upper tensions of each stretch [N].
+    """Return tensions [N]: those that hold a digit at rest, and the lower and upper tensions of each stretch.
 
     The tendons are stretched while the digit is pressed against its lower stops.
 

@@ -2,12 +2,12 @@
 
     sum_j R_ji f_j exp(-mu_j sgn(w_j) (phi_j + q_1 + .. + q_i)) = S k_i (q_i + P p_i) + b_i q_i' + m (M q'' + g)_i
 
-This equation is the torque balance of joint i in free motion. The exponent contains the wrap angle
-of tendon j, and the angles of the joints that tendon j crosses up to joint i. The drift of the load
-cells is known from the fits of single tendons. Each row of the fit is such a balance. The row is
-divided by the noise that the load cells cause in the balance. Errors of the joint encoders are
-neglected, because their effect is a tenth of the effect of load-cell errors. Source: as in
-`fit_load`.
+This equation is the torque balance of joint i in free motion. The exponent contains a sum of
+angles: the wrap angle of tendon j, and the angles of the joints up to joint i that tendon j
+crosses. The drift of the load cells is known from the fits of single tendons. Each row of the fit
+is such a balance. The row is divided by the noise that the load cells cause in the balance. Errors
+of the joint encoders are neglected, because their effect is a tenth of the effect of load-cell
+errors. Source: as in `fit_load`.
 """
 
 from collections.abc import Sequence
@@ -54,7 +54,9 @@ MIN_DATA_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class TorqueBalance:
-    """Data of a digit at the times at which it moves freely and its joint encoders are read.
+    """Data of a digit at certain times.
+
+    At these times, the digit moves freely, and its joint encoders are read.
 
     Attributes:
         digit: model of the digit.
@@ -83,7 +85,7 @@ class TorqueBalance:
     def from_fits(
         digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
     ) -> "TorqueBalance | None":
-        """Return the data for the fit of a digit, from the data and the fits of its tendons.
+        """Combine the data and the fits of a digit's tendons to the data for the fit of the digit.
 
         If too few times can be used, return None.
 
@@ -195,10 +197,10 @@ class TorqueBalance:
 def _joint_rates(
     digit: DigitModel, q: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array]:
-    """Return the joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
+    """Convert speeds and accelerations of the tendons (m, tendons) to those of the joints (m, joints).
 
-    If the moment arms R depend on the joint angles, the acceleration of a tendon contains the
-    additional term R' q'^2.
+    The joint rates are in rad/s, and the joint accelerations in rad/s^2. If the moment arms R
+    depend on the joint angles, the acceleration of a tendon contains the additional term R' q'^2.
     """
     if not digit.has_varying_arm:
         excursion_to_joints = digit.excursion_to_joints.T
@@ -221,9 +223,11 @@ def _joint_rates(
 
 
 def fit_digit(balance: TorqueBalance) -> FitSolution:
-    """Fit the factors that all tendons of a digit share, and each tendon's capstan coefficient and offset.
+    """Fit the torque balance of a digit.
 
-    Factors and coefficients are relative to the values in the hand file.
+    The fitted parameters are the factors that all tendons of the digit share, and the capstan
+    coefficient and the offset of each tendon. Factors and coefficients are relative to the values
+    in the hand file.
     """
     n = len(SHARED_PARAMETERS)
     tendons = len(balance.noise)
@@ -259,7 +263,7 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 def fits_with_digit_solution(
     tendon_fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
 ) -> list[TendonFit]:
-    """Return the fits of the tendons of a digit, with the parameters from the fit of the whole digit added.
+    """Add the parameters from the fit of a digit to the fits of its tendons, and return these fits.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the factors that all
     tendons share.
@@ -277,7 +281,10 @@ def fits_with_digit_solution(
 
 
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
-    """Return the ramp of torque at a single joint with the largest score in the residuals of the sweeps."""
+    """Search for a contact in the residuals of the sweeps.
+
+    Return the ramp of torque that has the largest score. A ramp acts on a single joint.
+    """
     units = [np.tile(row, len(balance.t)) for row in balance.whitening_matrix]
     return steepest_ramp(
         solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
@@ -293,7 +300,10 @@ def _friction_scales(digit: DigitModel) -> Array:
 
 
 def _spaced_indices(indices: NDArray[np.intp], min_spacing: int) -> NDArray[np.intp]:
-    """Return some of the indices, which are at least `min_spacing` apart, so that their averages share no readings."""
+    """Select indices that are at least `min_spacing` apart.
+
+    With this distance, the averages at two selected indices share no readings.
+    """
     selected_indices: list[int] = []
     for index in indices.tolist():
         if not selected_indices or index - selected_indices[-1] >= min_spacing:
@@ -306,7 +316,7 @@ def _tendon_rates(data: TendonData, half_window: int) -> tuple[Array, Array]:
 
     At the start and the end of the data, both are NaN.
 
-    The differences extend over twice the time over which signals are averaged.
+    The differences are taken over twice the time over which signals are averaged.
     """
     x = data.travel
     step = 2 * half_window

@@ -226,7 +226,7 @@ class DigitLoad:
         )
 
     def expected_tension(self, p: LoadParameters, mean_samples: SignalBins) -> Array:
-        """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
+        """Return the tension that the load cell should measure while the digit moves freely (m,) [N]."""
         total = self.arms.sum()
         mean = np.clip(self.mean_angle(mean_samples.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])
         rate = mean_samples.speed / total

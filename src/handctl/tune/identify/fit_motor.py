@@ -6,8 +6,8 @@ So no measured signal has to be differentiated.
 
 Here, u is the commanded force, converted to the tendon, w is the speed of the spool, and f is the
 tension at the load cell. All terms are forces, converted to the tendon [N]. Source: modulating
-functions (Shinbrot 1954). Integration by parts moves the derivatives to the window, which is known
-exactly.
+functions (Shinbrot 1954). Integration by parts moves the derivatives from the signals to the
+window. The derivatives of the window are known exactly.
 """
 
 from dataclasses import dataclass
@@ -42,9 +42,7 @@ At lower speeds the sign of the friction is not known.
 class MotorWindows:
     """Signals of a motor and its tendon, averaged with a time window.
 
-    Each array has the shape (m,).
-
-    All forces are converted to the tendon.
+    Each array has the shape (m,). All forces are converted to the tendon.
 
     Attributes:
         t: time at the centre of each window [s].
@@ -106,7 +104,10 @@ class WindowWeights(NamedTuple):
         )
 
     def derivatives(self, values: Array) -> tuple[Array, Array, Array]:
-        """Return the mean, the first and the second derivative (...) of a signal from its windows (..., n)."""
+        """Return the mean, the first derivative and the second derivative of a signal.
+
+        The windows of the signal have the shape (..., n). Each result has the shape (...).
+        """
         # Integration by parts replaces the derivative of the signal by that of the window, with the
         # opposite sign.
         return values @ self.mean, -values @ self.first, values @ self.second
@@ -115,8 +116,8 @@ class WindowWeights(NamedTuple):
 def motor_windows(data: TendonData, spool_radius: float) -> MotorWindows:
     """Return the signals of a tendon and its motor, averaged with time windows.
 
-    A window is left out if the tendon in it is too slow or changes its direction, or if a reading
-    is missing.
+    A window is left out in three cases: the tendon moves too slowly, the tendon changes its
+    direction, or a reading is missing.
     """
     period = data.period
     weights = WindowWeights.from_period(period)
@@ -164,7 +165,7 @@ def speed_from_difference(travel: Array, period: float, half_window: int = 3) ->
 
 
 def _window_value(s: Array) -> Array:
-    """Return the window function. It is cos^4 with area 1 over [-1, 1], and 0 outside."""
+    """Return the window function. It is proportional to cos^4 over [-1, 1], and 0 outside. Its area is 1."""
     # At the ends of the window, the first three derivatives of this function are 0. Therefore
     # integration by parts gives no boundary terms.
     return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))

@@ -4,11 +4,11 @@
     F = n(load; p, mu)                                     free motion
     g(F; k, p) = x - m s(q) - o                            on a stop, and in free motion
 
-F is the net tension at the spool. In free motion, F balances the force n. The force n is the sum of
-inertia, weight and damping of the links and of the friction of both tendons. The difference between
-the positions of spool and joints is the stretch of the pair. The characteristic g gives the stretch
-at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F exceeds twice the
-pretension p.
+F is the net tension at the spool. In free motion, F balances the force n. The force n is a sum. It
+contains the inertia, the weight and the damping of the links, and the friction of both tendons. The
+difference between the positions of spool and joints is the stretch of the pair. The characteristic
+g gives the stretch at a net tension F. The stiffness is 2 k while both tendons are taut, and k if F
+exceeds twice the pretension p.
 
 No sensor of a spool pair measures a force. Therefore all forces are measured in units of the
 drive's torque. If a motor makes 10 % less torque than commanded, inertia, friction and tendon
@@ -294,7 +294,10 @@ def tension_of_pair(net_tension: Array, pretension: float, pulley_ratios: Array)
 
 
 def stretch_of_pair(net_tension: Array, stiffness: float, pretension: float) -> Array:
-    """Return the length (m,) [m] by which the spool of a pair is ahead of its joints, at a net tension (m,) [N]."""
+    """Return the stretch of a pair (m,) [m]: the length by which the spool is ahead of the joints.
+
+    The net tension (m,) is in N.
+    """
     single_stretch = np.sign(net_tension) * (np.abs(net_tension) - pretension) / stiffness
     return np.where(
         np.abs(net_tension) < 2.0 * pretension, 0.5 * net_tension / stiffness, single_stretch
@@ -425,7 +428,7 @@ class PairProblem:
         )
 
     def with_estimated_noise(self, z: Array) -> "PairProblem":
-        """Return the input of the fit, with a new value for the noise of the motor equation.
+        """Return the input of the fit, after a new estimate of the noise of the motor equation.
 
         The noise is estimated from the median of the absolute residuals.
         """
@@ -502,9 +505,9 @@ def _start_parameters(windows: PairWindows) -> Array:
 def _start_candidates(first_candidate: Array) -> list[Array]:
     """Return several start points of the fit, with different pretensions.
 
-    If the pretension at the start is too small, the solver may find a wrong solution: a pair in
-    which one tendon is slack and the stiffness is twice as large. From this wrong solution, small
-    steps cannot lead to the right parameters.
+    If the pretension at the start is too small, the solver may find a wrong solution. In this
+    solution, one tendon is slack, and the stiffness is twice as large. From this wrong solution,
+    small steps cannot lead to the right parameters.
     """
     start_candidates = []
     for factor in PRETENSION_START_FACTORS:

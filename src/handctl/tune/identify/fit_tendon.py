@@ -253,7 +253,10 @@ class TendonFitProblem:
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
-    """Return the scale (15,) of each parameter of a tendon, which is usually the value in the hand file."""
+    """Return the scales of a tendon's parameters (15,).
+
+    A scale is usually the value in the hand file.
+    """
     tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     value_scales = np.array([
@@ -266,7 +269,10 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 
 
 def stop_stiffness(stiffness: float, relative_compliance: float, nominal_stiffness: Array) -> float:
-    """Return the stiffness of the tendon and the open stop as springs in series [N/m]."""
+    """Return the common stiffness of the tendon and the open stop [N/m].
+
+    Both act like springs in series.
+    """
     # The compliance of springs in series is the sum of their compliances.
     return stiffness / (
         1.0
@@ -314,13 +320,17 @@ class TendonFit:
 
     @property
     def half_widths(self) -> dict[str, float]:
-        """Return half of the width of each parameter's 95 % confidence interval, in the unit of the parameter."""
+        """Return half of the width of the 95 % confidence interval of each parameter.
+
+        The value has the unit of the parameter.
+        """
         return self.half_widths_of(1)
 
     def half_widths_of(self, parameter_count: int) -> dict[str, float]:
-        """Return half of the widths of intervals that contain `parameter_count` parameters with 95 % probability.
+        """Return half of the widths of confidence intervals.
 
-        This is the probability that all of these parameters are in their intervals.
+        With a probability of 95 %, all of `parameter_count` parameters are in their intervals at
+        the same time.
 
         Source: Sidak (1967). If the parameters are not independent of each other, the intervals
             are wider than necessary.

@@ -57,7 +57,7 @@ class Identifiability:
 
 
 def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) -> Identifiability:
-    """Return the identifiability of the parameters of a tendon, computed from their fit.
+    """Return the identifiability of a tendon's parameters, computed from the fit of these parameters.
 
     Args:
         fit: fit of the tendon's parameters.
@@ -117,8 +117,8 @@ def _needs_missing_encoders(hand: Hand, digit: str) -> bool:
     """Return True if a digit with springs and several tendons has no joint encoders.
 
     In such a digit, the tension of a single tendon does not show the load of the springs. The
-    torques at a joint are in balance only at the present joint angle, which an encoder would have
-    to measure.
+    torques at a joint are in balance only at the present joint angle. Therefore an encoder would
+    have to measure this angle.
     """
     tendons = hand.digit_tendons[digit]
     has_springs = hand.digit_named(digit).has_springs
@@ -134,7 +134,7 @@ def _is_interval_narrow(name: str, half_width: float, width: float) -> bool:
     """Return True if the confidence interval of a parameter is narrow enough.
 
     The width of the interval is compared with the value of the parameter. For the parameter
-    `delay`, it is compared with a millisecond.
+    `delay`, the width is compared with a millisecond.
     """
     scale = DELAY_SCALE_S if name == "delay" else abs(half_width)
     return bool(width < MAX_HALF_WIDTH * scale)
@@ -188,7 +188,10 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
 
 
 def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[str]:
-    """Return the parameters that this excitation cannot identify however long it lasts, each with the reason."""
+    """Return the parameters that this excitation cannot identify, even if it lasts longer.
+
+    Each text also contains the reason.
+    """
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
     if tendon.pretension_N is not None:
@@ -235,10 +238,10 @@ def _combination_text(direction: Array) -> str:
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
-    """Return frequencies [Hz], and the coherence of motor force and tendon speed at each frequency, from 0 to 1.
+    """Return frequencies [Hz], and the coherence of motor force and tendon speed at these frequencies.
 
-    At a coherence of 1, the speed follows from the force through a linear system. Noise, friction,
-    and other causes of the motion reduce the coherence.
+    The coherence is from 0 to 1. At a coherence of 1, the speed follows from the force through a
+    linear system. Noise, friction, and other causes of the motion reduce the coherence.
     """
     is_used = data.torque_mask & np.isfinite(data.travel)
     force = data.command[is_used]

@@ -147,7 +147,10 @@ def _draw_coherence(axes: Any, result: TendonResult) -> None:
 
 
 def _draw_parameters(axes: Any, result: TendonResult) -> None:
-    """Draw every identified parameter, divided by its value in the hand file, with its confidence interval."""
+    """Draw the identified parameters and their confidence intervals.
+
+    Each parameter is divided by its value in the hand file.
+    """
     names = [name for name in PARAMETER_UNITS if name != "delay"]
     values = result.fit.parameter_values
     half_widths = result.fit.half_widths

@@ -88,7 +88,10 @@ class TendonResult:
 
     @property
     def identified_names(self) -> tuple[str, ...]:
-        """Return the names of the identified parameters that no contact and no low coherence made invalid."""
+        """Return the names of the identified parameters that are valid.
+
+        A contact or a low coherence makes some parameters invalid.
+        """
         if self.blocked_event:
             return ()
         return tuple(
@@ -100,12 +103,15 @@ class TendonResult:
 
     @property
     def is_incoherent(self) -> bool:
-        """Return True if the motor force explains the motion no better than chance would."""
+        """Return True if the motor force and the motion are hardly related.
+
+        Their coherence is then no larger than chance would cause.
+        """
         return self.coherence < MIN_COHERENCE
 
     @property
     def reason_by_invalid_quantity(self) -> dict[str, str]:
-        """Return, for each quantity without a valid value, the reason.
+        """Return the reason for each quantity that has no valid value.
 
         The fitted parameters come first, and then other quantities.
         """
@@ -249,11 +255,12 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
 
 
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:
-    """Return the result of a tendon with information about contacts that make parameters invalid.
+    """Add information about contacts to the result of a tendon.
 
-    To detect obstacles, the controller uses the springs of the hand file. If the real springs are
-    stiffer by a third, the controller reports an obstacle that does not exist. If the fit explains
-    the whole sweep, the event of the controller is therefore ignored.
+    Contacts make some parameters invalid. To detect obstacles, the controller uses the springs of
+    the hand file. If the real springs are a third stiffer than those in the hand file, the
+    controller reports an obstacle that does not exist. Therefore the event of the controller is
+    ignored if the fit explains the whole sweep.
     """
     contact = contact_text(hand, result)
     residual_ramp = result.fit.ramp
@@ -310,7 +317,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
 
 
 def blocked_digits(log: RunLog) -> dict[str, str]:
-    """Return, for each digit, the first event during its excitation with which the controller reported a blocked digit.
+    """Return, for each digit, the first event that reported a blocked digit during the excitation of this digit.
 
     The keys of the result are the names of the excited digits.
 
@@ -341,7 +348,7 @@ def _digit_fits(
     """Return the fits of the tendons of a digit.
 
     If the digit has several tendons, springs and friction come from the fit of the whole digit. The
-    first value is the data of the fit of the digit. None if there is no such fit.
+    first value is the data of the fit of the digit. If there is no such fit, this value is None.
     """
     fits = [fit for _, fit in data_and_fits]
     digit = DigitModel.from_hand(hand, name)

@@ -1,7 +1,8 @@
 """Solution of a least-squares fit, and the uncertainty of the fitted parameters.
 
-The confidence intervals follow from how much the residuals vary between blocks of time. Therefore
-errors of the model widen the intervals, and the rows need not be independent of each other.
+The residuals vary between blocks of time. The confidence intervals follow from the size of this
+variation. Therefore errors of the model widen the intervals. The rows need not be independent of
+each other.
 """
 
 from collections.abc import Callable, Iterator
@@ -65,7 +66,7 @@ def solve_least_squares(
 ) -> FitSolution:
     """Solve a least-squares problem in two rounds.
 
-    A first, robust round finds the outliers, and the second round leaves them out.
+    The first round is robust, and finds the outliers. The second round leaves the outliers out.
 
     Args:
         residual_function: function from parameters (n,) to residuals in standard deviations. The rows of
@@ -109,15 +110,16 @@ def _parameter_covariance(
 ) -> tuple[Array, Array]:
     """Return the covariance of the parameters, and the degrees of freedom of each parameter's variance.
 
-    Both follow from how much the residuals vary between blocks of time, and from the prior
+    Both follow from the variation of the residuals between blocks of time, and from the prior
     knowledge.
 
-    The residuals of each block are corrected, so that they are those of a fit without this block.
-    The covariance is never smaller than that of independent noise.
+    The residuals of a block are corrected. After the correction, they are equal to the residuals of
+    a fit without this block. The covariance is never smaller than the covariance for independent
+    noise.
 
     The degrees of freedom are calculated for independent noise with a standard deviation of 1, and
-    not from the residuals. If they came from the residuals, a single block with large residuals
-    could reduce the degrees of freedom of the friction to less than three.
+    not from the residuals. If they were calculated from the residuals, one block with large
+    residuals could leave less than three degrees of freedom for the friction.
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3),
     Satterthwaite's degrees of freedom with their working model.
     """

@@ -162,7 +162,10 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
 
 
 def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
-    """Return a mask of the ticks in which a digit has followed a trajectory for some time, away from its stops."""
+    """Return a mask of the ticks in which a digit moves freely.
+
+    In these ticks, the digit has followed a trajectory for some time, and is away from its stops.
+    """
     joints = hand.digit_joints[digit]
     (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
     # Near the ends of a joint's range, the stop of the joint carries a part of the load.
@@ -221,7 +224,7 @@ def _restrict_to_excitation(
 
 
 def average_samples(values: Array, half_window: int) -> Array:
-    """Return the mean of each sample and of `half_window` samples on each side.
+    """Return moving averages: each is the mean of a sample and of `half_window` samples on each side of the sample.
 
     At both ends of the data, the result is NaN.
     """

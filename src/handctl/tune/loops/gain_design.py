@@ -1,13 +1,14 @@
-"""Design of gains: with the largest authority that keeps the margins on all plants, or with poles at given frequencies.
+"""Design of gains by one of two methods.
 
-Authority is the parameter of LQR that this design varies. Authority is the force that has the same
-cost as the errors, by Bryson's rule. More authority makes a loop faster and its margins smaller.
-Therefore the authority of each tendon is increased alone, until a margin would become too small.
-The smallest authority of all tendons becomes the common ``force_N``. A tendon that permits more
-than twice the common authority gets a separate force. So a digit with little authority, such as a
-heavy wrist, does not make other digits slow. The eigenvalues of the closed loop confirm the
-reported margins. A function that the caller provides, such as a simulation, confirms the designed
-gains.
+The first method finds the largest authority that keeps the margins on all plants. The second method
+places the poles at given frequencies. Authority is the parameter of LQR that this design varies. By
+Bryson's rule, the authority is the force whose cost equals the cost of the errors. More authority
+makes a loop faster and its margins smaller. Therefore the authority of each tendon is increased
+alone, until a margin would become too small. The smallest authority of all tendons becomes the
+common ``force_N``. A tendon that permits more than twice the common authority gets a separate
+force. So a digit with little authority, such as a heavy wrist, does not make other digits slow. The
+eigenvalues of the closed loop confirm the reported margins. A function that the caller provides,
+such as a simulation, confirms the designed gains.
 
 To place poles, the design uses this equation: for a plant with one input and weights on position
 and speed, the characteristic polynomial d of the closed loop satisfies
@@ -105,9 +106,9 @@ class GainDesign:
     old_gains_unrest_reason: str = ""
 
     def with_unproven_old_gains(self, reason: str) -> "GainDesign":
-        """Return the design with zero in place of all margins for the old gains.
+        """Return the design with margins of zero for the old gains.
 
-        The margins are zero if the hand did not come to rest in simulation with the old gains.
+        This is right if the hand did not come to rest with the old gains in simulation.
 
         Args:
             reason: reason why the hand does not come to rest.
@@ -123,9 +124,9 @@ class GainDesign:
         )
 
     def as_weights(self) -> Gains:
-        """Return the designed gains, expressed with the default authority and scaled errors.
+        """Express the designed gains with the default authority and scaled errors.
 
-        The controller is the same, because LQR depends only on ratios of weights.
+        The new gains describe the same controller, because LQR depends only on ratios of weights.
         """
         defaults = Gains()
         gains = self.gains
@@ -158,9 +159,9 @@ class GainDesign:
 
 
 def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
-    """Return the factors of a plant that scale linear parameters, without the other factors.
+    """Return only those factors of a plant that scale linear parameters.
 
-    The other factors are left out, because friction is not linear.
+    The factors of the friction are left out, because friction is not linear.
     """
     names = PlantFactors.__dataclass_fields__
     return PlantFactors(**{key: value for key, value in plant_factors.items() if key in names})
@@ -169,7 +170,7 @@ def linear_factors(plant_factors: Mapping[str, float]) -> PlantFactors:
 def gains_with_poles(
     model: HandModel, kind: LoopKind, frequency_hz: float, damping: float
 ) -> Gains:
-    """Return gains whose weights give a loop a pair of poles with a given natural frequency and damping.
+    """Return gains with which a loop has a pair of poles with a given natural frequency and damping.
 
     Args:
         model: model of the hand with its present gains.
@@ -200,7 +201,7 @@ def gains_with_poles(
 def _scaled_tendon_forces(
     gains: Gains, motion_authority: float, tension: float
 ) -> list[dict[str, Any]]:
-    """Return the entries for single tendons, with their forces multiplied by factors.
+    """Multiply the forces of single tendons by factors, and return the entries of these tendons.
 
     The motion loop and the tension loop have different factors.
     """
@@ -364,7 +365,9 @@ def design_gains(
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
 ) -> GainDesign:
-    """Design gains with the largest disturbance rejection and the largest authority at which the margins are kept.
+    """Design gains with the largest disturbance rejection and the largest authority.
+
+    With these gains, all plants keep the margins.
 
     Args:
         model: model of the hand with its present gains. The design does not change the filter of
@@ -479,14 +482,14 @@ def model_with_largest_authority(
 def _largest_force(
     model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
 ) -> float | None:
-    """Return the largest authority for the loop of a tendon at which the margins are kept [N].
+    """Return the largest authority for the loop of a tendon that keeps the margins [N].
 
-    Return None if there is none.
+    If no authority keeps the margins, return None.
 
-    The search begins with the smallest possible force. Even this force may violate the margins,
-    because an integrator with little other feedback makes a tendon oscillate. After the first force
-    that keeps the margins, the force is increased until a margin is violated. The last increase is
-    then bisected. Larger forces are not tried.
+    The search begins with the smallest possible force. Even this force may violate the margins. The
+    integrator then makes a tendon oscillate, because the other feedback is too weak. After the
+    first force that keeps the margins, the force is increased until a margin is violated. The last
+    increase is then bisected. Larger forces are not tried.
     """
 
     def has_required_margins(log_force: float) -> bool:

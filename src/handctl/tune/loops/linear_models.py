@@ -9,8 +9,8 @@ design of the gains. Friction is neglected, because its force is constant while 
 each tick, the controller uses the readings of the previous tick. This delay of one tick represents
 the time for the transfer over the bus.
 
-The control law is linearised without its limits, because a saturated loop would seem to have no
-gain and unlimited margins. At the operating point the goals equal the estimates, and all errors are
+The control law is linearised without its limits. A loop at its limits would seem to have no gain
+and unlimited margins. At the operating point the goals equal the estimates, and all errors are
 zero.
 """
 
@@ -288,7 +288,7 @@ def _central_difference(matrix_function: Callable[[float], Matrix], step: float)
 def _tick_with_state(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
-    """Return the result of a tick after a step of state j."""
+    """Execute a tick after a change of state j, and return the result."""
     moved_state = state.copy()
     moved_state[j] += deviation
     return tick(moved_state, reading)
@@ -297,7 +297,7 @@ def _tick_with_state(
 def _tick_with_reading(
     tick: _TickFunction, state: Matrix, reading: Matrix, j: int, deviation: float
 ) -> Matrix:
-    """Return the result of a tick after a step of reading j."""
+    """Execute a tick after a change of reading j, and return the result."""
     shifted_reading = reading.copy()
     shifted_reading[j] += deviation
     return tick(state, shifted_reading)
@@ -323,7 +323,9 @@ one.
 
 
 class _LinearizationBench:
-    """Filter and linear control law of a hand, for use on a state block.
+    """Filter and linear control law of a hand.
+
+    Both work on a state block.
 
     Attributes:
         model: model of the hand with its gains, without limits and without motor friction.
@@ -361,7 +363,10 @@ class _LinearizationBench:
 def _operating_point(
     model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
-    """Return the tick function of a tendon, its state and readings at the operating point, and small steps of both."""
+    """Return the tick function of a tendon, the state and the readings at the operating point, and small steps.
+
+    There is a small step for each state and each reading.
+    """
     bench = _LinearizationBench(model)
     operating_point = _operating_block(bench, tendon, kind)
 
@@ -472,7 +477,7 @@ def _half_closed_coordinates(digit: DigitModel) -> Matrix:
 
 
 def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """Return coordinate rates (n_c,) of a digit at which one tendon is wound up at a given speed [m/s].
+    """Return the coordinate rates (n_c,) at which a digit winds up one tendon with a given speed [m/s].
 
     If the tendon belongs to another digit, all tendons of this digit are wound up at the given
     speed.
@@ -488,7 +493,10 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 
 
 def _joint_gain(model: HandModel) -> Matrix:
-    """Return 1 for each tendon whose excursion is measured by joint encoders, and NaN for all others, (N,)."""
+    """Return a vector (N,) with 1 or NaN for each tendon.
+
+    The value is 1 if joint encoders measure the excursion of the tendon.
+    """
     is_joint_measured = [
         bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks
     ]

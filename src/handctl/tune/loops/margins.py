@@ -2,8 +2,8 @@
 
 A search needs thousands of margins. Each margin is therefore calculated from a frequency response.
     The tests compare the calculated margins with those of the Python package `control`. The
-    eigenvalues of the closed loop confirm the reported margins. No change of gain, phase or delay
-    within its margin moves a pole to the unit circle.
+    eigenvalues of the closed loop confirm the reported margins. If the gain, the phase or the delay
+    changes by less than its margin, no pole reaches the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
@@ -82,9 +82,10 @@ class LoopMargins:
 
     @property
     def shortfall(self) -> float:
-        """Return by how much the gain margin or the phase margin is too small, as a fraction of the required margin.
+        """Return the shortfall of the gain margin or the phase margin.
 
-        If every margin is large enough, the result is 0 or less.
+        The shortfall is a fraction of the required margin. The larger shortfall of both margins
+        counts. If every margin is large enough, the result is 0 or less.
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
@@ -94,14 +95,17 @@ class LoopMargins:
 
 
 def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
-    """Return margins of zero, in place of margins that a simulation contradicts."""
+    """Return margins that are zero.
+
+    They replace margins that a simulation has contradicted.
+    """
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, is_stable_loop=False)
 
 
 def smaller_margins(first_margins: LoopMargins, second_margins: LoopMargins) -> LoopMargins:
-    """Return for each margin the smaller of two values.
+    """Combine two sets of margins: for each margin, return the smaller value.
 
-    For the crossover frequency and the peak, return the larger one.
+    For the crossover frequency and the peak, return the larger value.
     """
     return LoopMargins(
         gain_db=min(first_margins.gain_db, second_margins.gain_db),
@@ -175,8 +179,9 @@ def is_stable(system: LinearSystem, loop_factor: complex = 1.0, delay_ticks: int
 def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
-    If an eigenvalue leaves the unit circle within a margin, the margin is reduced. The frequency
-    response alone would miss a resonance between two of its frequencies.
+    The margin is reduced if an eigenvalue is outside of the unit circle at a tested change within
+    the margin. The frequency response is known only at some frequencies. A resonance between two of
+    these frequencies would not be found without the eigenvalues.
     """
     result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
@@ -228,9 +233,10 @@ def _largest_confirmed_margin(
     is_confirmed: Callable[[float], bool],
     fraction_count: int = CHECKED_FRACTION_COUNT,
 ) -> float:
-    """Return the largest part of a margin that is confirmed at every tested fraction of it.
+    """Return the largest part of a margin that the eigenvalues confirm.
 
-    The last hundredth of a margin is not tested, because the frequency response is interpolated.
+    Several fractions of the margin are tested. All fractions up to the result are confirmed. The
+    last hundredth of a margin is not tested, because the frequency response is interpolated.
     """
     tried_margins = linear_margin * np.linspace(0.0, 0.99, fraction_count + 1)[1:]
     for previous_margin, tried_margin in zip(
@@ -256,7 +262,10 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """Return (angle from -180 degrees [rad], frequency [rad/s]) for each interpolated crossing of the gain 1."""
+    """Return, for each crossing of the gain 1, the angle from -180 degrees [rad] and the frequency [rad/s].
+
+    Both are interpolated.
+    """
     size = np.log(np.maximum(np.abs(L), MAX_OPEN_LOOP_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
     fraction = size[i] / (size[i] - size[i + 1])
@@ -285,7 +294,7 @@ def all_margins(
 def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
-    """Return the name (tendon and kind) and the margins of the loop whose margin has the largest shortfall."""
+    """Return the loop with the largest shortfall: its tendon and kind, and its margins."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 

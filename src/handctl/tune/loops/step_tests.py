@@ -122,7 +122,7 @@ class StepOscillation:
         return is_small and not self.failure
 
     def without_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
-        """Return the oscillation of the held tensions minus the part that the plant causes [N].
+        """Return the oscillation of the held tensions, minus the oscillation that the plant itself causes [N].
 
         A loop with sufficient margins amplifies the oscillation of the plant by up to
         `MAX_LOOP_AMPLIFICATION`.
@@ -244,9 +244,10 @@ def _peak_to_peak(values: Matrix) -> Matrix:
 
 
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
-    """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
+    """Return True if a linear tension loop oscillates too long after a step.
 
-    The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
+    It oscillates too long if it still oscillates when the oscillations are measured. The
+    oscillating eigenvalues are the same at every tension below the knee of the tendon. The
     measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. At this time, the
     oscillation must be below `MAX_HOLD_SWING_N`.
 
@@ -287,14 +288,16 @@ All other parameters of the plant are nominal.
 class RestTest:
     """Test of gains in a lockstep simulation. The hand must come to rest with these gains.
 
-    Four plants are simulated: the nominal plant, the nominal plant with the lowest friction of all
-    ensembles, the plant with the smallest margins, and the plant with the highest friction. A
-    simulation is necessary because the linear models neglect friction.
+    Four plants are simulated. Two are nominal plants: one has the nominal friction, and the other
+    has the lowest friction of all ensembles. The third plant has the smallest margins, and the
+    fourth has the highest friction. A simulation is necessary because the linear models neglect
+    friction.
 
     The links of a digit that presses on an object may chatter even at constant motor torque. The
-    chatter is a property of the plant. The oscillation is measured on the same plant without
-    feedback, multiplied by `MAX_LOOP_AMPLIFICATION`, and subtracted for each tendon. Nothing is subtracted
-    if the eigenvalues of a linear tension loop show that the loop itself oscillates.
+    chatter is a property of the plant. First, the oscillation is measured on the same plant without
+    feedback. Then this oscillation is multiplied by `MAX_LOOP_AMPLIFICATION`, and subtracted for
+    each tendon. Nothing is subtracted if the eigenvalues of a linear tension loop show that the
+    loop itself oscillates.
 
     The chatter of pressed links varies by a factor of two between seeds of the noise. The test
     therefore uses the median of several runs, see `median_swing`.

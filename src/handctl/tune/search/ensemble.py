@@ -1,6 +1,6 @@
 """Random ensembles of plants. Their parameters differ from those of the identified hand.
 
-The more uncertain the identification is, the more the parameters of the plants differ.
+A more uncertain identification leads to larger differences between the plants.
 """
 
 from collections.abc import Mapping
@@ -75,7 +75,9 @@ FACTOR_OF_PARAMETER = {
 
 
 def factor_half_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
-    """Return the half width of the range of each factor that covers all 95 % intervals of an identification.
+    """Return the half width of the range of each factor.
+
+    The range contains all 95 % intervals of an identification.
 
     Args:
         identified: identified parameters, by the name of the tendon.

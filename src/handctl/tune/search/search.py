@@ -189,7 +189,7 @@ def run_search(
 def _exclusive_lock(path: Path) -> Iterator[None]:
     """Lock a journal against other searches.
 
-    When this process ends, or even crashes, the lock ends too.
+    The lock ends when this process ends, even after a crash.
 
     Raises:
         ConfigError: another search has locked the journal, or the file cannot be opened.
@@ -210,7 +210,7 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
 
 
 def _open_study(plan: SearchPlan, path: Path) -> Any:
-    """Open the study of a plan in a journal. If the journal contains none, start the study there.
+    """Open the study of a plan in a journal. If the journal contains no study, start the study there.
 
     Raises:
         ConfigError: the journal cannot be used, or contains another search.

@@ -78,7 +78,8 @@ class BusLoadCalculator:
     def _occupied_times(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].
 
-        The times are integers, so that rounding does not make their sums depend on the order.
+        The times are integers. Therefore the sum of several times does not depend on the order of
+        the additions.
         """
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)

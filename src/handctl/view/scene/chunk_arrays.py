@@ -46,7 +46,7 @@ def static_chunk(entity_path: str, columns: Iterable[ComponentColumn]) -> Chunk:
 
 
 def chunk_with_run_times(chunk: Chunk, offset_ns: int) -> Chunk:
-    """Return a chunk of Rerun's MCAP reader, moved to the timeline of the run.
+    """Convert the times of a chunk from Rerun's MCAP reader to times since the start of the run.
 
     A chunk without times is returned unchanged.
     """

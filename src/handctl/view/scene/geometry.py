@@ -24,14 +24,18 @@ MESH_MEDIA_TYPES = {".stl": "model/stl", ".obj": "model/obj"}
 
 
 def entity_path(path: str) -> str:
-    """Return the path /hand/<link>/<part> for an entity of Rerun at /<robot>/visual_geometries/<link>/<part>."""
+    """Convert a path of Rerun's URDF reader to the path that the dashboard uses.
+
+    The path /<robot>/visual_geometries/<link>/<part> becomes /hand/<link>/<part>.
+    """
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
 def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks that draw a part of the hand from the log's URDF as a solid.
+    """Yield the chunks that draw a part of the hand as a solid.
 
-    For a link with a mesh, nothing is yielded.
+    The shape of the part comes from the URDF in the log. For a link with a mesh, nothing is
+    yielded.
 
     Without these chunks, Rerun would draw the shapes of a URDF as wire frames.
     """
@@ -50,7 +54,10 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
 
 
 def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
-    """Yield the chunks that draw the meshes of links and palm as entities /hand/<link>/mesh in the links' frames."""
+    """Yield the chunks that draw the meshes of the links and the palm.
+
+    The path of a mesh is /hand/<link>/mesh. The mesh is drawn in the frame of the link.
+    """
     for link, attached in run.meshes.items():
         mesh = attached.mesh
         path = f"/hand/{link}/mesh"
@@ -70,7 +77,10 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
 
 
 def link_colour(link_name: str, run: RunInfo) -> palette.Colour:
-    """Return the colour of a link: the colour of the digit, lighter towards the tip."""
+    """Return the colour of a link.
+
+    It is the colour of the digit, and is lighter for links near the tip.
+    """
     colours = {
         f"{digit.name}_link{i + 1}": joint_colour
         for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)

@@ -13,7 +13,7 @@ class Colour(NamedTuple):
     def mixed_with(self, other_colour: "Colour", fraction: float) -> "Colour":
         """Return a mix of this colour and the other colour.
 
-        With the fraction 0 the result is this colour, and with 1 the other colour.
+        With the fraction 0, the result is this colour. With the fraction 1, it is the other colour.
         """
         return Colour(
             *(round(a + fraction * (b - a)) for a, b in zip(self, other_colour, strict=True))

@@ -148,10 +148,11 @@ class TopicConverters:
 
 
 def limits_near_tensions(joint_limits: list[float], tension: FloatArray) -> FloatArray:
-    """Return the tension limits (n,) [N], with NaN in place of each limit that is far above all tensions.
+    """Return the tension limits (n,) [N].
 
-    The range of the plot follows from the lines that the plot shows. With a very high limit, the
-    lines of the tensions would be too close together.
+    A limit that is far above all tensions is replaced by NaN. A plot chooses its range so that all
+    its lines are visible. With a very high limit, the lines of the tensions would be too close
+    together.
     """
     largest = float(np.fmax.reduce(tension, axis=None, initial=0.0))
     return np.array([x if largest >= SHOWN_LIMIT_FRACTION * x else np.nan for x in joint_limits])

@@ -32,7 +32,7 @@ The components of the quaternion are in Rerun's order.
 def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     """Yield the chunks with the shapes and the poses of object and table.
 
-    Yield none if the run has no truth file with shapes.
+    If the run has no truth file with shapes, yield no chunks.
 
     Raises:
         LogError: the truth file names an unknown shape or lacks a column.
