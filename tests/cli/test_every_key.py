@@ -27,7 +27,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that may stand in a TOML file, but is too large for a float."""
+    """A number that a TOML file may contain, but that is too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -148,7 +148,10 @@ def mistake_cases():
 
 
 def text_with_mistake(file_content, key_path, mistake_kind):
-    """Return the content as TOML text, with one mistake of the given kind at one key."""
+    """Return the content as TOML text with one mistake.
+
+    The mistake is of the given kind, and is at the given key.
+    """
     if mistake_kind in KEY_MISTAKES:
         old = file_content
         for key in key_path:

@@ -34,7 +34,7 @@ MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class CalibratedBench:
-    """A simulated hand in virtual time, and the plan of the runs of its controller."""
+    """A simulated hand in virtual time, and a plan for the runs of its controller."""
 
     def __init__(self, work_folder, hand, serials=()):
         import argparse

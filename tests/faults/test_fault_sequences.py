@@ -1,7 +1,7 @@
 """Test random sequences of faults.
 
-The same seed gives the same sequence. No sequence violates a safety rule, and the test can detect
-the violation of each rule.
+The same seed gives the same sequence. No sequence violates a safety rule. The test can detect a
+violation of each rule.
 """
 
 import os

@@ -43,7 +43,8 @@ class TendonOnSpool:
     ) -> float:
         """Compute one simulation step, and return the tension.
 
-        Add the torques of the pulleys to ``torque``, without the term that compensates the damping.
+        Add the torques of the pulleys to ``torque``. The term that compensates the damping is left
+        out.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
