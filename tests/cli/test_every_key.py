@@ -124,9 +124,10 @@ def _table_lines(table_name, table_content):
 
 
 def content_without_key(file_content, key_path, renamed_key=None):
-    """Return a copy of a content without one key.
+    """Return a copy of the content of a file without one key.
 
-    If ``renamed_key`` is given, store the value of the removed key under the key ``renamed_key``.
+    If the value ``renamed_key`` is given, store this value under the name of the removed key with
+    ``_x`` at its end.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content

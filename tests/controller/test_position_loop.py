@@ -571,7 +571,11 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 
 
 def print_tracking(protocol: str, seed_count: int) -> None:
-    """Print the mean tracking error of each hand and mode, its range over the seeds, and the largest tension."""
+    """Print a line for each hand and mode.
+
+    The line contains the mean tracking error, the range of this error over the seeds, and the
+    largest tension.
+    """
     for name in LARGEST_ERROR_RATIO:
         hands = {
             "torque commands": hand_with_protocol(name, protocol),

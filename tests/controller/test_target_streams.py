@@ -619,7 +619,7 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints all turn by the same angle, the one nearest to their targets.
+    Coupled joints turn by the angles that satisfy the coupling and are nearest to the targets.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)

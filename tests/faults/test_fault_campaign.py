@@ -344,8 +344,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Keep tensions below 40 N.
 
-    Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
-    and pulled with 208 to 230 N.
+    Earlier defect: drives of the thumb were exchanged or reacted late. The spools became faster and
+    faster, and pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -384,9 +384,9 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """The extensor of the thumb pulls with 9 N in a grasp.
 
-    Reproduce two defects. A torn extensor was reported after 11 ticks, because the tension loop
-    damps its spool. The detection of a stuck load cell was judged as too late, although the motor
-    force had not changed.
+    Reproduce two defects. The fault of a torn extensor was reported only after 11 ticks, because
+    the tension loop damps the spool. The detection of a stuck load cell was judged as too late,
+    although the motor force had not changed.
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
