@@ -1,4 +1,4 @@
-"""Fixture for every test: an empty working folder, and a second folder for Unix sockets."""
+"""Give every test an empty working folder, and a second folder for Unix sockets."""
 
 import shutil
 import tempfile

@@ -130,10 +130,10 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
 def test_a_bus_too_slow_for_the_watchdogs_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A run is refused even at the highest control rate that the bus can carry.
+    """A run is refused if a bus is too slow for the watchdogs of the drives.
 
-    The slow bus of this test can carry at most 20 ticks per second. One tick then takes 50 ms, as
-    long as the watchdog time of a drive.
+    The slow bus of this test can carry at most 20 ticks per second, so one tick takes 50 ms. The
+    watchdog time of a drive is also 50 ms.
     """
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))

@@ -76,7 +76,7 @@ FILE_BY_OPTION = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 
 def text_with_all_values(hand_file_text: str) -> str:
-    """Return the text of a hand file in which a value replaces each TODO."""
+    """Return the text of a hand file after each TODO was replaced by a value."""
     return re.sub(
         r'^(\w+) = "TODO".*$',
         lambda line: f"{line[1]} = {MEASURED_VALUES[line[1]]}",
@@ -281,7 +281,7 @@ INERTIAL_URDF = (
 
 
 def urdf_of(joint_text: str, link_text: str = INERTIAL_URDF, other_elements: str = "") -> str:
-    """Return the text of a URDF with one joint and one link that has a tip."""
+    """Return the text of a URDF that has one joint, one link, and a tip of this link."""
     return (
         f'<robot name="r"><link name="base"/><link name="a">{link_text}</link><joint name="j" {joint_text}>'
         f'<parent link="base"/><child link="a"/><axis xyz="0 0 1"/>'

@@ -130,8 +130,8 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    The questions ended after the breaking force. The command then silently wrote the protocol `mit`
-    and a load cell for every tendon.
+    The questions ended after the breaking force. The command then wrote the protocol `mit` and a
+    load cell for every tendon, and did not report this.
     """
     answers = iter(
         [
@@ -264,7 +264,7 @@ def test_config_check_warns_of_motors_that_cannot_rest(
     spool_radius_mm: str,
     is_warned: bool,
 ) -> None:
-    """Reproduce a defect: `config check` did not warn that the smallest torque of a motor is too large."""
+    """Reproduce a defect: `config check` gave no warning if the smallest torque command of a motor pulls too hard."""
     words = ["--protocol", "cubemars", "--motor-type", motor_type, "--spool", spool_radius_mm]
     assert main(["config", "init", "--yes", *words, "--output", "mine.toml"]) == 0
     capsys.readouterr()

@@ -1,4 +1,8 @@
-"""Test the commands with meshes: one error line for each mistake, the export, and runs whose mesh is missing."""
+"""Test the commands with meshes.
+
+Each mistake gives one error line. The tests also cover the export, and runs in which a mesh is
+missing.
+"""
 
 import shutil
 from pathlib import Path

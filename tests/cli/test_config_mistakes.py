@@ -1,6 +1,6 @@
 """Test typical mistakes in a hand file of schema 2.
 
-Each mistake gives one error line, which spells the wrong key exactly as the hand file does.
+Each mistake gives one error line. The line spells the wrong key exactly as in the hand file.
 """
 
 import json
@@ -117,7 +117,7 @@ HAND_FILE_MISTAKES = {
 
 
 def write_changed_jamia11(work_folder: Path, *text_replacements: tuple[str, str]) -> None:
-    """Write the file mine.toml: the hand file of jamia11, with some texts replaced."""
+    """Replace some texts in the hand file of jamia11, and write the result to the file mine.toml."""
     text = hand_path("jamia11").read_text("utf-8")
     for old, new in text_replacements:
         assert text.count(old) == 1, old

@@ -117,8 +117,8 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
     """Reproduce a defect: the command expected replies with the identifier 0x11.
 
-    A new motor has the host number 0. The good simulated motor failed the first check, and no check
-    of its motion ran.
+    A new motor has the host number 0. The simulated motor had no fault, but it failed the first
+    check. Therefore no check of its motion was done.
     """
     words = ["--protocol", "robstride_mit", "--node", "1", "--option", "motor_type=rs05", "--yes"]
     with run_simulated_drives("local:c", "robstride_mit", "--ids", "1"):
@@ -137,7 +137,7 @@ def test_a_new_robstride_motor_in_mit_mode_needs_no_host_number():
 
 @pytest.mark.realtime
 def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
-    """Reproduce a defect: the check of the watchdog failed on this good drive."""
+    """Reproduce a defect: the check of the watchdog failed, although the drive has no fault."""
     with run_simulated_drives("local:c", "odrive", "--ids", "3"):
         done = run_handctl(*CONFORMANCE_OPTIONS, "--protocol", "odrive", "--node", "3", "--yes")
     assert done.returncode == ExitCode.NOT_CHECKED
@@ -153,7 +153,7 @@ def test_an_odrive_without_endpoint_options_is_not_checked_and_names_them():
 @pytest.mark.nightly
 @pytest.mark.realtime
 def test_a_drive_that_never_answers_is_not_called_off():
-    """Reproduce a defect: a CubeMars motor that was never heard was reported as off."""
+    """Reproduce a defect: the command reported that a CubeMars motor is off, although no frame of the motor arrived."""
     words = ["--protocol", "cubemars", "--node", "1", "--option", "motor_type=ak80-6", "--yes"]
     with run_simulated_drives("local:c", "cubemars", "--ids", "1", "--broken", "mute"):
         done = run_handctl(*CONFORMANCE_OPTIONS, *words, "--json")

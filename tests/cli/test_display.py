@@ -44,7 +44,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
 
 
 def test_only_a_fault_has_a_remedy(capfd) -> None:
-    """No remedy is printed for an event that is no fault, even if its text starts with the id of a fault."""
+    """An event that is no fault has no remedy, even if the text of the event starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
         fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)

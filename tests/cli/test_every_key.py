@@ -27,7 +27,7 @@ SAMPLE_STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
 
 
 class UnrepresentableNumber(float):
-    """A number that may stand in a TOML file, but is too large for a float."""
+    """A number that a TOML file may contain, but that is too large for a float."""
 
     def __repr__(self):
         return "1e400"
@@ -124,9 +124,10 @@ def _table_lines(table_name, table_content):
 
 
 def content_without_key(file_content, key_path, renamed_key=None):
-    """Return a copy of a content without one key.
+    """Return a copy of the content of a file without one key.
 
-    If ``renamed_key`` is given, store the value of the removed key under the key ``renamed_key``.
+    If the value ``renamed_key`` is given, store this value under the name of the removed key with
+    ``_x`` at its end.
     """
     file_content = content_with_value(file_content, key_path, None)
     parent = file_content
@@ -148,7 +149,10 @@ def mistake_cases():
 
 
 def text_with_mistake(file_content, key_path, mistake_kind):
-    """Return the content as TOML text, with one mistake of the given kind at one key."""
+    """Return the content as TOML text with one mistake.
+
+    The mistake is of the given kind, and is at the given key.
+    """
     if mistake_kind in KEY_MISTAKES:
         old = file_content
         for key in key_path:

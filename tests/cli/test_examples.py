@@ -70,9 +70,9 @@ def test_an_example_works_in_one_terminal(run_in_shell, command_words):
 
 @pytest.fixture
 def start_in_background(run_in_shell):
-    """Yield a function that starts a command in the background, as in another terminal.
+    """Yield a function that starts a command and does not wait for its end.
 
-    End all such commands after the test.
+    In this way, a user starts a command in another terminal. End all such commands after the test.
     """
     children = []
 

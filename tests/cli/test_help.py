@@ -36,7 +36,7 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 
 def leaf_parsers() -> dict[str, VerbParser]:
-    """Return the parser of each sub-command, and of each command that has no sub-commands."""
+    """Return the parsers of all sub-commands, and of the commands that have no sub-commands, by name."""
     found = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)

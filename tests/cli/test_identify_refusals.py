@@ -1,6 +1,7 @@
-"""``handctl identify`` prints one error line and refuses a hand without the necessary sensors or springs.
+"""Test the hands that ``handctl identify`` refuses.
 
-The command refuses the hand before it opens a bus.
+The command refuses a hand without the necessary sensors or springs, and prints one error line. The
+command refuses the hand before it opens a bus.
 """
 
 from pathlib import Path
@@ -28,9 +29,10 @@ def jamia_without_load_cell(hand_folder: Path) -> str:
 def test_hands_without_return_springs_are_not_refused(
     hand: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: the command refused two hands that it should accept.
+    """Reproduce a defect: the command refused two hands for which it should work.
 
-    One hand has no springs. The other hand has pairs of spools on one motor, without load cells.
+    One hand has no springs. In the other hand, two spools share one motor, and there are no load
+    cells.
     """
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out

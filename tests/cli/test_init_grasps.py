@@ -1,6 +1,7 @@
-"""A hand file that `config init` writes describes a hand that can grasp, hold and release an object in lockstep.
+"""Test the hand files that `config init` writes.
 
-In an ordinary test run, only a sample of such hands is tested.
+A hand of such a file can grasp, hold and release an object in a lockstep run. In an ordinary test run, only a
+sample of such hands is tested.
 """
 
 import itertools
@@ -201,7 +202,7 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(
 def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
     work_folder: Path, capsys: pytest.CaptureFixture[str], link_lengths_mm: str, margin_db: float
 ) -> None:
-    """Reproduce a defect: `config check` did not check hands with springs and without load cells at 400 Hz."""
+    """Reproduce a defect: at 400 Hz, `config check` did not check hands that have springs but no load cells."""
     words = ["--fingers", "1", "--links", link_lengths_mm, "--tendons", "each", "--cells"]
     write_initial_hand(*words, "none")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
@@ -223,7 +224,7 @@ def test_gains_that_leave_no_margin_without_load_cells_are_a_warning(
 def test_antagonists_without_load_cells_need_a_higher_rate(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Reproduce a defect: at 250 Hz, a tendon of a freely closing digit was reported as snapped (T01)."""
+    """Reproduce a defect: at 250 Hz, a tendon was reported as snapped (T01) while its digit closed freely."""
     words = ["--fingers", "1", "--links", "55,40,25", "--tendons", "each", "--springs", "none"]
     write_initial_hand(*words, "--cells", "none")
     hand = load_hand("mine.toml")

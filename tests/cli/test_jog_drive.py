@@ -1,4 +1,7 @@
-"""Test ``handctl jog --mode`` on simulated drives in another process, and the inputs that the command refuses."""
+"""Test ``handctl jog --mode`` on simulated drives.
+
+The drives run in another process. The tests also cover the inputs that the command refuses.
+"""
 
 import json
 

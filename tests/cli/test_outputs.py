@@ -86,7 +86,7 @@ def test_unwritable_output_path_is_refused(capsys, command_kind, output_name):
 
 
 def write_input_files(work_folder):
-    """Create a log under the names log.html and log.png, and a hand file."""
+    """Create a hand file, and a log under each of the names log.html and log.png."""
     for name in ("log.html", "log.png"):
         (work_folder / name).write_bytes(GOLDEN_LOG.read_bytes())
     (work_folder / "hand.toml").write_text(hand_path("jamia").read_text())

@@ -61,7 +61,7 @@ def test_a_gripper_grasps_holds_releases_and_is_re_executed(
 def test_exports_have_the_units_of_prismatic_joints(
     gripper_hand_files: Path, capsys: pytest.CaptureFixture[str], hand_file: str
 ) -> None:
-    """Reproduce a defect: all exports labelled positions in m with rad, and forces in N with N m.
+    """Reproduce a defect: in all exports, positions in m had the unit rad, and forces in N had the unit N m.
 
     The documentation promises the unit of every exported value.
     """

@@ -315,8 +315,8 @@ REQUESTS = (("stop",), ("stop", "--cut"), ("clear",), ("gains", "set", "motion.f
 def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_words):
     """Reproduce a defect.
 
-    With exit code 71, the command asked the user to switch off the power of a simulated hand that
-    does not run.
+    The command exited with code 71, and asked the user to switch off the power. The hand was a
+    simulated hand that did not run.
     """
     assert main([*command_words, *ABSENT_BUS_OPTION]) == 1
     assert capsys.readouterr() == (
@@ -331,7 +331,7 @@ def test_a_local_bus_without_a_controller_needs_no_power_switch(capsys, command_
     "controller_was_killed", [False, True], ids=["real bus", "killed controller"]
 )
 def test_an_unconfirmed_request_is_reported_as_failed(capsys, command_words, controller_was_killed):
-    """Reproduce a defect: the command exited with code 0 as soon as it had sent the request, without a confirmation.
+    """Reproduce a defect: the command sent the request and exited with code 0 before the request was confirmed.
 
     The mailbox file of a killed controller still exists.
     """

@@ -210,7 +210,7 @@ def test_scan_only_listens_if_another_host_is_active(foreign_frames):
 def test_scan_reports_no_firmware_if_another_host_is_active():
     """While another host is active, a scan sends no requests.
 
-    Earlier defect: an ODrive with firmware 0.6 that did not reply was reported as firmware 0.5.
+    Earlier defect: if an ODrive with firmware 0.6 did not reply, the scan reported firmware 0.5.
     """
     request = Frame(3 << 5 | 0x09 | REMOTE_FLAG, b"")
     result, _, bus = scan_bench(("odrive", 3), foreign_frames=[request])
@@ -254,8 +254,8 @@ def test_two_motors_that_answer_on_one_identifier_are_found():
 def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
     """A DM-J8009 motor reports a torque of 54 N m as its full scale.
 
-    The printed part of a hand file contains the largest torque that a hand file permits, and a
-    comment about the drive.
+    A hand file permits at most 50 N m. The printed part of a hand file contains this limit, and a
+    comment with the torque that the drive reports.
     """
     result, _, _ = scan_bench(("mit", 1, "dm8009"))
     text = hand_file_snippet({"a": result.found_nodes}, 1_000_000, None)

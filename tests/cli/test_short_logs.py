@@ -61,7 +61,7 @@ def test_every_verb_reads_or_refuses_a_short_log(
 
 
 def _shifted_tick(tick_record: bytes, tick_shift: int, period_ns: int) -> bytes:
-    """Return a copy of a recorded tick that is shifted in time by a number of ticks."""
+    """Return a copy of a recorded tick whose number and time are shifted by a number of ticks."""
     at = TICK_SIZES_STRUCT.size + 4
     k, t_ns = struct.unpack_from("<qq", tick_record, at)
     return (

@@ -1,4 +1,7 @@
-"""Test commands with a closed pipe, a full disk or a missing standard stream, and signals to commands."""
+"""Test commands with a faulty standard stream, and commands that get a signal.
+
+The stream may be a closed pipe, may be on a full disk, or may be missing.
+"""
 
 import json
 import os

@@ -1,4 +1,7 @@
-"""Test gains that weight the force of a single tendon: their file, bounds, design, and changes during a run."""
+"""Test gains with a separate force weight for one tendon.
+
+The tests cover the gain file, the bounds, the design, and changes during a run.
+"""
 
 from pathlib import Path
 

@@ -88,7 +88,7 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
 ):
     """Reproduce a defect.
 
-    The table showed "none" for the gain and phase margins of the old gains, and no line gave the
+    The table showed "none" as gain margin and as phase margin of the old gains. No line gave the
     reason.
     """
     swing_text = "the plant with 0.5 of the friction swings by 2.3 N held"
@@ -324,7 +324,7 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
     """Return an invented result for the identification of a tendon.
 
-    ``blocked`` and ``met`` describe what the tendon's digit touched during the excitation.
+    ``blocked`` and ``met`` are texts about contacts of the tendon's digit during the excitation.
     """
     from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
     from handctl.tune.identify.identify import TendonResult
@@ -351,7 +351,10 @@ def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("te
 
 
 def _replace_identification(monkeypatch, calibration, digit_results):
-    """Make ``handctl identify --lockstep`` use a given calibration and given results of the identification."""
+    """Replace the identification of ``handctl identify --lockstep`` by given results.
+
+    The command then uses the given calibration and the given results of the digits.
+    """
     outcome = SimpleNamespace(raise_if_not_finished=lambda where: None)
     monkeypatch.setattr(
         "handctl.cli.tuning.identify._identify_in_lockstep", lambda *words: (calibration, outcome)
@@ -394,7 +397,11 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
 def test_the_reason_why_no_calibration_is_written_is_true(
     work_folder, capsys, monkeypatch, digit_condition, expected_reason
 ):
-    """Reproduce a defect: "there is no own.toml: handctl commission first", although the hand was commissioned."""
+    """Reproduce a defect: the output named a wrong reason.
+
+    The reason was "there is no own.toml: handctl commission first", although the hand was
+    commissioned.
+    """
     calibration = jamia_calibration()
     write_calibration(work_folder / "own.toml", calibration)
     result = result_of_digit("index", 9e4, names=("spring_stiffness",), **digit_condition)
@@ -453,7 +460,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
 )
 @pytest.mark.parametrize("tune_command", ["design", "search"])
 def test_gains_and_picture_are_two_files(work_folder, capsys, tune_command, command_words):
-    """The command refuses one name for gains and picture, because the picture would overwrite the gains."""
+    """The gains and the picture need different file names, because the picture would overwrite the gains."""
     assert "the name of the picture" in refusal_line(
         capsys, "tune", tune_command, "--plants", "1", *command_words
     )
@@ -595,7 +602,7 @@ def test_the_simulator_refuses_the_same_perturbations(capsys, command_words, exp
 
 
 def next_command(printed_output):
-    """Return the words of the next command that the output of a command proposes."""
+    """Return the words after ``next: handctl`` in the output of a command."""
     [line] = [line for line in printed_output.splitlines() if line.startswith("next: handctl ")]
     return shlex.split(line)[2:]
 

@@ -34,7 +34,7 @@ MOVE_GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
 
 
 class CalibratedBench:
-    """A simulated hand in virtual time, and the plan of the runs of its controller."""
+    """A simulated hand in virtual time, and a plan for the runs of its controller."""
 
     def __init__(self, work_folder, hand, serials=()):
         import argparse
@@ -77,9 +77,10 @@ def mode_texts(log):
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
     work_folder, protocols
 ):
-    """Reproduce a defect: two hands of the same design were used in the same folder.
+    """Reproduce a defect: a hand was armed with the calibration of another hand of the same design.
 
-    The second hand was armed with the load-cell tares and encoder zeros of the first hand.
+    Both hands were used in the same folder. The second hand got the load-cell tares and encoder
+    zeros of the first hand.
     """
     hand = hand_file(work_folder, protocols)
     first_bench, second_bench = (
@@ -163,8 +164,8 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
 def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """Reproduce a defect.
 
-    A computer with a wrong clock had written a calibration with a date in the future. handctl never
-    treated this calibration as too old.
+    The clock of a computer was wrong, so the date of a calibration was in the future. Therefore
+    handctl never treated this calibration as too old.
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"

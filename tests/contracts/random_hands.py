@@ -116,9 +116,10 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
 
 
 def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
-    """Return a random half of the motors whose drives may close a position loop.
+    """Return the motors whose drives close a position loop.
 
-    A drive may do so if the digit of its tendon has no antagonist.
+    About half of the allowed motors are chosen at random. A motor is allowed if the digit of its
+    tendon has no antagonist.
     """
     if hand.motor[0].protocol not in ("mit", "robstride", "moteus"):
         return set()
@@ -181,7 +182,10 @@ def _message_payload(
 
 
 class RandomHand:
-    """A random hand whose motors make torque, and frames that its nodes might send."""
+    """A random hand, and random frames for it.
+
+    The motors of the hand make torque. The nodes of the hand might send these frames.
+    """
 
     def __init__(self, tendons: int, seed: int) -> None:
         self.random = np.random.default_rng((tendons, seed))
@@ -284,7 +288,10 @@ class RandomHand:
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
     def hash_ticks(self) -> Iterator[str]:
-        """Run all ticks, and yield for each a hash of its state, telemetry, frames and events."""
+        """Run all ticks, and yield a hash after each tick.
+
+        The hash covers the state, the telemetry, the frames and the events of the tick.
+        """
         k = 0
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:

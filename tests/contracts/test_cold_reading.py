@@ -1,4 +1,4 @@
-"""Test the tool that draws names and sentences for a reader who does not know the repository."""
+"""Test the tool that selects random names and sentences for a reader who does not know the repository."""
 
 import json
 from pathlib import Path

@@ -88,10 +88,10 @@ def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
 
 
 def hash_of_frame_conversions() -> str:
-    """Return a hash over random structs of CAN frames, converted to records and back.
+    """Convert random structs of CAN frames to records and back, and return a hash of the results.
 
-    The structs contain frames of all kinds, lengths and flags, also impossible ones. The times of
-    reception are positive and negative.
+    The structs contain frames of all kinds, lengths and flags. Some of these frames are impossible.
+    The times of reception are positive and negative.
     """
     digest = hashlib.sha256()
     for seed in range(20):
@@ -179,7 +179,8 @@ def test_interpreted_kernels_begin_the_same_motions() -> None:
 def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """An argument of another array type raises an exception.
 
-    To compile the kernel for this type would take a second in the middle of a tick.
+    Otherwise, the kernel would be compiled for this type in the middle of a tick. This would take a
+    second.
     """
 
     @kernel("vector", "real")
@@ -238,7 +239,7 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Copy the package, and add the kernel ``PROBE_KERNEL_CODE``.
+    """Return a copy of the package to which the kernel ``PROBE_KERNEL_CODE`` was added.
 
     The added kernel detects a node that is silent in every second tick.
     """
@@ -329,7 +330,7 @@ def test_without_a_writable_cache_each_process_compiles(
 
 
 class KernelSources:
-    """Modules of handctl whose source text can change a kernel.
+    """Modules of handctl that can change a kernel when their source text changes.
 
     These modules define the names that the kernel uses, directly or indirectly.
     """
@@ -357,7 +358,10 @@ class KernelSources:
                         self.follow_name(module_name, used.id)
 
     def _follow_import(self, module_name: str, name: str) -> None:
-        """Follow an imported name, or all names of an imported module."""
+        """Follow an imported name.
+
+        If a module is imported, follow all names of this module.
+        """
         inner = f"{module_name}.{name}"
         if inner not in sys.modules:
             self.follow_name(module_name, name)

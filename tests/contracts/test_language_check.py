@@ -1,4 +1,4 @@
-"""Test that the language check counts as its documentation describes.
+"""Test that the language check counts the words and phrases that its documentation describes.
 
 The check refuses limits that are higher than before.
 """

@@ -61,7 +61,10 @@ def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
 def test_only_a_sample_leaves_slow_tests_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """pytest collects this test file with a list of slow tests that contains two of its tests."""
+    """Collect the tests of this file with pytest.
+
+    The list of slow tests contains two of these tests.
+    """
     code = (
         "import sys, pathlib, pytest, tests.slow_tests; tests.slow_tests.SLOW_TESTS_FILE = pathlib.Path(sys.argv[1]); "
         + ("sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))")

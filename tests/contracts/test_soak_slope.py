@@ -1,7 +1,7 @@
 """Test the long soak run.
 
-The soak run must report a memory leak, but no memory that a process frees and allocates again. The
-soak run must be able to start a controller.
+The soak run must report a memory leak. It must not report memory that a process frees and allocates
+again. The soak run must be able to start a controller.
 """
 
 import random

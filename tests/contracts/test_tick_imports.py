@@ -1,7 +1,7 @@
 """No module is imported during a tick.
 
-An import takes up to 0.3 s. After a tick of this length, the run would end with the fault H03 (the
-host stalled).
+An import takes up to 0.3 s. A tick with an import would be so long that the run would end with the
+fault H03 (the host stalled).
 """
 
 import subprocess
@@ -76,5 +76,8 @@ def test_no_tick_imports_a_module(hand: str) -> None:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_no_tick_of_a_grasp_imports_a_module(hand: str) -> None:
-    """Reproduce a defect: the first bounded allocation of tensions imported daqp in a tick of a closing hand."""
+    """Reproduce a defect: a tick of a closing hand imported daqp.
+
+    The first bounded allocation of tensions caused this import.
+    """
     assert run_code(GRASP_CODE, hand) == []

@@ -85,7 +85,7 @@ class ToyHand:
     def tear_tendon(self, tendon_index: int) -> None:
         """Tear tendon i.
 
-        From then on the tension of this tendon is zero, at any speed of its spool.
+        A torn tendon has no tension, at any speed of its spool.
         """
         self.tendon_stiffness[tendon_index] = self.tendon_damping[tendon_index] = 0.0
 
@@ -147,8 +147,7 @@ def _pack_channels(
 ) -> list[Frame]:
     """Pack load-cell channels into frames.
 
-    Each frame contains a counter of 4 bits and up to five channels of 12 bits, beginning with the
-    lowest bit.
+    In its lowest bits, each frame has a counter of 4 bits. Up to five channels of 12 bits follow.
     """
     frames = []
     for group, start in enumerate(range(0, len(channel_readings), 5)):

@@ -1,4 +1,8 @@
-"""Second, independent implementation of the differential equations of a tendon and of the steady-state Kalman gain."""
+"""Compute the model and the filter gain of a tendon a second time.
+
+This implementation is independent of the first one in handctl. It covers the differential equations
+of a tendon and the steady-state Kalman gain.
+"""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -174,7 +178,7 @@ def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray
 def joseph_update(
     block: FilterBlock, P: np.ndarray, is_missing: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gain (7, 2), and the covariance after an update by encoder and load cell.
+    """Return the Kalman gain (7, 2), and the covariance after an update with the readings of encoder and load cell.
 
     ``is_missing`` (2,) marks absent measurements.
 

@@ -237,9 +237,10 @@ def flags_without_contact(model: HandModel) -> tuple[bool, ...]:
 def state_after_first_readings(
     model: HandModel, state: FilterState, travel: np.ndarray, with_load_cells: bool = True
 ) -> FilterState:
-    """Return the filter state after the first encoder readings ``travel`` [m].
+    """Return the filter state after the first readings of the encoders.
 
-    If ``with_load_cells`` is True, the load cells have also been read.
+    The argument ``travel`` [m] gives these readings. If ``with_load_cells`` is True, the load cells
+    have also been read.
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT

@@ -72,8 +72,8 @@ class LawState(NamedTuple):
 class LawCommand(NamedTuple):
     """Output of the control law.
 
-    A command contains, for each tendon (N,), a motor torque [N m] and a tension goal [N]. A command
-    also contains, for each joint (J,), a torque [N m], and goals of the angle [rad] and the rate
+    For each tendon (N,), a command contains a motor torque [N m] and a tension goal [N]. For each
+    joint (J,), a command contains a torque [N m], a goal of the angle [rad] and a goal of the rate
     [rad/s].
     """
 

@@ -31,8 +31,8 @@ def model_of(hand_name: str) -> HandModel:
 class PlantRun:
     """Record of a run: a row for each tick, and all events.
 
-    A row contains the time [s], the position of the object [m], the contact force on each digit
-    [N], and the estimated, measured and true tension of each tendon [N].
+    A row contains the time [s], the position of the object [m], and the contact force on each digit
+    [N]. For each tendon, a row also contains the estimated, the measured and the true tension [N].
     """
 
     time_s: list[float] = field(default_factory=list)

@@ -122,12 +122,15 @@ def active_state(model: HandModel) -> ControllerState:
 
 
 def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
-    """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
+    """Return the constants of a hand, and the layout of these constants.
+
+    Every stage of a tick has these two objects as its last arguments.
+    """
     return controller_of(model).derived.constant_args
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
-    """Return the constants of a hand by table.
+    """Return the tables that contain the constants of a hand.
 
     Functions from ``uncompiled_function`` take the constants as such tables.
     """
@@ -216,9 +219,9 @@ def _winding_efficiency(
 
 
 def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
-    """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad].
+    """Return the fractions (N,) of the tensions that reach the joints at the angles ``q`` (J,) [rad].
 
-    Friction reduces this tension. The fraction is that of a tendon that its motor winds up.
+    Friction takes the rest. The fractions apply while the motors wind up the tendons.
     """
     return np.asarray(
         _winding_efficiency(

@@ -104,7 +104,10 @@ def begin_run(
     first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
+    """Begin a run of a program at tick ``first_tick``.
+
+    An earlier run may already have moved the simulated hand.
+    """
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )

@@ -14,7 +14,7 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 @pytest.mark.parametrize("tare_N", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N: float) -> None:
-    """A broken wire of a load cell is detected at any tare of this load cell."""
+    """A broken wire of a load cell is detected, even if the tare of the load cell is not zero."""
     model, n = jamia, jamia.tendon_count
     run = make_controller_bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare_N))
@@ -30,7 +30,10 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare_N:
 
 
 def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
-    """Return a bench whose hand has just started to relax while a load cell reads the upper end of its range."""
+    """Return a bench whose hand has just started to relax.
+
+    One load cell reads the upper end of its range.
+    """
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(HandMode.ACTIVE)
     run.toy_hand.cell_bias[:] = (

@@ -1,7 +1,7 @@
 """Test the lease of a client that commands a hand in lockstep.
 
-If the client stops sending, first the digits that it commands come to rest. If the client remains
-silent, the whole hand then relaxes.
+If the client stops sending, the digits under its command come to rest. If the client remains
+silent, the whole hand relaxes.
 """
 
 import json

@@ -158,8 +158,8 @@ def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
 def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
     """Tension in the second tendon also changes the reading of the first load cell.
 
-    Two tendons that touch would cause this, and so would one load cell that is connected to two
-    channels.
+    There are two possible causes: the two tendons touch each other, or one load cell is connected
+    to two channels.
     """
 
     def tension_by_pull(i: int) -> np.ndarray:
@@ -263,7 +263,10 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
 
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
-    """While another tendon is pulled, a relaxing tendon can lose only the tension that remained from its own pull."""
+    """A load cell must not fall below its tare while another tendon is pulled.
+
+    A tendon that relaxes can lose only the tension that remained from its own pull.
+    """
 
     def tension_by_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
@@ -415,9 +418,10 @@ def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: Controll
 def test_exchanged_drives_are_refused_and_both_tendons_named(
     name: str, protocol: str, first: str, second: str, fault: str, seed: int
 ) -> None:
-    """Reproduce a defect: with the encoders of two drives exchanged (swap), the commissioning succeeded.
+    """Reproduce a defect: the commissioning succeeded, although the encoders of two drives were exchanged.
 
-    The result then had the zeros of the wrong motors.
+    In the simulator, this is the fault ``swap``. The result of the commissioning had the zeros of
+    the wrong motors.
     """
     hand = hand_with_protocol(name, protocol)
     rate = default_control_rate(hand)

@@ -132,10 +132,10 @@ def test_free_motion_has_no_contact(hand: str, tmp_path: Path) -> None:
 def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
     hand: str, seed: int, tmp_path: Path
 ) -> None:
-    """Reproduce a defect: a load-cell error of 1 to 2 N made the friction wrong where a digit came to rest.
+    """Reproduce a defect: a load-cell error of 1 to 2 N made the computed friction wrong at the end of a motion.
 
-    The friction state added up the estimated speed of the spool, which such an error makes wrong.
-    The unexplained tension resembled a contact within 30 ms of the end of the trajectory.
+    This error makes the estimated speed of the spool wrong, and the friction state is a sum of such
+    speeds. Within 30 ms of the end of the trajectory, the unexplained tension looked like a contact.
     """
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 
@@ -215,9 +215,10 @@ def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> No
 
 
 def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
-    """The mean tip force of a closing digit and the drift of this force are averages with given time constants.
+    """Test two averages of the force at the tip of a closing digit.
 
-    A digit that does not close has no mean tip force.
+    The averages are the mean tip force and the drift. Each average has its own time constant. A
+    digit that does not close has no mean tip force.
     """
     state = closing_hand(
         jamia,

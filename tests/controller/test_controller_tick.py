@@ -226,8 +226,8 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
 def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """The channels of the sensor node are in reverse order in this test.
 
-    If the second frame of the sensor node is lost, the fault names exactly the tendons whose
-    channels this frame contains.
+    In this test, the second frame of the sensor node is lost. The fault names exactly the tendons
+    whose channels are in this frame.
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
@@ -314,7 +314,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that the tendons have when the hand is armed.
 
-    A hand that holds an object is an example.
+    For example, a hand that holds an object has tensions when it is armed.
     """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram()

@@ -130,7 +130,8 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
 def regimes_of_readings(model: HandModel, cell_readings: list[float]) -> list[set[int]]:
     """Return the set of the regimes of all tendons, for each tick.
 
-    In each tick, all load cells read the next tension in ``cell_readings``, while the motors are at rest.
+    The motors are at rest. In each tick, all load cells read the next tension in ``cell_readings``
+    [N].
     """
     n = model.tendon_count
     x = np.zeros((n, STATE_COUNT))
@@ -161,7 +162,7 @@ def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
-    """A slowly wound tendon counts as taut below a tension of five standard deviations.
+    """A tendon that is wound slowly counts as taut before its tension reaches five standard deviations.
 
     The standard deviation is that of the load-cell noise.
     """
@@ -360,8 +361,8 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
     """In this test, friction holds a digit just before the stop of its open end.
 
-    If the filter took this position for the stop, each return would add an error to the estimated
-    angle of the digit.
+    If the filter assumed that the digit is at its stop, each return would add an error to the
+    estimated angle of the digit.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5

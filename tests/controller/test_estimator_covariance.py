@@ -361,7 +361,10 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
 def test_covariance_grows_over_skipped_ticks(
     model: HandModel, missed_ticks: int, prediction_time_s: float | None
 ) -> None:
-    """In missed ticks, the covariance grows, but at most for the time for which motors hold the last command."""
+    """In missed ticks, the covariance grows.
+
+    It grows at most for the time for which the motors hold the last command.
+    """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
@@ -394,7 +397,7 @@ def test_covariance_grows_over_skipped_ticks(
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """The second filter of this test computes each tendon with plain loops.
 
-    The update of the second filter has no rows for missing measurements.
+    The second filter has no row in its update for a missing measurement.
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)

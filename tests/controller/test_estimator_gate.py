@@ -218,9 +218,9 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
 
 
 def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
-    """Return the filter state of half-closed digits whose rotors turn, and the forces that balance them [N].
+    """Return a filter state, and motor forces that balance the tensions [N].
 
-    All tendons have a tension of 20 N.
+    The digits are half closed, and their rotors turn. All tendons have a tension of 20 N.
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
@@ -236,7 +236,7 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 ) -> None:
     """The gains of the filter assume a measured position in every tick.
 
-    A drive that was reset has, for example, sent its position only in every 11th tick.
+    A drive may send its position less often, for example only in every 11th tick after a reset.
     """
     held_hand = HandAtConstantTension(jamia).settle()
     chance = np.random.default_rng(7)

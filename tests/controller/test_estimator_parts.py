@@ -75,9 +75,10 @@ def filter_state(model: HandModel, regime: TendonRegime, **state_values: float) 
 def tension_explained_by_contact(
     model: HandModel, regime: TendonRegime, tendon_speed: float
 ) -> np.ndarray:
-    """Return the tensions that a contact explains if all tendons have 20 N and move with a given speed [m/s].
+    """Return the part of each tension that a contact explains [N].
 
-    In this test, the filter gets no readings.
+    All tendons have a tension of 20 N and move with the speed ``tendon_speed`` [m/s]. In this test,
+    the filter gets no readings.
     """
     stretch = (20.0 + model.space.damping * tendon_speed) / model.space.stiffness
     state = filter_state(model, regime, S=2e-3, W=tendon_speed)
@@ -165,11 +166,11 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell_tension: flo
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, slack_length_m: float, is_length_known: bool, is_taut_afterwards: bool
 ) -> None:
-    """The motor encoder alone shows a coming taut state only if the length of the tendon is known.
+    """The motor encoder alone shows that a tendon will soon be taut, but only if its length is known.
 
     The length is known if the tendon was taut before.
 
-    After the change to taut, the counter of the evidence starts again at zero.
+    After the tendon has become taut, the filter counts its evidence from zero again.
     """
     n = model.tendon_count
     above = next(

@@ -101,7 +101,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """After large innovations, the filter assumes more noise, which makes the same innovations look normal.
 
-    The warning is therefore decided with the original noise.
+    The filter therefore uses the original noise to decide about the warning.
     """
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)

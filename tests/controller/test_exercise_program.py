@@ -15,7 +15,10 @@ StageRecord = tuple[str, tuple[DigitGoal, ...], tuple[bool, ...]]
 
 
 def stages_of_exercise(model: HandModel) -> list[StageRecord]:
-    """Run the exercise program with a taut hand at rest, and return the stages in the order of execution."""
+    """Return the stages of the exercise program in the order of execution.
+
+    In this run, the hand is at rest, and its tendons are taut.
+    """
     program, t = ExerciseProgram(), 0.0
     progress = program.initial_progress(model)
     taut, readings = estimate_under_tension(model, 5.0), empty_readings(model)
@@ -34,7 +37,7 @@ def stages_of_exercise(model: HandModel) -> list[StageRecord]:
 
 @pytest.mark.parametrize("hand_name", ["jamia", "jamia11", "orca_like"])
 def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str) -> None:
-    """Reproduce a defect: in the exercise, a wrist made the fast moves, and then closed with a constant tension.
+    """Reproduce a defect: the exercise moved the wrist fast, and then closed the wrist with a constant tension.
 
     The heavy wrist moved by 9 deg in 0.1 s. This motion ended the step test of `tune design` with
     fault T01 (a tendon snapped).
@@ -62,7 +65,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     """Reproduce a defect: the tension of closed digits without springs rose with 200 N/s to 30 N.
 
     A digit that friction had stopped early then closed so fast that fault T01 (a tendon snapped)
-    ended the run. The step of a hold is as fast as before.
+    ended the run. During a hold, the tension still changes at the default rate.
     """
     model = HandModel.from_hand(load_hand(hand_name), packaged_gains(hand_name), 400.0)
     default_rate = model.gains.tension.rate_N_per_s

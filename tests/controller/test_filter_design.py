@@ -1,7 +1,7 @@
 """Test the filter design.
 
-Compare the discrete model with the differential equations of a tendon, and the gains with those of
-a second solver.
+Compare the discrete model with the differential equations of a tendon. Compare the gains with the
+gains of a second solver.
 """
 
 import itertools
@@ -167,7 +167,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 
 
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
-    """The kernels get all parts of the filter design, and the variances that are computed from them."""
+    """The kernels get all parts of the filter design, and variances that were computed from these parts."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
     parts = {

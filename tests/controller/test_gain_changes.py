@@ -1,7 +1,7 @@
 """Test changes of gains during a run.
 
-Changed gains stay within their bounds and cause no step of the torque. The gains are part of the
-state of which a hash is computed.
+Changed gains stay within their bounds and cause no step of the torque. The hash of the state
+includes the gains.
 """
 
 import json
@@ -114,7 +114,10 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
-    """A change of gains is refused during the commissioning, because the next run would not have the new gains."""
+    """A change of gains is refused during the commissioning.
+
+    The next run would not use the changed gains.
+    """
     bench = ControllerBench(
         uncommissioned_controller(jamia, CommissionProgram()),
         load_simulator(

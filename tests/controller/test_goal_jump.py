@@ -35,7 +35,7 @@ def targets_after_command(
 ) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
-    In this state, the tendons are at the excursions ``goal_tolerance`` [m].
+    The argument ``goal_tolerance`` gives the excursions of the tendons [m].
     """
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle

@@ -16,7 +16,10 @@ from tests.controller.controller_bench import ControllerBench, make_controller_b
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
-    """In this test, the host reads the replies of one tick two ticks later, together with later replies."""
+    """In this test, the host reads some replies one tick late.
+
+    In the last tick, it reads late replies together with replies that are in time.
+    """
     run = make_controller_bench(
         HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram()
     )
@@ -85,7 +88,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(
 ) -> None:
     """The replies to three ticks arrive in one tick.
 
-    In about this tick, the controller forgets the requests of the earlier ticks.
+    At about the same time, the controller forgets the requests of the earlier ticks.
     """
     run = active_bench_without_time_stamps()
     waiting: list[Frame] = []
@@ -126,9 +129,9 @@ def second_node_reports(tick_output: TickOut) -> list[str]:
 
 
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
-    """In this test, a node replies just after each deadline.
+    """In this test, the motors first reply just after each deadline.
 
-    When the node becomes faster, a late reply and a reply in time arrive in the same tick.
+    Then the motors reply faster. A late reply and a reply in time arrive in the same tick.
     """
     run = active_bench_without_time_stamps()
     held: list[list[Frame]] = [[]]

@@ -105,7 +105,7 @@ def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> N
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     """After a tick without torque, the tension loop starts at the present tension.
 
-    Commands of ticks before that have no effect on the tension loop.
+    Earlier commands have no effect on the tension loop.
     """
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
     for name in (

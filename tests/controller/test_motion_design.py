@@ -45,7 +45,10 @@ def tension_plant(
 def control_loops(
     model: HandModel, gains: Gains, period_s: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return (F, G, K) of both control loops of the first and the last tendon, where the force is -K state."""
+    """Return the matrices (F, G, K) of both control loops of the first and the last tendon.
+
+    The control law is: force = -K state.
+    """
     design, found = design_motion(model.space, gains, period_s), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]

@@ -42,9 +42,10 @@ def controller_at(hand_name: str, rate_hz: float) -> Controller:
 
 
 def mean_nis_and_events(hand_name: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
-    """Return the mean NIS of all tendons and ticks in a free motion, and the events about estimates and faults.
+    """Return the mean NIS in a free motion, and the events about estimates and faults.
 
-    NIS is the normalised innovation squared per degree of freedom.
+    The mean is over all tendons and ticks. NIS is the normalised innovation squared per degree of
+    freedom.
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []

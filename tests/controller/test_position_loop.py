@@ -124,10 +124,11 @@ def sent_stiffness(run: SimulatedRun) -> np.ndarray:
 
 
 def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
-    """Return the RMS error along each tendon (N,) [deg] while a hand moves, and the largest true tension [N].
+    """Return the RMS error along each tendon (N,) [deg], and the largest true tension [N].
 
-    The error along a tendon is the error of the mean angle of the joints that the tendon passes. In
-    ``jamia``, the springs determine how the single joints share this error.
+    Both are measured while the hand moves. The error along a tendon is the error of the mean angle
+    of the joints that the tendon passes. In ``jamia``, the springs determine how the single joints
+    share this error.
     """
     errors, peak = list[np.ndarray](), 0.0
     with begin_to_and_fro(hand, seed, move_count=2) as run:
@@ -168,8 +169,8 @@ def moteus_command(payload: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> None:
     """A moteus drive moves its position target with the commanded velocity.
 
-    On average over a period, the target is therefore ahead of the commanded position by the motion
-    in half a period.
+    The average of the target over a period is therefore ahead of the commanded position. The
+    difference is the motion in half a period.
     """
     hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
@@ -570,7 +571,11 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 
 
 def print_tracking(protocol: str, seed_count: int) -> None:
-    """Print the mean tracking error of each hand and mode, its range over the seeds, and the largest tension."""
+    """Print a line for each hand and mode.
+
+    The line contains the mean tracking error, the range of this error over the seeds, and the
+    largest tension.
+    """
     for name in LARGEST_ERROR_RATIO:
         hands = {
             "torque commands": hand_with_protocol(name, protocol),

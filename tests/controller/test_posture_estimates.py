@@ -50,8 +50,8 @@ HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 class PostureTick(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
-    The joint angles are the true ones, the estimated ones with their standard deviations, and those
-    that a digit without contact would have.
+    The joint angles are the true angles, the estimated angles with their standard deviations, and
+    ``angles_of_free_hand``. The last are the angles that the digits would have without contact.
     """
 
     phase: str
@@ -108,10 +108,10 @@ def root_mean_square(errors: np.ndarray) -> float:
 def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: str) -> None:
     """For at least 95 % of the joints and ticks, the true joint angle is within two standard deviations.
 
-    While an object is held, the error of a joint is nearly constant. Thus a run of the hand with
-    eleven joints is a sample of eleven errors, and one error above two standard deviations in a run
-    is no sign of a wrong standard deviation. The 95 % hold for the runs with all seeds together. In
-    a single run, one joint may be outside.
+    While an object is held, the error of a joint is nearly constant. A run of the hand with eleven
+    joints is therefore a sample of only eleven errors. One error above two standard deviations does
+    not show that a standard deviation is wrong. The 95 % hold for the runs with all seeds together.
+    In a single run, one joint may have a larger error.
 
     During the hold, angles that are computed without regard to the contact have larger errors.
     """
@@ -271,8 +271,8 @@ def state_after_fusion(
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """In this test, only one joint has an encoder.
 
-    The covariances weight the estimate and the reading of this joint. The angles of the other
-    joints are corrected through their correlation with this joint.
+    The filter weights the estimate and the reading of this joint according to their covariances.
+    The angles of the other joints are corrected through their correlation with this joint.
     """
     model = HandModel.from_hand(
         load_hand(str(hand_file_with_encoders(tmp_path, joints_with_encoders=1))), Gains(), RATE_HZ

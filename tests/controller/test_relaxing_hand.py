@@ -99,7 +99,10 @@ def fastest_setpoint_fall(bench: ControllerBench, tendon_index: int = 0) -> floa
 def test_over_tension_is_relaxed_four_times_as_fast(
     low_rate_jamia: HandModel, was_relaxing_before: bool
 ) -> None:
-    """The faster ramp starts in the tick in which a load cell reads too much, even if the hand is already relaxing."""
+    """The tension falls faster from the tick in which a load cell reads too much.
+
+    This is also true if the hand is already relaxing.
+    """
     run = bench_holding_hand(low_rate_jamia)
     run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
     run.run(0.5)

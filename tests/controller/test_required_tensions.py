@@ -54,9 +54,9 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
 def test_the_load_of_each_digit_is_limited_separately(
     hand_name: str, request: pytest.FixtureRequest
 ) -> None:
-    """In this test, some digits require a tension at its bound, and others do not.
+    """In this test, the required tension of some digits is at its bound, and that of others is not.
 
-    A tension at its bound in one digit does not change the tensions of other digits.
+    A digit whose tension is at its bound does not change the tensions of other digits.
     """
     model: HandModel = request.getfixturevalue(hand_name)
     goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)

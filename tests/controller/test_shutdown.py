@@ -54,7 +54,10 @@ def test_shutdown_waits_until_each_motor_reports_off(
 def test_shutdown_after_arming_waits_for_a_drive_that_is_being_set_up_again(
     protocol: str, drive_phase: DrivePhase, tmp_path: Path
 ) -> None:
-    """The shutdown waits for a report of the drive that it is disabled, as the mode DISARM does."""
+    """The shutdown waits until the drive has reported that it is disabled.
+
+    The mode DISARM also does this.
+    """
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as hand_run:
         assert hand_run.run_until(lambda out: out.mode == HandMode.ARMING, 3.0), (

@@ -125,7 +125,10 @@ def begin_run(
     calibration: Calibration | None,
     first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first_tick``. The simulated hand may already have run."""
+    """Begin a run of a program at tick ``first_tick``.
+
+    An earlier run may already have moved the simulated hand.
+    """
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick

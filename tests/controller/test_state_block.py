@@ -142,9 +142,10 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
 
 
 def constants_by_field(constant_module: Any) -> dict[str, str]:
-    """Return, for each field, the name of the module constant that holds the number of its first row.
+    """Return the name of a module constant for each field.
 
-    The function reads the names from the source text of a module.
+    The constant contains the number of the first row of the field. The function reads the names
+    from the source text of a module.
     """
     constant_by_field = {}
     for node in ast.parse(inspect.getsource(constant_module)).body:
@@ -288,7 +289,7 @@ def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, An
 def packed_constants(
     model: HandModel, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[HandConstants, dict[str, object]]:
-    """Return the constants of a hand and, for each field, the value that was written into them."""
+    """Return the constants of a hand, and the values that were written into these constants, by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
     for part in (
         "_motor_constants",
@@ -388,7 +389,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
 
 
 def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
-    """For each part of a program's progress, yield a copy of the progress in which only this part is changed.
+    """Yield copies of a program's progress. Each copy differs in one part.
 
     The test changes the goals one by one.
     """
@@ -418,7 +419,7 @@ OTHER_STREAM_VALUES = {
 
 
 def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
-    """For each part of a controller's decisions, yield a copy of the decisions in which only this part is changed."""
+    """Yield copies of a controller's decisions. Each copy differs in one part."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],

@@ -1,6 +1,7 @@
 """Test static forces.
 
-Forces along the tendons must agree with energies, and fingertip forces with virtual work.
+Forces along the tendons must agree with energies. Forces at the fingertips must agree with virtual
+work.
 """
 
 import math

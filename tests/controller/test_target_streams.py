@@ -119,7 +119,10 @@ class StreamClient:
         }
 
     def goal_history(self, telemetry_field: str) -> Any:
-        """Return the goals of the first joint or tendon in all ticks so far, from a telemetry field."""
+        """Return the goals of the first joint or tendon in all ticks so far.
+
+        ``telemetry_field`` is the name of the telemetry field with these goals.
+        """
         return np.array([getattr(out.telemetry, telemetry_field)[0] for out in self.tick_outputs])
 
 
@@ -227,7 +230,10 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
 
 
 def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
-    """Check that the ticks repeat to the last bit, from the start and from a snapshot after ``snapshot_tick`` ticks."""
+    """Check that the ticks give equal results, to the last bit, when they are executed again.
+
+    The ticks are executed from the start, and from a snapshot after ``snapshot_tick`` ticks.
+    """
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
@@ -442,10 +448,10 @@ def test_a_target_from_the_future_counts_as_sent_now(jamia: HandModel) -> None:
 
 
 def test_targets_between_the_deadline_and_a_late_tick_are_in_order(jamia: HandModel) -> None:
-    """If a target was sent after the deadline of a late tick, it counts as sent at this tick.
+    """A tick may be late, so a target may be sent after the scheduled time of the tick.
 
-    Earlier defect: the target after such a late one was refused, because the late one seemed to be
-    newer.
+    Such a target counts as sent at the scheduled time. Earlier defect: the next target was refused,
+    because the first one seemed to be newer.
     """
     with live_client(jamia) as client:
         client.open_stream()
@@ -613,7 +619,7 @@ def test_streams_that_do_not_suit_the_hand_are_refused(jamia: HandModel) -> None
 def test_joint_angles_become_coordinates(model: HandModel) -> None:
     """A stream of angles of single joints moves the digits.
 
-    Coupled joints all turn by the same angle, the one nearest to their targets.
+    Coupled joints turn by the angles that satisfy the coupling and are nearest to the targets.
     """
     names = model.hand.joints
     where = mapping_of_stream(model, "joint", names)

@@ -38,7 +38,7 @@ tension_N = { index = 20.0 }
 
 @pytest.fixture
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
-    """Return a function that loads the text of a wrong task, and returns the error line that refuses it."""
+    """Return a function that loads a wrong task from a text, and returns the line of the error."""
 
     def refuse(
         text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0

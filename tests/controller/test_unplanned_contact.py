@@ -28,7 +28,10 @@ from tests.controller.synthetic_states import (
 def estimate_with_unexplained_tension(
     model: HandModel, unexplained_tension: float
 ) -> SyntheticEstimate:
-    """Return the estimate of a hand at rest in which an object causes the same tension [N] in every tendon."""
+    """Return the estimate of a hand at rest with the same external tension [N] in every tendon.
+
+    An object causes this tension.
+    """
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
         external_tension=np.full(model.tendon_count, unexplained_tension)
     )

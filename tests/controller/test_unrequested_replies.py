@@ -148,8 +148,8 @@ def test_only_replies_in_excess_are_compared_with_the_expected_reply(
 def change_first_motor(motor_reply: Frame, reply_letters: str) -> list[Frame]:
     """Return one copy of a motor's reply for each letter of ``reply_letters``.
 
-    The copy for A is unchanged. The copy for B has another temperature. Replies of other motors
-    than the first are returned once.
+    The copy for A is unchanged. The copy for B has another temperature. Each reply of another motor
+    is returned once and unchanged.
     """
     if motor_reply.can_id != 0x11:
         return [motor_reply]

@@ -90,8 +90,9 @@ CYLINDER_TASK = Task.model_validate(
 class RunWithoutCells:
     """Record of a run without load cells: one row for each tick, and all events.
 
-    A row contains the phase and, for each tendon (N,), the estimated tension with its standard
-    deviation, and the true tension [N]. The record also contains the last height of the object.
+    A row contains the phase. For each tendon (N,), a row also contains the estimated tension with
+    its standard deviation, and the true tension [N]. The record also contains the last height of
+    the object.
     """
 
     phase_name: list[str] = field(default_factory=list)
@@ -140,7 +141,7 @@ def run_without_sensors(
 
 
 def assert_no_check_of_a_missing_cell(hand: Hand, events: list[TickEvent]) -> None:
-    """Check that no event of the commissioning reports a check that needs a missing load cell.
+    """Check that the commissioning reports no check for which a load cell is missing.
 
     Earlier defect: for a hand without load cells, the commissioning printed "answers 2.99 N, others
     0.00 N".

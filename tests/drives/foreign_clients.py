@@ -33,7 +33,10 @@ def wait_for(is_condition_met: Callable[[], bool], expected_event: str) -> None:
 
 
 def use_damiao_motor(interface: str, channel: str, node_id: int = 2) -> None:
-    """Use damiao-motor: read registers, enable, command a torque, hold a position, and disable."""
+    """Use damiao-motor to read and control a motor.
+
+    Read registers, enable the motor, command a torque, hold a position, and disable the motor.
+    """
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(
@@ -63,7 +66,10 @@ def _motor_states(motor: object) -> dict[str, float]:
 
 
 def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
-    """Use damiao-motor: change an enabled motor between velocity, position-velocity and force-position mode."""
+    """Use damiao-motor to change the mode of an enabled motor.
+
+    The modes are velocity, position-velocity and force-position.
+    """
     controller = DaMiaoController(channel=channel, bustype=interface)
     try:
         motor = controller.add_motor(
@@ -97,7 +103,11 @@ def use_damiao_modes(interface: str, channel: str, node_id: int = 2) -> None:
 
 
 def use_odrive_can(bus: can.BusABC, node_id: int = 1) -> None:
-    """Use odrive-can: closed loop, torque, position, emergency stop, and clearing the error of this stop."""
+    """Use odrive-can to control a drive in closed loop.
+
+    Command a torque and a position, stop the drive in an emergency, and clear the error of this
+    stop.
+    """
     asyncio.run(_use_odrive(bus, node_id))
 
 
@@ -131,7 +141,10 @@ async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
 
 
 def use_odrive_can_modes(bus: can.BusABC, node_id: int = 1) -> None:
-    """Use odrive-can: command a velocity, and then a trapezoidal trajectory with limits that the client sends."""
+    """Use odrive-can to command a velocity, and then a trapezoidal trajectory.
+
+    The client also sends the limits of the trajectory.
+    """
     asyncio.run(_use_odrive_modes(bus, node_id))
 
 
@@ -200,7 +213,11 @@ def _canopen_network(interface: str, channel: str) -> Iterator[canopen.Network]:
 
 
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
-    """Use canopen: enable a drive with BaseNode402 and the packaged EDS, command torques by PDO, disable it."""
+    """Use canopen to control the torque of a drive.
+
+    Enable the drive with BaseNode402 and the packaged EDS, command torques by PDO, and disable the
+    drive.
+    """
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
@@ -224,7 +241,10 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 
 
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
-    """Use canopen: home a drive with BaseNode402, then select profile position and cyclic velocity by name."""
+    """Use canopen to home a drive, and then to select two modes by name.
+
+    The drive is a BaseNode402. The modes are profile position and cyclic velocity.
+    """
     with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)

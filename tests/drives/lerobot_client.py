@@ -22,7 +22,11 @@ WAIT_TIMEOUT_S = 20.0
 def use_lerobot_robstride(
     interface: str, channel: str, monkeypatch: pytest.MonkeyPatch, node_ids: tuple[int, ...]
 ) -> None:
-    """Use LeRobot: connect, enable a motor, turn it by a torque, hold a position, disable it, and read all motors."""
+    """Use LeRobot to control a motor and to read all motors.
+
+    Connect to the bus, enable a motor, turn the motor by a torque, hold a position, and disable the
+    motor. Then read all motors.
+    """
     monkeypatch.setattr(
         RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S)
     )

@@ -18,7 +18,11 @@ VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
 def use_moteus(interface: str, channel: str, node_id: int = 2) -> None:
-    """Use moteus: query registers in every number type, configure the drive, command torque and position, and stop."""
+    """Use moteus to query, configure and control a drive.
+
+    Query registers in every number type, configure the drive, command torque and position, and stop
+    the drive.
+    """
     asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node_id), CLIENT_TIMEOUT_S))
 
 

@@ -87,7 +87,7 @@ def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, payloa
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
-    """A classical CAN frame of zeros reaches more than 85 % of the largest possible length [bits]."""
+    """A classical CAN frame of zeros has more than 85 % of the bits of the longest possible frame."""
     body = "0" * 19 + "0" * 64
     bits = len(stuff_bits(body + crc15(body))) + 13
     assert bits > 0.85 * 135

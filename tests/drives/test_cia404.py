@@ -331,8 +331,8 @@ def faults_of(
 ) -> tuple[set[str], int]:
     """Disturb a grasp.
 
-    Return the faults that occur, and the number of ticks until the controller reacts, or -1 if it
-    does not react.
+    Return the faults that occur, and the number of ticks until the controller reacts. If the
+    controller does not react, the number is -1.
     """
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)

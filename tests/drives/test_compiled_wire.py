@@ -37,7 +37,7 @@ NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 @cache
 def enable_drive(variant_name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
-    """Return an enabled drive, the state of the drive, the time [ns], and frames that the drive has sent."""
+    """Return an enabled drive, its state, the time [ns], and some frames that the drive has sent."""
     variant = DRIVE_VARIANTS[variant_name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
@@ -91,8 +91,8 @@ def random_frame(
 def are_states_equal(first_state: DriveState, second_state: DriveState, drive: Drive) -> bool:
     """Return True if two states of a drive are equal.
 
-    For CiA 402 drives, one state may have the time of the last heartbeat where the other has the
-    time of the last feedback. Such states count as equal.
+    For CiA 402 drives, the times of the last sign of life may differ if the last feedback is later
+    than both. Such states count as equal.
     """
     if isinstance(drive, Cia402Drive):
         first_state, second_state = (
@@ -150,9 +150,9 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
 
 
 def state_enabled_at(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of an enabled drive with its times changed as if it had been enabled at ``t_ns``.
+    """Return the state of a drive as if the drive had been enabled at the time ``t_ns``.
 
-    In this state, the next repeated reading of a setting is due within one period.
+    In this state, the next read-back of a setting is already due.
     """
     private = state.private
     clocks = ("heartbeat_ns", "life_sign_ns", "heartbeat_sent_ns", "temperature_request_ns")

@@ -129,7 +129,10 @@ def test_an_unknown_option_is_refused_with_the_declared_options(protocol: str) -
     [(name, key) for name, entry in PROTOCOL_ENTRIES.items() for key in entry.options],
 )
 def test_a_declared_option_is_known(protocol: str, option_key: str) -> None:
-    """The message about a wrong value of an option names the option, and does not call it unknown."""
+    """If an option has a wrong value, the error message names the option.
+
+    The message does not call the option unknown.
+    """
     options = REQUIRED_OPTIONS.get(protocol, {}) | {option_key: "wrong"}
     with pytest.raises(ConfigError, match=option_key) as refused:
         make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)

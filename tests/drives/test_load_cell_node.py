@@ -104,7 +104,10 @@ def crc_16_ccitt(message: bytes) -> int:
 
 @dataclass
 class Ads131m04Chip:
-    """Model of an ADS131M04 chip, with registers, a reply to the last command, channels and a checksum."""
+    """Model of an ADS131M04 chip.
+
+    The chip has registers and channels, replies to the last command, and adds a checksum.
+    """
 
     counts: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
     registers: dict[int, int] = field(default_factory=lambda: dict(RESET_VALUES))

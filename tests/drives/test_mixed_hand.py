@@ -1,4 +1,7 @@
-"""Test a hand on two buses with three drive protocols, and combinations in a hand file that are refused."""
+"""Test a hand with three drive protocols on two buses.
+
+The tests also cover combinations in a hand file that are refused.
+"""
 
 import re
 from pathlib import Path

@@ -139,7 +139,7 @@ def test_a_setting_that_is_lost_while_enabled_is_found(setting_name: str) -> Non
 def test_a_restart_is_found_by_two_reads() -> None:
     """The controller reads one setting after the other.
 
-    After a restart of the drive, one of any two consecutive settings has another value than before.
+    After a restart of the drive, at least one of two consecutive settings has a wrong value.
     """
     items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for item, two in zip(items, items[1:] + items[:1], strict=True):

@@ -1,7 +1,7 @@
 """Test ODrives with firmware 0.5.x.
 
-Such ODrives are set up, enabled and disabled like ODrives with later firmware, but have another
-heartbeat. handctl cannot verify protections of these drives such as the watchdog.
+Such ODrives are set up, enabled and disabled in the same way as ODrives with later firmware. Their
+heartbeat is different. For these drives, handctl cannot verify protections such as the watchdog.
 """
 
 import struct

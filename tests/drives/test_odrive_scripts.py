@@ -1,8 +1,10 @@
-"""Run ODrive's own scripts for CAN, which restore a configuration and calibrate, with simulated drives.
+"""Run ODrive's own scripts for CAN with simulated drives.
 
-The scripts are in no package, so the tests download them in a fixed version, or use the folder that
-``HANDCTL_ODRIVE_SCRIPTS`` names. Without either, the tests are skipped. The scripts open a bus of
-python-can, so they run on a local bus.
+One script restores a configuration, and another one calibrates a drive. The scripts are in no
+package. The tests use the scripts in the folder that the environment variable
+``HANDCTL_ODRIVE_SCRIPTS`` names. Without this variable, they download a fixed version of the
+scripts. If the download fails, the tests are skipped. The scripts open a bus of python-can, so they
+run on a local bus.
 """
 
 import json
@@ -63,7 +65,10 @@ def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run_script(odrive_script_folder: Path, tmp_path: Path) -> Callable[..., Any]:
-    """Return a function that runs a script on the local bus, and returns the completed process."""
+    """Return a function that runs a script on the local bus.
+
+    This function returns the completed process.
+    """
     (tmp_path / "flat_endpoints.json").write_text(json.dumps(_endpoints_file("0.6.10")))
 
     def run(name: str, *words: str) -> Any:
@@ -99,7 +104,7 @@ def _endpoints_file(firmware_version: str) -> dict[str, Any]:
 def _await_message(
     bus: can.BusABC, command_number: int, accepts_payload: Callable[[bytes], bool]
 ) -> bytes:
-    """Return the payload of the next message with a command number that is accepted."""
+    """Return the payload of the next accepted message with a given command number."""
     end_s = time.monotonic() + WAIT_TIMEOUT_S
     while time.monotonic() < end_s:
         message = bus.recv(0.1)
@@ -121,7 +126,7 @@ def _send(bus: can.BusABC, command_number: int, payload: bytes) -> None:
 
 
 def _flush(bus: can.BusABC) -> None:
-    """Drop the received messages, among them the replies to requests of a script."""
+    """Drop all received messages, such as replies to the requests of a script."""
     while bus.recv(0.0):
         pass
 

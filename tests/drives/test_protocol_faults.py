@@ -94,7 +94,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
 ) -> None:
     """After a restart, an ODrive is in position control and has no watchdog.
 
-    The host can detect the restart only by the axis state idle of the drive.
+    The host can detect the restart only because the axis state of the drive becomes idle.
     """
     node = first_odrive_node(odrive_bench)
     odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)

@@ -89,9 +89,9 @@ def test_faults_are_read_before_torque_and_await_a_clear(
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
-    """Other MIT motors would execute the frame that requests faults as a motion command.
+    """The frame that requests faults would be a motion command for other MIT motors.
 
-    This frame is therefore sent only while the motor is disabled.
+    Therefore handctl sends this frame only while the motor is disabled.
     """
     seen = []
     for target, phase in (

@@ -1,6 +1,7 @@
-"""Compare frames of the sensor node with its DBC file, which another decoder reads.
+"""Compare frames of the sensor node with the DBC file of this node.
 
-Further tests check the state that the host keeps about the node.
+A separate decoder reads this file. Further tests check the state that the host keeps about the
+node.
 """
 
 import math

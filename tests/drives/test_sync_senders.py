@@ -1,7 +1,7 @@
 """Test the SYNC frame and the heartbeat of the host for CiA 402 drives.
 
-On every bus, either the request to the sensor node is the SYNC frame, or the host sends a SYNC
-frame on behalf of one drive. One drive of each bus sends the heartbeat.
+On some buses, the request to the sensor node is the SYNC frame. On each other bus, the host sends a
+SYNC frame on behalf of one drive. One drive of each bus sends the heartbeat.
 """
 
 import tomllib
@@ -74,8 +74,8 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
 def test_the_host_sends_one_heartbeat_on_each_bus(tmp_path: Path) -> None:
     """Reproduce a defect.
 
-    The host sent its heartbeat once for each drive, although every drive on a bus
-    receives each of them.
+    The host sent its heartbeat once for each drive. One heartbeat on each bus is enough, because
+    every drive on a bus receives this heartbeat.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     model = HandModel.from_hand(load_hand(str(path)), Gains(), 250.0)

@@ -24,7 +24,7 @@ OPTIONS_BY_PROTOCOL = {
 
 
 class VirtualBench:
-    """Bench that serves a host as its bus and as its clock.
+    """Bench that is the bus and the clock of a host.
 
     When the host waits for a tick, the time of the drive advances.
     """
@@ -54,7 +54,7 @@ class VirtualBench:
     def wait(self, k):
         """Advance the time to tick k, and return how late the host is [ns].
 
-        The host is late only after ``advance_time``.
+        The host is late only if ``advance_time`` was called before.
         """
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
         self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))

@@ -65,7 +65,7 @@ class WiredDrives:
         return int(self.field_view(field_name)[0])
 
     def begin_tick(self) -> None:
-        """Begin a tick without changing the number and the time of the tick."""
+        """Begin a tick, and keep the number and the time of the tick."""
         numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         tick_stages.begin_tick(self.block, self.layout.places, *numbers)
 
@@ -105,7 +105,7 @@ class WiredDrives:
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
-        """Return the frames that a tick sends to the drives, for a requested state and for torques."""
+        """Return the frames that a tick sends to the drives for a requested state and given torques."""
         self.field_view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
@@ -180,7 +180,10 @@ class WiredDrives:
 
     @cached_property
     def _constants(self) -> tuple[NDArray, NDArray]:
-        """Return the block of a hand's constants, in which only those about load-cell frames have values."""
+        """Return the block of a hand's constants.
+
+        Only the constants for load-cell frames have values.
+        """
         axes = self.layout.axes
         used_axes = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
         layout = CONSTANT_SCHEMA.layout(

@@ -1,4 +1,7 @@
-"""The hand in examples/hands is valid with its gains, and grasps with the command in examples/README.md."""
+"""Test the hand in examples/hands.
+
+The hand is valid with its gains. It grasps with the command in examples/README.md.
+"""
 
 import json
 import shlex
@@ -23,7 +26,10 @@ bound, docs/evidence/hands.md is out of date.
 
 @pytest.fixture
 def hands_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Change to a copy of the folder examples/hands, within a copy of the folders of the repository."""
+    """Copy the folder examples/hands, and change to the copy.
+
+    The copy is at the same place in a temporary folder as the original in the repository.
+    """
     (tmp_path / "logs").mkdir()
     folder = tmp_path / "examples" / "hands"
     shutil.copytree(HANDS_FOLDER, folder)

@@ -1,6 +1,7 @@
 """Test the fault matrix in lockstep.
 
-Each fault has an effect, all reactions are in time, and physics explains all tensions.
+Each fault has an effect, and all reactions are in time. No tension is larger than drives and rotors
+can cause.
 """
 
 import contextlib
@@ -185,7 +186,10 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """With three times the noise in the load cells, one of eleven taut tendons would look slack in every fifth tick."""
+    """In this run, the noise of the load cells is three times as large as usual.
+
+    Without countermeasures, one of eleven taut tendons would look slack in every fifth tick.
+    """
     assert (
         campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111)
         == []
@@ -287,7 +291,10 @@ def test_silent_joint_encoders_are_detected(joint):
 def results_of_hand(
     hand_name: str, seed: int, faults_by_stage: dict[str, tuple[str, ...]], protocol: str = "mit"
 ) -> dict[str, ScenarioResult]:
-    """Return the results of a hand's scenarios by name, with the catalogue rows that each stage runs."""
+    """Return the results of a hand's scenarios by name.
+
+    ``faults_by_stage`` gives the faults that are injected in each stage.
+    """
     hand = hand_with_protocol(hand_name, protocol)
     rate = default_control_rate(hand)
     results: list[ScenarioResult] = []
@@ -318,7 +325,7 @@ def assert_no_scenario_failed(results: dict[str, ScenarioResult]) -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_tension(seed: int):
-    """Reproduce a defect: the residual was filtered with 200 ms only, and a tendon had 100 to 114 N."""
+    """Reproduce a defect: the residual had only a filter of 200 ms, and a tension reached 100 to 114 N."""
     (result,) = results_of_hand("t42", seed, {FREE_STAGE: ("cross",)}, "odrive").values()
     assert result.ok, result.problem
     assert result.detected_by.startswith("T04b")
@@ -327,7 +334,7 @@ def test_exchanged_power_stages_without_torque_feedback_are_found_at_a_small_ten
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_own_error(seed: int):
-    """A drive without torque lowers the tension, and is not found by the fast filter of T04b."""
+    """The fast filter of T04b does not find a drive without torque, because the tension becomes lower."""
     faults = ("voltage", "error", "watchdog")
     for result in results_of_hand("t42", seed, {GRASP_STAGE: faults}, "odrive").values():
         assert result.ok, result.problem
@@ -337,8 +344,8 @@ def test_a_drive_without_torque_feedback_that_switches_off_is_reported_by_its_ow
 def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
     """Keep tensions below 40 N.
 
-    Earlier defect: with exchanged or late drives of the thumb, the spools became faster and faster,
-    and pulled with 208 to 230 N.
+    Earlier defect: drives of the thumb were exchanged or reacted late. The spools became faster and
+    faster, and pulled with 208 to 230 N.
     """
     results = results_of_hand("orca_like", seed, {FREE_STAGE: ("swap", "cross", "late")})
     assert len(results) == 6
@@ -348,10 +355,10 @@ def test_exchanged_or_late_drives_of_a_hand_without_load_cells_stop_soon(seed):
 
 
 def test_faults_of_a_hand_without_load_cells_are_found_in_a_grasp():
-    """A torn tendon that pulls is detected within 75 ms, and a drive without torque within 22 ticks.
+    """A tendon that tears while it pulls is detected within 75 ms.
 
-    Earlier defect: both faults were detected too late. Earlier defect: a drive that kept its torque
-    was not reported.
+    A drive without torque is detected within 22 ticks. Earlier defect: both faults were detected
+    too late. Earlier defect: a drive that kept its torque was not reported.
     """
     results = results_of_hand(
         "orca_like", 1, {GRASP_STAGE: ("snap", "slack", "disobey", "ripple", "hold_on", "reorder")}
@@ -377,8 +384,9 @@ def test_a_torn_tendon_without_load_cell_is_reported_in_free_motion():
 def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
     """The extensor of the thumb pulls with 9 N in a grasp.
 
-    Reproduce two defects. A torn extensor was reported after 11 ticks, because the tension loop
-    damps its spool. A stuck load cell counted as late, although the motor force had not changed.
+    Reproduce two defects. The fault of a torn extensor was reported only after 11 ticks, because
+    the tension loop damps the spool. The detection of a stuck load cell was judged as too late,
+    although the motor force had not changed.
     """
     results = results_of_hand("n_plus_1", seed, {GRASP_STAGE: ("snap", "slack", "stuck cell")})
     assert len(results) == 6
@@ -387,7 +395,10 @@ def test_faults_of_an_extensor_with_a_small_tension_are_found_in_time(seed):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_noisy_encoder_is_reported_as_such(seed):
-    """Reproduce a defect: the noise looked like an acceleration, and T04b (a load cell is wrong) came first."""
+    """Reproduce a defect: a noisy encoder was first reported as T04b (a load cell is wrong).
+
+    The noise looked like an acceleration.
+    """
     results = results_of_hand("jamia11", seed, {FREE_STAGE: ("noise encoder",)})
     assert len(results) == 2
     assert_no_scenario_failed(results)
@@ -395,7 +406,10 @@ def test_a_noisy_encoder_is_reported_as_such(seed):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(seed):
-    """Reproduce a defect: between rare reports, the estimated speed of the spool hid the fault N16."""
+    """Reproduce a defect: the fault N16 (a drive does not release) was not detected.
+
+    The drive reports rarely. Between two reports, the estimated speed of the spool hid the fault.
+    """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("hold_on",)}, "odrive")
     assert len(results) == 2
     assert_no_scenario_failed(results)
@@ -404,7 +418,7 @@ def test_an_odrive_that_does_not_release_is_found_although_it_reports_rarely(see
 def test_only_missing_sensors_extend_a_time_limit():
     """Compare hands with and without load cells.
 
-    With load cells, the time limits are those of the rows of the fault catalogue.
+    For hands with load cells, the time limits of the fault catalogue apply.
     """
     for name, some in (
         ("jamia", False),
@@ -420,8 +434,8 @@ def test_only_missing_sensors_extend_a_time_limit():
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
     """The scenario of H03 misses more ticks at a faster rate.
 
-    Reproduce a defect: 14 missed ticks are 14 ms at 1 kHz, which is no stall. At 200 Hz, they are
-    longer than the watchdog time of the drives.
+    Reproduce a defect: the scenario missed 14 ticks at every rate. At 1 kHz, 14 ticks are 14 ms,
+    which is no stall. At 200 Hz, they are longer than the watchdog time of the drives.
     """
     hand = hand_with_protocol("t42", "mit")
     watchdog_s = min(motor.watchdog_ms for motor in hand.motor) * 1e-3
@@ -446,7 +460,10 @@ def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_faults_of_a_hand_at_1_khz_are_found_in_the_time_of_500_hz(seed):
-    """Reproduce a defect: the low-pass filter of N14 and a delayed frame took more ticks than at 500 Hz."""
+    """Reproduce a defect: two faults were detected later than at 500 Hz, counted in ticks.
+
+    The reasons were the low-pass filter of N14 and a delayed frame.
+    """
     assert default_control_rate(hand_with_protocol("t42", "cia402")) == 1000.0
     faults = {FREE_STAGE: ("host skip", "delay"), GRASP_STAGE: ("disobey", "delay")}
     results = results_of_hand("t42", seed, faults, "cia402")
@@ -460,8 +477,9 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 ):
     """Compare drives with torque limits of 110 N and 160 N.
 
-    Reproduce two defects. With the threshold of the strong hand, a drive without torque was found
-    after 23 ticks (limit 22), and a drive that runs away at 1 kHz after 11 ticks (limit 10).
+    Reproduce two defects. In both, the weak hand had the threshold of the strong hand. A drive
+    without torque was found after 23 ticks, but the limit is 22. A drive that runs away at 1 kHz
+    was found after 11 ticks, but the limit is 10.
     """
     faults = {FREE_STAGE: ("runaway",), GRASP_STAGE: ("disobey",)}
     for seed in (0, 12):
@@ -472,7 +490,10 @@ def test_a_drive_of_a_weak_hand_that_does_not_obey_is_found_as_soon_as_one_of_a_
 
 @pytest.mark.parametrize("seed", [6, 13])
 def test_a_slack_tendon_of_a_drive_that_forgot_its_limits_counts_as_found(seed):
-    """Reproduce a defect: the hand rightly relaxed with T01 after 26 ticks, but the campaign expected other faults."""
+    """Reproduce a defect: the campaign did not accept the fault T01.
+
+    The hand rightly relaxed with T01 after 26 ticks, but the campaign expected other faults.
+    """
     results = results_of_hand("t42", seed, {GRASP_STAGE: ("forget",)}, "moteus")
     assert len(results) == 2
     assert_no_scenario_failed(results)
@@ -492,12 +513,13 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 
 
 def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
-    """If a drive runs away against a grasped object, its limit and its momentum explain the tension.
+    """If a drive runs away against a grasped object, the tension has an upper bound.
 
-    The drive pulls its rotor against the tendon with at most the force F. Seen at the tendon, the
-    rotor has the mass m and the initial speed v. The tendon has the stiffness k and the initial
-    tension T. Without friction, the tension then rises to F + sqrt((F - T)^2 + k m v^2). The
-    reaction of the host can only lower this tension.
+    The bound follows from the limit and the momentum of the drive. The drive pulls its rotor
+    against the tendon with at most the force F. Seen at the tendon, the rotor has the mass m and
+    the initial speed v. The tendon has the stiffness k and the initial tension T. Without friction,
+    the tension then rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only lower
+    this tension.
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:

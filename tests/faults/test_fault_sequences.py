@@ -1,7 +1,7 @@
 """Test random sequences of faults.
 
-The same seed gives the same sequence. No sequence violates a safety rule, and the test can detect
-the violation of each rule.
+The same seed gives the same sequence. No sequence violates a safety rule. The test can detect a
+violation of each rule.
 """
 
 import os
@@ -85,8 +85,8 @@ def test_sequence_violates_no_rule():
 def test_a_sequence_that_breaks_a_rule_names_it(copy_of_arming_simulation, monkeypatch):
     """In this sequence, a drive runs away.
 
-    The rule about high tensions accepts a runaway drive as the reason. In this test, the rule does
-    not accept this reason, so the sequence must violate it.
+    The rule about high tensions accepts a runaway drive as the reason. In this test, the rule must
+    not accept this reason. The sequence must then violate the rule.
     """
     results = []
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))

@@ -81,11 +81,12 @@ def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
 def tension_bound(
     simulation: SimulatedRun, decision_instant: TrueTendonState, motor_force: np.ndarray
 ) -> np.ndarray:
-    """Return the largest tension (N,) that the motion of each rotor and the stretch of its tendon explain [N].
+    """Return an upper bound of each tension (N,) [N].
 
-    Seen at the tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor
-    against the stiffness k of the tendon. From a tension T, the tension rises to at most F +
-    sqrt((F - T)^2 + k m v^2). While the finger moves freely, the force accelerates the rotor.
+    The bound follows from the motion of the rotors and the stretch of the tendons. Seen at the
+    tendon, a rotor has the mass m and the speed v. A force of at most F pulls the rotor against the
+    stiffness k of the tendon. From a tension T, the tension rises to at most F + sqrt((F - T)^2 + k
+    m v^2). While the finger moves freely, the force also increases the speed of the rotor.
     """
     space = simulation.controller.model.space
     largest = np.maximum(motor_force, 0.0)
@@ -178,8 +179,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
 ) -> None:
     """Reproduce a defect.
 
-    The hand began to relax from the last command of an unstable tension loop, which was 160 N. The
-    tension of a tendon that had been slack then reached 317 N.
+    The tension loop was unstable. The hand began to relax from the last command of this loop, which
+    was 160 N. The tension of a tendon that had been slack then reached 317 N.
     """
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden_faults.rising_hold_task()) as simulation:

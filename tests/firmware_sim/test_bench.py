@@ -48,7 +48,10 @@ def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(motor_type: s
 def test_an_mit_motor_reads_the_gear_ratio_of_its_type(
     motor_type: str, expected_ratio: int
 ) -> None:
-    """Reproduce a defect: each motor type reported the ratio 16, so the client i2rt refused all of them."""
+    """Reproduce a defect: motors of every type reported the gear ratio 16.
+
+    Therefore the client i2rt refused all of them.
+    """
     bench = SimulatedDriveBench([drive_spec("mit", 2, motor_type)])
     assert struct.unpack("<f", read_register(bench, 2, 20)) == (expected_ratio,)
 

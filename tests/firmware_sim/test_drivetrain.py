@@ -233,7 +233,10 @@ def test_a_full_truth_file_ends_and_the_simulation_goes_on(
 
 
 def test_a_truth_file_ends_after_a_part_of_the_rows_was_written(tmp_path: Path) -> None:
-    """Reproduce a defect: the next rows followed the half of a row, and were read as other numbers."""
+    """Reproduce a defect: only half of a row was written, and the next rows followed directly.
+
+    The numbers of the next rows were therefore read as other numbers.
+    """
     plant = LockstepHand("jamia").world.plant
     row_bytes = 8 * (1 + len(truth_columns(plant)))
     writer = TruthWriter(tmp_path / "truth", plant, {})

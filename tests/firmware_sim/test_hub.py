@@ -132,7 +132,7 @@ def test_the_senders_reserved_bytes_do_not_look_like_drops(
 
 
 def record_numbers(record_bytes: bytes) -> list[tuple[int, int]]:
-    """Return the sequence number of each record in the data, and its number of dropped records."""
+    """Return the sequence number of each record, and the number of records that were dropped before."""
     assert len(record_bytes) % RECORD_BYTES == 0
     rows = struct.iter_unpack("<4xBBHI60x", record_bytes)
     return [(number, dropped) for _, _, dropped, number in rows]

@@ -20,7 +20,10 @@ TURN_RAD = 2.0 * math.pi
 
 
 class SingleDriveBench:
-    """A simulated moteus drive with so much inertia at the shaft that the motor torque hardly moves the shaft."""
+    """A simulated moteus drive with a large inertia at the shaft.
+
+    The motor torque hardly moves this shaft.
+    """
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Create a drive in position mode, without torque."""

@@ -206,9 +206,10 @@ def test_a_diverging_plant_is_an_error() -> None:
 def closing_hand(
     monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Raise all tensions of an empty hand to 12 N in 0.4 s, with the time step ``step_s`` [s].
+    """Raise all tensions of an empty hand to 12 N within 0.4 s.
 
-    Return the joint angles every 5 ms.
+    The argument ``step_s`` [s] is the time step of the simulation. Return the joint angles after
+    every 5 ms.
     """
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
@@ -290,7 +291,7 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     """Reproduce a defect: the joints of a digit with spool pairs could turn freely against each other.
 
     Such a digit has no springs. While the fingers closed, the joint angles deviated from the
-    coupling by 49 to 74 deg. Since the simulator has tendons that couple the joints, the angles
+    coupling by 49 to 74 deg. The simulator now has tendons that couple the joints, so the angles
     deviate by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(joint_coupling, tmp_path / "coupled.toml")

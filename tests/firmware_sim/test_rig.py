@@ -1,6 +1,6 @@
 """Test a whole simulated hand in lockstep.
 
-This test composes the frames that move the hand byte by byte.
+This test moves the hand with frames that it composes byte by byte.
 """
 
 import math
@@ -52,7 +52,8 @@ def close_hand(
 ) -> list[list[Frame]]:
     """Enable all motors, raise the tension [N] in a ramp, and keep it.
 
-    Constant torques command the tension, without feedback. Return the replies of each tick.
+    The commanded torques are proportional to the tension of the ramp. There is no feedback. Return
+    the replies of each tick.
     """
     answers = [rig.step(0, [frame_tuple(motor, ENABLE_PAYLOAD) for motor in MOTOR_NODES])]
     for k in range(1, round(duration_s * 500)):

@@ -92,7 +92,7 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: SimulatorServerBench)
 
 
 def test_a_frame_samples_the_plant_at_its_exact_time(bench: SimulatorServerBench) -> None:
-    """A received frame triggers a sensor reading of exactly its arrival time.
+    """When a frame arrives, the server reads the sensors at exactly this time.
 
     The simulation advances in steps of 0.5 ms. The reading of a sensor between two steps does not
     change the times of the steps.
@@ -143,7 +143,7 @@ def test_progress_is_reported_to_a_controller_on_the_same_clock(
 
 
 def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
-    """The server reports a tick as answered only if no frame is waiting.
+    """While a frame is waiting, the server does not report the tick as answered.
 
     If a frame arrives while the server processes other frames, the server replies to this frame
     afterwards.

@@ -1,6 +1,7 @@
-"""Test the bytes of frames on a Linux CAN socket, and a CAN interface that refuses frames.
+"""Test the bytes of frames on a Linux CAN socket.
 
-The tests in tests/vcan use real interfaces.
+The tests also cover a CAN interface that refuses frames. The tests in tests/vcan use real
+interfaces.
 """
 
 import errno

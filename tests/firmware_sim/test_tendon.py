@@ -43,7 +43,8 @@ class TendonOnSpool:
     ) -> float:
         """Compute one simulation step, and return the tension.
 
-        Add the torques of the pulleys to ``torque``, without the term that compensates the damping.
+        Add the torques of the pulleys to ``torque``. The term that compensates the damping is left
+        out.
         """
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
@@ -135,7 +136,7 @@ def test_friction_dissipates_energy_and_the_slope_matches(
 ) -> None:
     """The friction of a tendon never adds power to its motion.
 
-    At each pulley, ``slope`` is at least the tension that is lost there, divided by the speed.
+    At each pulley, ``slope`` times the speed is at least the tension that is lost at this pulley.
     """
     dq = [spool_speed / 0.009] * 3
     torque = [0.0] * 3

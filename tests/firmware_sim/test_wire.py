@@ -46,7 +46,7 @@ class BusMember:
 
     @property
     def error_class_bits(self) -> list[int]:
-        """Return the class bits of the received error frames.
+        """Return the bits of the received error frames that tell the class of the error.
 
         The bits that mark an error frame or a counter are not included.
         """
@@ -65,7 +65,7 @@ def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
-    """A frame with the identifier 0 and without data consists of 19 zeros and a CRC of zeros.
+    """A frame with the identifier 0 and without data has 19 zeros before its CRC, and its CRC is zero.
 
     After every five zeros, there is a stuff bit.
     """

@@ -46,7 +46,7 @@ def make_env(environment_id: str, **environment_options: Any) -> Any:
 
 
 def action_towards_reference(environment: Any, observation: Any) -> Any:
-    """Return the action that makes the hand follow the reference in the observation ``observation``.
+    """Return the action that makes the hand follow the reference angles in an observation.
 
     The targets of the action are the reference angles at the time at which the hand will reach
     them.
