@@ -53,8 +53,8 @@ class AsyncHandClient:
     async def open(self) -> Self:
         """Wait until the hand accepts goals, as ``async with`` does. Call ``close`` at the end.
 
-        If this wait is cancelled, the client is closed. Otherwise the thread would arm a hand, and
-        no part of the program would relax this hand later.
+        If this wait is cancelled, the client is closed. If the client stayed open, the thread would
+        arm a hand, and no part of the program would relax this hand later.
         """
         try:
             await asyncio.to_thread(self.client.open)

@@ -174,8 +174,8 @@ class HandClient:
     Use the client as a context manager. Several threads of a program may share a client.
 
     At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right. It loses the right when it closes, or when
-    another client calls ``take_over``.
+    first client that moves the hand keeps this right. The client loses this right when it closes,
+    or when another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
     closes. If another process has started the controller, the hand stays armed. If this client was

@@ -129,7 +129,8 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
     Here, phi_i is the sum of the wrap angle before the first joint and the angles of the crossed
     joints up to joint i. While the spool winds the tendon up, friction reduces the tension towards
     the tip, and the factors are below 1. While the spool pays out the tendon, the factors are above
-    1. If the tendon is at rest, the factors are 1. Source: capstan equation.
+    1. If the tendon is at rest, the factors are 1.
+    Source: capstan equation.
 
     Args:
         digit: model of the digit.
