@@ -135,9 +135,10 @@ class StopSignals:
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
-        """If there is an unread signal, return the request for this signal.
+        """Return the request for the oldest unread signal.
 
-        Each tick gets at most one such request.
+        If there is no unread signal, return an empty tuple. Each tick gets at most one such
+        request.
         """
         if self.converted_count == self.received_count:
             return ()

@@ -136,7 +136,10 @@ class BusWatch:
         self.k += 1
 
     def send_release(self) -> None:
-        """Send the frames that announce the end of all frames from the host to the drives."""
+        """Send the frames that announce the end of this host to the drives.
+
+        After these frames, the host sends no more frames.
+        """
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
