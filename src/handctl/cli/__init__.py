@@ -1,4 +1,5 @@
 """Command line of handctl.
 
-The first word of a command line is the verb, for example ``run`` in ``handctl run``.
+The first word after ``handctl`` names the command. The modules call this word the verb. In
+``handctl run``, the verb is ``run``.
 """

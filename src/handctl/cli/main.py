@@ -46,7 +46,7 @@ from handctl.session.exit_codes import ExitCode
 
 
 class VerbGroup(NamedTuple):
-    """Verbs of the command line that serve the same purpose.
+    """Group of verbs with the same purpose.
 
     Attributes:
         title: common purpose of the verbs, printed as a heading in the help text.
@@ -151,7 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run_and_report_errors(command_words: list[str]) -> int:
-    """Run a command line. If there is an error, print it. Return the exit code."""
+    """Run a command line. If there is an error, print the error. Return the exit code."""
     try:
         with terminate_on_signals():
             check_words(command_words)
@@ -305,7 +305,10 @@ def _run_verb(name: str, command_words: list[str]) -> int:
 
 
 def _start_recorder_early() -> AbstractContextManager[None]:
-    """Start the recorder process early, so that it imports its modules while this process also imports modules."""
+    """Start the recorder process early.
+
+    The recorder process and this process then import their modules at the same time.
+    """
     from handctl.log.write.recorder_start import (
         recorder_process_started_in_advance,
     )  # a verb that records no run does not need the module subprocess

@@ -27,10 +27,10 @@ During the pause, the event loop runs other tasks.
 class AsyncHandClient:
     """Client of one hand, for programs that use asyncio. Use the client with ``async with``.
 
-    Every method has the effect and raises the errors of the ``HandClient`` method with the same
-    name. Each call runs in a thread, so that other tasks of the event loop continue. ``observe`` is
-    an ordinary method, because it returns at once. If a task is cancelled during a call, the hand
-    keeps its present goal. To bring such a hand to rest, call ``hold``.
+    Every method has the same effect as the ``HandClient`` method with the same name, and raises the
+    same errors. Each call runs in a thread, so that other tasks of the event loop continue.
+    ``observe`` is an ordinary method, because it returns at once. If a task is cancelled during a
+    call, the hand keeps its present goal. To bring such a hand to rest, call ``hold``.
 
     Attributes:
         client: the ``HandClient`` whose methods are called.
@@ -46,15 +46,15 @@ class AsyncHandClient:
     async def __aenter__(self) -> Self:
         """Wait until the hand accepts goals, and return the client.
 
-        This method raises the same errors as ``HandClient.open``.
+        This method raises the errors of ``HandClient.open``.
         """
         return await self.open()
 
     async def open(self) -> Self:
         """Wait until the hand accepts goals, as ``async with`` does. Call ``close`` at the end.
 
-        If this wait is cancelled, the client is closed. Without this, the thread would arm a hand
-        that no part of the program relaxes later.
+        If this wait is cancelled, the client is closed. If the client stayed open, the thread would
+        arm a hand, and no part of the program would relax this hand later.
         """
         try:
             await asyncio.to_thread(self.client.open)
@@ -71,8 +71,8 @@ class AsyncHandClient:
     ) -> None:
         """Close the client.
 
-        If the block ends with an exception or a cancellation, a fault of the run does not raise a
-        second exception.
+        If the block ends with an exception or a cancellation, no second exception is raised for a
+        fault of the run.
         """
         await asyncio.shield(asyncio.to_thread(self.client.__exit__, kind, error, trace))
 
@@ -216,11 +216,11 @@ class AsyncTargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped and refused, and how many were too late."""
+        """Return four numbers of targets: accepted, clipped and refused by the controller, and too late."""
         return self.stream.status
 
     async def close(self) -> None:
-        """End the stream. The digits that follow the stream come to rest."""
+        """End the stream. The digits of the stream come to rest."""
         await asyncio.to_thread(self.stream.close)
 
 

@@ -1,6 +1,7 @@
-"""Conversion of goal positions of the fingertips, in the palm frame, to goal angles of the joints.
+"""Conversion of goal positions of the fingertips to goal angles of the joints.
 
-The inverse kinematics finds joint angles within the joint limits.
+The positions are given in the palm frame. The inverse kinematics finds joint angles within the
+joint limits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +30,7 @@ class Fingertips:
 
     Some digits cannot reach every position, for example a digit with one tendon for three joints.
     The tip of such a digit comes as close to its goal as possible. Each search starts from the
-    joint angles of the previous result, so that a continuous motion has no jumps.
+    previous result. Therefore a continuous motion has no jumps.
 
     Attributes:
         digits: names of the digits.
@@ -98,7 +99,7 @@ class Fingertips:
         return angles
 
     def _positions_by_digit(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
-        """Check goal positions of fingertips, and return the positions by the index of the digit."""
+        """Check goal positions of fingertips, and return each position by the index of its digit."""
         if isinstance(positions, Mapping):
             if unknown_digits := [str(name) for name in positions if name not in self.digits]:
                 raise ConfigError(
@@ -126,8 +127,8 @@ class Fingertips:
 class FingertipStream(TargetStream):
     """Open stream of fingertip positions. The method ``HandClient.stream`` returns it.
 
-    The client computes joint angles from the positions. The controller receives joint angles, and
-    limits them in the same way as in every stream.
+    The client computes joint angles from the positions. The controller receives these joint angles,
+    and limits them as in every stream.
 
     Attributes:
         fingertips: inverse kinematics of the digits. The stream has an attribute ``distances_m``,
@@ -159,7 +160,7 @@ class FingertipStream(TargetStream):
     def _ordered_values(self, values: Any) -> NDArray[np.float64]:
         """Return the joint angles for positions of fingertips [deg].
 
-        If a mapping leaves out digits, the angles of these digits stay as they are.
+        If a mapping leaves out a digit, the joint angles of this digit do not change.
         """
         angles = self.fingertips.angles_deg(values)
         target = self._present_values() if self._last is None else self._last.copy()

@@ -174,12 +174,12 @@ class HandClient:
     Use the client as a context manager. Several threads of a program may share a client.
 
     At any time, only one client may move the hand. Any number of clients may observe the hand. The
-    first client that moves the hand keeps this right until this client closes, or until another
-    client calls ``take_over``.
+    first client that moves the hand keeps this right. The client loses this right when it closes,
+    or when another client calls ``take_over``.
 
     If the client has started the controller, the hand is relaxed and disarmed when the client
-    closes. If another process has started the controller, the hand stays armed. In this case, the
-    hand comes to rest if this client was moving it.
+    closes. If another process has started the controller, the hand stays armed. If this client was
+    moving the hand, the hand then comes to rest.
 
     Attributes:
         bus: bus of the controller.
@@ -311,7 +311,7 @@ class HandClient:
         """Hold a tension [N] in every tendon of a digit, as in ``hand.hold(index=12)``.
 
         The method returns immediately, and does not wait until the tensions are reached. If no
-        goals are given, all moving digits stop where they are.
+        goals are given, all moving digits stop at their present positions.
 
         Args:
             goals: goals as a mapping, e.g. ``hand.hold({"index": 12})``. Keyword arguments add
@@ -597,7 +597,7 @@ class HandClient:
     def _open_reader(self) -> ObservationReader:
         """Return the reader of the observations in shared memory.
 
-        The first call opens the reader. So the first call must come before the run ends.
+        The first call opens the reader, and must come before the run ends.
         """
         if self._observations is not None:
             if not self._observations.has_run_ended:
@@ -680,7 +680,9 @@ class HandClient:
         )
 
     def stop(self) -> None:
-        """Relax and disarm the hand, and end the run, even if another process has started the controller.
+        """Relax and disarm the hand, and end the run.
+
+        The run also ends if another process has started the controller.
 
         Raises:
             UnconfirmedError: the controller has not confirmed the request.
@@ -742,7 +744,7 @@ class HandClient:
             )
 
     def _note_call(self) -> None:
-        """Store the time of this call. The watchdog uses it."""
+        """Store the present time. The watchdog uses it."""
         if self._heartbeat is not None:
             self._heartbeat.note_call()
 
@@ -759,7 +761,7 @@ class HandClient:
         return line
 
     def _wait_as_commander(self) -> float:
-        """Return the time of the next status line [s], if this client may command the hand.
+        """Check that this client may command the hand, and return the time of the next status line [s].
 
         If another client commands the hand, raise an error.
         """
@@ -883,9 +885,10 @@ def _values_by_digit(do: str, goals: object, keyword_goals: Mapping[str, Any]) -
 
 
 def _with_float_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert all numbers among the given values to float, whatever their type, and return all values.
+    """Convert all numbers among the given values to float, and return all values.
 
-    Other values stay unchanged, so that the error message of a later check can show them.
+    The numbers may have any numeric type. Other values stay unchanged, so that the error message of
+    a later check can show them.
     """
     converted_values = dict(values)
     for key, value in values.items():

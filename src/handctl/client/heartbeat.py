@@ -20,9 +20,9 @@ The lease survives if three successive signs are late or lost.
 class Heartbeat:
     """Thread that renews the lease of a client.
 
-    If there is a watchdog time, the thread sends signs of life only while the program uses the
-    client often enough. A program that hangs then loses the lease, even if other threads of this
-    program continue.
+    If there is a watchdog time, the thread sends signs of life only while the program calls the
+    client often enough. Therefore a program that hangs loses the lease, even if its other threads
+    continue.
     """
 
     def __init__(self, bus: str, client: str, period_s: float, watchdog_s: float | None) -> None:

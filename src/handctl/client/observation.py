@@ -1,4 +1,7 @@
-"""Observation of a hand in one tick: a numpy record whose fields have names and units, and the age of the values."""
+"""Observation of a hand in one tick, with the age of its values.
+
+The observation is a numpy record. The names of its fields contain the units.
+"""
 
 import time
 from typing import Any

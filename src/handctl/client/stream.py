@@ -57,13 +57,13 @@ class TargetStream:
     """Open stream of targets to a hand. Use the stream as a context manager.
 
     The hand reaches a target ``horizon_s`` after the target was sent, and then continues to the
-    next target. A program with a known trajectory should send the point ``horizon_s`` ahead. The
-    hand then follows the trajectory without delay.
+    next target. A program with a known trajectory should send the target that the hand must reach
+    ``horizon_s`` later. The hand then follows the trajectory without delay.
 
     If no more targets arrive, the hand stays at the last target that has arrived. After the time
     ``hold_after_ms`` without a target, the hand holds its position. After the time
-    ``relax_after_ms``, the hand relaxes. The section ``[stream]`` of the hand file contains both
-    times.
+    ``relax_after_ms``, the hand relaxes. Both times are in the section ``[stream]`` of the hand
+    file.
 
     The controller clips targets outside the range of a joint, and limits the speed and the
     acceleration of the motion. The method ``status`` reports how many targets the controller has
@@ -142,8 +142,8 @@ class TargetStream:
     def sleep(self) -> None:
         """Sleep until the next target is due.
 
-        If the program is late, the method returns at once. The targets after that are due at the
-        rate of the stream. The program does not catch up on targets whose time has passed.
+        If the program is late, the method returns at once. The next targets are due at the rate of
+        the stream. The program does not catch up on targets that were due earlier.
         """
         time.sleep(max(0.0, self.next_due_s() - time.monotonic()))
 
@@ -157,11 +157,11 @@ class TargetStream:
 
     @property
     def status(self) -> StreamStatus:
-        """Return how many targets the controller has accepted, clipped and refused, and how many were too late."""
+        """Return four numbers of targets: accepted, clipped and refused by the controller, and too late."""
         return self._hand.observe().stream
 
     def close(self) -> None:
-        """End the stream. The digits that follow the stream come to rest."""
+        """End the stream. The digits of the stream come to rest."""
         if self._closed:
             return
         self._closed = True
@@ -171,7 +171,7 @@ class TargetStream:
     def _ordered_values(self, values: TargetValues) -> NDArray[np.float64]:
         """Return the values of a target in the order of the stream's names.
 
-        The unit is the one that the program uses.
+        The values have the unit that the program uses.
 
         Raises:
             ConfigError: as for ``send``.
@@ -208,9 +208,9 @@ class TargetStream:
         return np.array([factors[name] for name in self.names])
 
     def _present_values(self) -> NDArray[np.float64]:
-        """Return the values that the hand has now.
+        """Return the present values of the hand.
 
-        If the first target of a stream leaves out a value, the value of the hand replaces it.
+        If the first target of a stream leaves out a value, the present value of the hand is used.
         """
         observation = self._hand.observe()
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":
@@ -227,7 +227,7 @@ class TargetStream:
 
 
 def _number_array(values: object) -> NDArray[np.float64]:
-    """Return a copy of the values that a program passes to the stream.
+    """Return a copy of the values that a program gives to the stream.
 
     The copy is necessary because the program may change its own array later.
 

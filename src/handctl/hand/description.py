@@ -1,4 +1,4 @@
-"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities derived from it."""
+"""Description of a hand: the validated, unchangeable content of its TOML file, and quantities that follow from it."""
 
 import hashlib
 import json
@@ -72,7 +72,7 @@ It has no channels, so its identifiers and noise have no effect.
 
 
 class Hand(Section):
-    """Hand as its hand file describes it.
+    """Hand, as described by a hand file.
 
     Lists are in the order of the hand file. The tendons are listed digit by digit.
     """
@@ -106,7 +106,7 @@ class Hand(Section):
     @model_validator(mode="before")
     @classmethod
     def _without_sensors(cls, file_content: Any) -> Any:
-        """Add a sensor node without channels to the content of a hand file without a section ``sensor_node``."""
+        """Add a sensor node without channels, if the content of a hand file has no section ``sensor_node``."""
         if not isinstance(file_content, dict) or "sensor_node" in file_content:
             return file_content
         buses = file_content.get("bus")
@@ -214,8 +214,9 @@ class Hand(Section):
 
         With joint angles q, the excursion is R q. Tensions f exert the joint torques R^T f.
 
-        If a moment arm depends on the joint angle, R contains the mean over the range of the joint.
-        For a prismatic joint, R contains the excursion of the tendon per motion of the joint [m/m].
+        If a moment arm depends on the joint angle, the entry of R is its mean over the range of the
+        joint. For a prismatic joint, the entry of R is the excursion of the tendon per motion of
+        the joint [m/m].
         """
         limits = self.joint_limits.T.tolist()
         arms = np.array([
@@ -237,11 +238,11 @@ class Hand(Section):
 
     @cached_property
     def moment_arms_of_carrying_digits(self) -> NDArray[np.float64]:
-        """Return the moment arms of each tendon about the joints of digits that carry its digit, (N, J) [m], read-only.
+        """Return the moment arms of tendons about joints of the digits that carry their digits, (N, J) [m].
 
-        For example, the tendons of a finger also cross the wrist. If such a tendon does not run
-        through the axis of the wrist, its tension turns the wrist. A motion of the wrist then winds
-        or unwinds the tendon.
+        The array is read-only. For example, the tendons of a finger also cross the wrist. If such a
+        tendon does not run through the axis of the wrist, its tension turns the wrist. A motion of
+        the wrist then winds or unwinds the tendon.
         """
         arms = self.moment_arms - self.moment_arms_of_own_digit
         arms.setflags(write=False)
@@ -276,7 +277,7 @@ class Hand(Section):
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
-        """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
+        """Return True for each tendon if all joints of its own digit that it crosses have encoders, (N,)."""
         has_joint_encoder = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(
             ~((self.moment_arms_of_own_digit != 0.0) & ~has_joint_encoder).any(axis=1)
@@ -295,9 +296,10 @@ class Hand(Section):
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
-        """Return, for each digit, the index in ``joints`` of the joint whose link carries the digit.
+        """Return the index of the joint whose link carries a digit, for each digit.
 
-        If the palm carries the digit, the index is -1.
+        The index counts the joints of the whole hand. If the palm carries the digit, the index is
+        -1.
         """
         return {
             digit.name: -1 if digit.mount_on is None else self.digit_joints[digit.mount_on].stop - 1
@@ -310,7 +312,10 @@ class Hand(Section):
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
     def names_of_carrying_digits(self, digit: str) -> tuple[str, ...]:
-        """Return the names of the digits that carry a digit, beginning with the one directly before it."""
+        """Return the names of the digits that carry a digit.
+
+        The first name is that of the digit directly before the given digit.
+        """
         carrier = self.digit_named(digit).mount_on
         # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
         # a file.
@@ -352,7 +357,7 @@ class Hand(Section):
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
-        """Return the index in ``motor`` of the motor of each tendon."""
+        """Return the index of each tendon's motor in the list ``motor``."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
     def motor_of(self, tendon: str) -> Motor:
@@ -365,7 +370,10 @@ class Hand(Section):
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Return the content of the file as plain values, by the keys of the file, with defaults filled in."""
+        """Return the content of the file, with default values for missing keys.
+
+        The names are the keys of the file. The values are plain values.
+        """
         content = self.model_dump(by_alias=True, mode="python")
         keys_added_later = {
             "digit": DIGIT_KEYS_ADDED_LATER,
@@ -400,9 +408,9 @@ class Hand(Section):
     def identity(self) -> str:
         """Return the SHA-256 hash, in hexadecimal, of the content on which calibrations and gains depend.
 
-        Comments, spelling of numbers, and order of keys in the file have no effect on the hash. The
-        limits of streams, the meshes, and the keys of a drive's position loop are left out, because
-        no calibration and no gains depend on them.
+        Comments, the spelling of numbers, and the order of keys in the file have no effect on the
+        hash. The hash leaves out the limits of streams, the meshes, and the keys of a drive's
+        position loop. No calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
         content["digit"] = [_table_without_keys(digit, MESH_KEYS) for digit in content["digit"]]

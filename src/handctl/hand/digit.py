@@ -43,9 +43,9 @@ In a digit with parallel axes, a coordinate with a larger ratio moves the digit 
 class DigitModel:
     """Digit with n joints, n_t tendons, and n_c reduced coordinates theta.
 
-    The joint angles are q = B theta. All arrays are read-only. A prismatic joint has a position [m]
-    in place of an angle [rad], a force [N] in place of a torque [N m], and an excursion per
-    position [m/m] in place of a moment arm [m].
+    The joint angles are q = B theta. All arrays are read-only. Prismatic joints have other
+    quantities: a position [m] for an angle [rad], a force [N] for a torque [N m], and an excursion
+    per position [m/m] for a moment arm [m].
 
     Attributes:
         name: name of the digit.
@@ -144,7 +144,7 @@ class DigitModel:
 
     @property
     def sideways_coordinates(self) -> NDArray[np.bool_]:
-        """Return True for each coordinate that moves the digit sideways, such as abduction, (n_c,).
+        """Return True for each coordinate (n_c,) that moves the digit sideways, such as abduction.
 
         A joint moves the links sideways if its axis differs much from the axis of the last joint.
         In a digit with parallel axes, a coordinate moves sideways if its range of opening is more
@@ -274,7 +274,7 @@ class DigitModel:
         )
 
     def coordinates_of(self, excursion: Array) -> Array:
-        """Return the coordinates (n_c,) [rad] at which the tendons have an excursion (n_t,) [m], by least squares.
+        """Return the coordinates (n_c,) [rad] that belong to excursions (n_t,) [m] of the tendons, by least squares.
 
         If moment arms depend on the joint angle, the solution is found by Gauss-Newton steps. The
         first step begins in the middle of the range of each joint.
@@ -300,12 +300,12 @@ class DigitModel:
     def with_joint_angles(
         self, angle_of_joint: Mapping[int, float], present_angles: JointValues
     ) -> Array:
-        """Return the coordinates (n_c,) nearest to ``present_angles`` at which some joints have given angles.
+        """Return the coordinates (n_c,) that give some joints their goal angles, and are nearest to ``present_angles``.
 
         The result has the same unit as the arguments.
 
-        If coupled joints cannot have all these angles together, the result is a least-squares
-        solution.
+        If coupled joints cannot have all these angles at the same time, the result is a
+        least-squares solution.
 
         Args:
             angle_of_joint: given angles, by the index of the joint.
@@ -325,10 +325,11 @@ class DigitModel:
 
 
 def coordinate_range(coupling: Array, joint_limits: Array) -> Array:
-    """Return the range of each coordinate (2, n_c) in which all joints stay within their limits.
+    """Return the range of each coordinate (2, n_c).
 
-    Each range applies while all other coordinates are zero. If a joint does not depend on a
-    coordinate, it does not limit this coordinate.
+    Within this range, all joints stay within their limits. Each range applies while all other
+    coordinates are zero. If a joint does not depend on a coordinate, it does not limit this
+    coordinate.
 
     Args:
         coupling: matrix B (n, n_c), see ``DigitModel``.

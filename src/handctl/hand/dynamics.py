@@ -207,7 +207,7 @@ def _rigid_body_torque(
 
 
 def _as_float_array(values: JointValues) -> Array:
-    """Return the values as a numpy array, as compiled code needs."""
+    """Return the values as a numpy array, for compiled code."""
     return np.asarray(values, dtype=np.float64)
 
 

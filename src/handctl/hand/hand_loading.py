@@ -119,7 +119,7 @@ def parse_toml(text: str, source_name: str) -> dict[str, Any]:
 def _check_whole_numbers(content: dict[str, Any], source_name: str) -> None:
     """Refuse integers of more than 64 bits.
 
-    Error messages could not contain very long integers, because Python refuses to print them.
+    Python refuses to print very long integers. Therefore no error message could contain them.
     """
     # A list is used in place of recursion, because deeply nested content would exceed Python's
     # recursion limit.
@@ -237,7 +237,7 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
 def _valid_sections(
     content: Mapping[str, Any], section_kind: str, model: type[ValidatedSection]
 ) -> Iterator[ValidatedSection]:
-    """Yield the sections of a kind that are valid without regard to other sections."""
+    """Yield those sections of a kind that are valid by themselves."""
     sections = content.get(section_kind)
     for section in sections if isinstance(sections, list | tuple) else ():
         with suppress(ValidationError):
@@ -245,5 +245,5 @@ def _valid_sections(
 
 
 def _valid_names_text(hand_names: tuple[str, ...]) -> str:
-    """Return a text about valid names of hands, for messages."""
+    """Return the text that lists the valid names of hands, for messages."""
     return "one of " + ", ".join(hand_names) + ", or the path of a hand file"

@@ -43,7 +43,7 @@ class ClosestTip(NamedTuple):
 def inverse_kinematics(
     digit: DigitModel, x: float, y: float, angle: float | None = None
 ) -> tuple[tuple[float, ...], ...]:
-    """Return joint angles at which the tip of a digit with two or three independent joints is at a point.
+    """Return the joint angles of a digit with two or three independent joints for a given position of its tip.
 
     All hinges of the digit must be parallel. The tip then moves in the x-y plane of the digit's
     frame, and the solution has a closed form. The joint limits are not applied.
@@ -84,7 +84,7 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
     """Return the single coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
     The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
-    closest point among these minima and the two ends of the curve is the global minimum.
+    global minimum is the closest of these minima and of the two ends of the curve.
 
     Args:
         digit: model of a digit that has a single coordinate.
@@ -190,10 +190,10 @@ def closest_tip(
 ) -> ClosestTip:
     """Return the coordinates within the joint limits at which the tip of a digit is closest to a point.
 
-    The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
-    Gauss-Newton). The search finds a local minimum. Therefore a motion has no jump if each search
-    starts at the previous posture. The digit may have any number of hinges with any directions,
-    either coupled or independent.
+    The search uses Levenberg-Marquardt steps. Only coordinates that are not at a limit are moved
+    (projected Gauss-Newton). The search finds a local minimum. Therefore a motion has no jump if
+    each search starts at the previous posture. The digit may have any number of hinges with any
+    directions, either coupled or independent.
 
     Args:
         digit: model of a digit that is mounted on the palm.

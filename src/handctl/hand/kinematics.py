@@ -1,7 +1,7 @@
 """Kinematics of a digit in the palm frame: positions of links and tip, and Jacobians.
 
-The frame of a digit is that of its mount. At joint angles of zero, x points along the digit and y
-to the side of flexion.
+A digit has the frame of its mount. At joint angles of zero, the x axis points along the digit, and
+the y axis points to the side of flexion.
 """
 
 from typing import NamedTuple
@@ -49,7 +49,9 @@ def forward_kinematics(digit: DigitModel, q: JointValues) -> TipPose:
 def point_jacobian(
     digit: DigitModel, q: JointValues, link: int, distance_from_joint: float
 ) -> Array:
-    """Return the Jacobian (3, n) of a point on a link: velocity of the point per joint velocity [m].
+    """Return the Jacobian (3, n) of a point on a link [m].
+
+    The Jacobian is the velocity of the point per joint velocity.
 
     Args:
         digit: model of the digit.
@@ -72,7 +74,10 @@ def point_jacobian(
 
 
 def tip_jacobian(digit: DigitModel, q: JointValues) -> Array:
-    """Return the Jacobian (3, n) of the tip of a digit: velocity of the tip per joint velocity [m]."""
+    """Return the Jacobian (3, n) of the tip of a digit [m].
+
+    The Jacobian is the velocity of the tip per joint velocity.
+    """
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 
 

@@ -1,4 +1,7 @@
-"""Geometry and mass of a digit's links: joint axes, orientations, centres of mass, inertias, in each link's frame."""
+"""Geometry and mass of a digit's links, in the frame of each link.
+
+The module computes joint axes, orientations, centres of mass and inertias.
+"""
 
 import math
 
@@ -20,9 +23,10 @@ def joint_axes(digit: Digit) -> Array:
 
 
 def joint_rotations(digit: Digit) -> Array:
-    """Return the rotation (n, 3, 3) from the frame of each link at joint angle zero to the frame before it.
+    """Return the rotation (n, 3, 3) from the frame of each link to the frame before it.
 
-    The frame before the first link is the frame of the mount.
+    The rotation is valid at a joint angle of zero. The frame before the first link is the frame of
+    the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
     return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
@@ -47,9 +51,10 @@ def link_inertia(digit: Digit, i: int) -> Array:
 
 
 def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
-    """Return the position (3,) [m] and the rotation (3, 3) of link i at joint angle zero, in the frame before it.
+    """Return the position (3,) [m] and the rotation (3, 3) of link i, in the frame before the link.
 
-    The frame before the first link belongs to the palm, or to the link that carries the digit.
+    Both are valid at a joint angle of zero. The frame before the first link belongs to the palm, or
+    to the link that carries the digit.
     """
     rotation = joint_rotations(digit)[i]
     if i > 0:
@@ -59,10 +64,10 @@ def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
 
 
 def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_of_rpy``.
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3).
 
-    At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. The yaw is then
-    set to 0.
+    This function is the inverse of ``rotation_of_rpy``. At a pitch of 90 degrees, only the sum or
+    the difference of roll and yaw is defined. The yaw is then set to 0.
     """
     cosine_of_pitch = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch = math.atan2(-rotation[2, 0], cosine_of_pitch)

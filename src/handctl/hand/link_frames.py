@@ -10,7 +10,10 @@ from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
 class FrameTransform(NamedTuple):
-    """Pose of a frame in the palm frame: position [m], and unit quaternion in the order that ROS uses."""
+    """Pose of a frame in the palm frame.
+
+    The position is in m. The unit quaternion has the order of ROS.
+    """
 
     frame: str
     position: tuple[float, float, float]
@@ -20,8 +23,9 @@ class FrameTransform(NamedTuple):
 def link_transforms(digit: DigitModel, q: JointValues) -> tuple[FrameTransform, ...]:
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
-    The origins of the frames ``<digit>_link1``, ``<digit>_link2`` and so on are at the joints of
-    the links, and their x axes are along the links. The last frame is ``<digit>_tip``.
+    The origin of the frame ``<digit>_link1`` is at the first joint, and its x axis is along the
+    first link. The frames of the other links are defined in the same way. The last frame is
+    ``<digit>_tip``.
     """
     poses = link_poses(digit, q)
     # The frame of the tip has the same rotation as the last link.

@@ -1,8 +1,9 @@
-"""Model of a whole hand as a single tree of links, with poses, mass matrix and static torques of all joints together.
+"""Model of a whole hand as a single tree of links.
 
-A digit may be mounted on the last link of another digit, as a finger is mounted on a wrist. The
-functions of ``dynamics`` and ``kinematics`` apply to one digit whose base does not move. The tree
-of the whole hand includes the motion of digits that carry other digits.
+The model gives poses, mass matrix and static torques of all joints together. A digit may be mounted
+on the last link of another digit, as a finger is mounted on a wrist. The functions of ``dynamics``
+and ``kinematics`` apply to a single digit with a base at rest. The tree of the whole hand includes
+the motion of digits that carry other digits.
 """
 
 from collections.abc import Sequence

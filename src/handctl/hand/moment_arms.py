@@ -1,10 +1,10 @@
 """Moment arms of tendons at joints. A moment arm is constant, or a polynomial of the joint angle.
 
 All arms are stored as polynomials r(q) of the same fixed degree. The excursion of a tendon at a
-joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm is that at the
-nearer limit. Thus a polynomial is only evaluated in the range for which it was given, and the
-excursion is monotonic for all angles. A table of measured arms becomes the least-squares polynomial
-of degree ``TABLE_DEGREE``.
+joint is the exact integral of r from 0 to q. Outside of the joint's range, the arm equals the arm
+at the nearer limit. Thus a polynomial is only evaluated in the range for which it was given. The
+excursion is therefore monotonic for all angles. A table of measured arms becomes the least-squares
+polynomial of degree ``TABLE_DEGREE``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -66,7 +66,10 @@ def arm_table_residual(arm: MomentArm) -> float:
 
 
 def is_arm_varying(arm: MomentArm) -> bool:
-    """Return True if a moment arm is written as a polynomial or as a table, and not as a number."""
+    """Return True if a moment arm is written as a polynomial or as a table.
+
+    Return False if it is a number.
+    """
     return isinstance(arm, Mapping)
 
 

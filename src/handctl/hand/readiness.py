@@ -1,7 +1,8 @@
 """Checks that a hand must pass before it may run, in addition to the checks of every hand file.
 
-Tools and logs can use any hand file that is valid. For a run, the bit rates must also be possible
-for controllers, the digits must open by themselves, and the coordinates must flex the digits.
+Tools and logs can use any hand file that is valid. For a run, three more conditions must hold. CAN
+controllers must support the bit rates, the digits must open by themselves, and positive coordinates
+must flex the digits.
 """
 
 from collections.abc import Iterator
@@ -56,7 +57,10 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
 
 
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
-    """Check that coupled joints can move within their limits, and that positive values flex the digit."""
+    """Check that coupled joints can move within their limits.
+
+    Also check that positive coordinates flex the digit.
+    """
     if digit.coupling is None:
         return
     location = f"digit[{digit.name}].coupling"
@@ -87,7 +91,10 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
 
 
 def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
-    """Check that springs or antagonistic tendons can open each coordinate of a digit against the tension floor."""
+    """Check that springs or antagonistic tendons can open a digit against the tension floor.
+
+    The check includes every coordinate of the digit.
+    """
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
         return  # a spool pair can pull in both directions
@@ -133,7 +140,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
 
 
 def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
-    """Return lines that say how far polynomials differ from tables of moment arms.
+    """Return lines that report the differences between polynomials and tables of moment arms.
 
     There is one line for each tendon with a table.
     """
@@ -154,7 +161,7 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
 
 
 def can_tensions_balance(moment_arms: Vector) -> bool:
-    """Return True if positive tensions exist that together make no torque.
+    """Return True if positive tensions can cancel all their torques.
 
     Args:
         moment_arms: matrix R B (n_t, n_c) of moment arms in the coordinates of a digit [m].

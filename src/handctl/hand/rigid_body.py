@@ -1,13 +1,13 @@
 """Rigid-body mechanics of trees of links in compiled code: poses, weight and inverse dynamics.
 
-A table has a column for each link. The parent of a link has an earlier column. ``parent`` contains
-the column of the parent of each link, or -1 if the parent is the palm. The origin of a link's frame
-is at the joint of the link, and its x axis is along the link. The tip of a link lies on the x axis,
-at the length of the link. Gravity and poses are given in the palm frame. The rates and forces in
-``write_newton_euler`` are given in the frames of the links.
+A table has a column for each link. The column of a link comes after the column of its parent.
+``parent`` contains the column of the parent of each link, or -1 if the parent is the palm. The
+origin of a link's frame is at the joint of the link, and its x axis is along the link. The tip of a
+link lies on the x axis, at the length of the link. Gravity and poses are given in the palm frame.
+The rates and forces in ``write_newton_euler`` are given in the frames of the links.
 
 A joint is a hinge, or it is prismatic, which means that its link slides along the axis. For a
-prismatic joint, positions are in m in place of rad, torques are forces along the axis [N], and
+prismatic joint, positions are in m, and not in rad. Torques are forces along the axis [N], and
 levers have no unit. The frame of a sliding link moves with the link.
 
 Source: Featherstone, Rigid Body Dynamics Algorithms (2008), recursive Newton-Euler algorithm.
@@ -138,7 +138,7 @@ def write_link_poses(
 def _component_along(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
-    """Return a component in the palm frame of a vector that the table has in the frame of link j."""
+    """Convert a vector of the table from the frame of link j to the palm frame, and return one component."""
     first_product = pose[j, ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
     second_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
     third_product = pose[j, ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
@@ -210,7 +210,7 @@ def write_weight_torques(
 def write_levers(
     pose: Array, first_joint: int, touched_link: int, distance_from_joint: float, levers_m: Array
 ) -> None:
-    """Write the levers of a force on a link about the joints from ``first_joint`` to the joint of the link [m].
+    """Write the levers [m] of a force on a link, about all joints from ``first_joint`` to the joint of the link.
 
     The force acts at a point on the x axis of the link. Its direction is the link's y axis, which
     points to the side of flexion.
@@ -279,10 +279,10 @@ def write_levers_after_turn(
     angle: float,
     levers_m: Array,
 ) -> None:
-    """Write the levers of a force on the last link of a chain after one joint has turned, see ``write_levers``.
+    """Write the levers of a force on the last link of a chain, after one joint has turned.
 
-    The links beyond this joint turn together with the force. Therefore the levers about the joints
-    of these links stay the same.
+    The function ``write_levers`` explains the levers. The links beyond this joint turn together
+    with the force. Therefore the levers about the joints of these links stay the same.
 
     Args:
         pose: (n, POSE_COLUMN_COUNT) poses.
@@ -626,9 +626,8 @@ def rigid_body_torques(
 def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     """Return the mass matrix (n, n) at joint angles q (n,) [rad], including the armature [kg m2].
 
-    Column k contains the torques that are necessary for a unit acceleration of joint k, at rest and
-    without gravity. The matrix is symmetric in every bit, because the lower triangle is a copy of
-    the upper triangle.
+    Column k contains the torques for a unit acceleration of joint k, at rest and without gravity.
+    The matrix is exactly symmetric, because the lower triangle is a copy of the upper triangle.
     """
     n = len(q)
     rest_rates = np.zeros(max(n, 3))

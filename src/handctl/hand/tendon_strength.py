@@ -26,12 +26,15 @@ The rotor starts at rest, and its elastic tendon is slack at first and has no da
 
 
 def runaway_tension(force: float) -> float:
-    """Return the peak tension [N] when a drive runs away from rest with a constant ``force`` at the tendon [N]."""
+    """Return the peak tension [N] after a drive has run away from rest with a constant ``force`` on the tendon [N]."""
     return RUNAWAY_OVERSHOOT * force
 
 
 def largest_safe_force(breaking_force: float) -> float:
-    """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``MIN_STRENGTH_RATIO``."""
+    """Return the largest drive force [N] that is safe for a tendon with this breaking force [N].
+
+    With this force, the tendon still has the ratio ``MIN_STRENGTH_RATIO``.
+    """
     return breaking_force / (RUNAWAY_OVERSHOOT * MIN_STRENGTH_RATIO)
 
 
@@ -67,7 +70,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: float) -> str:
-    """Describe a runaway with a given force, and name the torque limit that the drive should have."""
+    """Describe a runaway with a given force, and the torque limit that the drive should have."""
     peak = runaway_tension(force)
     safe_force = largest_safe_force(breaking_force)
     factor = breaking_force / peak
@@ -79,7 +82,7 @@ def _runaway_text(key: str, force: float, breaking_force: float, spool_radius: f
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield the name, the torque during a runaway, and the rated torque of each joint of a digit [N m or N].
+    """Yield three values for each joint of a digit: name, torque during a runaway, and rated torque [N m or N].
 
     If the digit has no rated torques, yield nothing.
     """

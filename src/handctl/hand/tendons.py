@@ -85,9 +85,8 @@ class TendonElasticity:
 
         The function is the inverse of ``elastic_tension``.
 
-        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The steps of
-        the method approach the solution from one side, because the curvature has the same sign
-        everywhere.
+        Beyond the knee, Newton's method starts from the stretch of a linear tendon. The steps
+        approach the solution from one side, because the curvature has the same sign everywhere.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -106,7 +105,7 @@ class TendonElasticity:
         return self.knee / self.stiffness + excess
 
     def _tension_above_knee(self, x: float) -> float:
-        """Return by how much the tension is above that at the knee [N], for the stretch x beyond the knee [m]."""
+        """Return the tension at the stretch x beyond the knee [m] minus the tension at the knee [N]."""
         # The function expm1 is accurate even for x close to 0.
         stiffness_decrease = self.stiffness - self.stiffness_beyond_knee
         return self.stiffness_beyond_knee * x - stiffness_decrease * self.knee_width * math.expm1(
@@ -125,12 +124,12 @@ NEWTON_STEPS = 100
 
 
 def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
-    """Return the tension at each joint pulley divided by the load-cell tension: exp(-mu phi_i tanh(v / v0)).
+    """Return the ratio of the tension at each joint pulley to the load-cell tension: exp(-mu phi_i tanh(v / v0)).
 
-    Here, phi_i is the wrap angle before the first joint, plus the angles of the crossed joints up
-    to joint i. While the spool winds the tendon up, friction reduces the tension towards the tip,
-    and the factors are below 1. While the spool pays out the tendon, the factors are above 1. If
-    the tendon is at rest, the factors are 1.
+    Here, phi_i is the sum of the wrap angle before the first joint and the angles of the crossed
+    joints up to joint i. While the spool winds the tendon up, friction reduces the tension towards
+    the tip, and the factors are below 1. While the spool pays out the tendon, the factors are above
+    1. If the tendon is at rest, the factors are 1.
     Source: capstan equation.
 
     Args:
@@ -151,7 +150,7 @@ def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Arr
 def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
     """Return the moment arms R multiplied by the friction factors (n_t, n) [m].
 
-    The transpose of the result times the tensions at the load cells gives the joint torques.
+    The product of the transposed result and the tensions at the load cells gives the joint torques.
     """
     return digit.moment_arms_at(q) * pulley_factors(digit, q, speed)
 

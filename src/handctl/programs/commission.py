@@ -1,19 +1,21 @@
-"""Program that commissions a hand: tares, motor zeros, and the proof that each motor pulls its own tendon.
+"""Program that commissions a hand.
 
-One tendon after the other is pulled gently, while all other tendons are slack. Only the load cell
-of the pulled tendon may respond, and only the encoder of its motor may turn. The pull is too weak
-to move a digit against its springs, so the joint encoders are not tested.
+Commissioning finds the tares and the motor zeros, and proves that each motor pulls its own tendon.
+The motors pull one tendon after the other gently, while all other tendons are slack. Only the load
+cell of the pulled tendon may respond, and only the encoder of its motor may turn. This pull is too
+weak to move a digit against its springs. Therefore the joint encoders are not tested.
 
-A tendon without load cell has no tare. The force at its motor shows when the tendon becomes taut.
+A tendon without load cell has no tare. For such a tendon, the force at its motor shows when the
+tendon becomes taut.
 
 In a digit without springs, a single tendon would move the digit. Therefore all tendons of such a
-digit first pull together, and press the digit on its lower joint limits. Then one tendon after the
-other is pulled more. The known excursion at these limits, or the excursion that joint encoders
-measure, is subtracted from the motor zeros.
+digit first pull together. They press the digit against its lower joint limits. Then the tension of
+one tendon after the other is increased. At these limits, the excursion is known, or joint encoders
+measure it. This excursion is subtracted from the motor zeros.
 
 Load cells drift while many tendons are pulled one by one. Therefore no motor makes torque for a
 moment before each pull. The readings without torque are the reference for the responses of all load
-cells. The same readings renew the tare of the tendon that is pulled next.
+cells. The same readings renew the tare of the next tendon.
 """
 
 from collections.abc import Sequence
@@ -156,7 +158,10 @@ class CommissionProgram:
         )
 
     def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
-        """Return a failed progress if a tare is near an end of the load cell's range, or None if all are usable."""
+        """Return a failed progress if a tare is near an end of the load cell's range.
+
+        If all tares are usable, return None.
+        """
         tare = _tares_from_table(_commissioning_table(progress))
         worst_tendon = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
         if TARE_MIN_N <= tare[worst_tendon] <= TARE_MAX_N:
@@ -170,11 +175,11 @@ class CommissionProgram:
     def _advance_rest(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
-        """Read all load cells without torque, renew the tare of the present tendon, and then pull this tendon.
+        """Read all load cells without torque, and renew the tare of the present tendon.
 
-        A tare is renewed only if the tendon has never been taut, because friction may hold tension
-        in a tendon that was pulled before. In a digit without springs, the tares of all its tendons
-        are renewed together.
+        Then pull this tendon. A tare is renewed only if the tendon has never been taut. Friction
+        may hold tension in a tendon that was pulled before. The tares of all tendons in a digit
+        without springs are renewed together.
         """
         tension = _known_tensions(model, measured)
         is_missing = np.isnan(tension + measured.travel).any()
@@ -215,7 +220,7 @@ class CommissionProgram:
     def _begin_holding_digit(
         self, model: HandModel, progress: ProgramProgress, t: float, is_taut: bool
     ) -> ProgressAndEvents:
-        """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
+        """Press the digit of the present tendon against its lower joint limits, with all tendons taut.
 
         Args:
             model: model of the hand.
@@ -248,7 +253,10 @@ class CommissionProgram:
         measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Wait until the pressed digit is at rest, read load cells and motor zero angles, then pull the tendon."""
+        """Wait until the pressed digit is at rest, and read the load cells and the motor zero angles.
+
+        Then pull the tendon.
+        """
         i = progress.step - 1
         own_tendons = model.digit_tendons[model.digit_of_tendon[i]]
         waiting_tendon = progress.touching[0]
@@ -317,7 +325,10 @@ class CommissionProgram:
         measurements: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
-        """Pull the present tendon: wait until it is taut, let the tension settle, and measure the response."""
+        """Pull the present tendon.
+
+        Wait until it is taut, let its tension settle, and measure the response.
+        """
         i = progress.step - 1
         waiting_tendon = progress.touching[0]
         if waiting_tendon == 0 and not estimate.is_slack[i]:
@@ -385,7 +396,10 @@ class CommissionProgram:
     def _next_tendon(
         self, model: HandModel, progress: ProgramProgress, t: float
     ) -> ProgressAndEvents:
-        """Release the present tendon, then rest before the next tendon, or finish."""
+        """Release the present tendon.
+
+        Then wait before the next tendon, or finish.
+        """
         step = progress.step + 1
         is_same_digit = (
             1 < step <= model.tendon_count
@@ -410,7 +424,7 @@ class CommissionProgram:
     def _refuse_tendon(
         self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
-        """End the commissioning with a failure of tendon i."""
+        """End the commissioning because tendon i has failed."""
         name = model.hand.tendon_names[i]
         failed_progress = replace(
             progress,
@@ -422,7 +436,7 @@ class CommissionProgram:
 
 
 def _tare_text(model: HandModel) -> str:
-    """Return the text of the event that reports the start of commissioning."""
+    """Return the event text for the start of commissioning."""
     if model.hand.has_cell.any():
         return "tare: all motors limp"
     return "no load cells to tare: all motors limp. Swapped tendons are not checked"
@@ -431,8 +445,8 @@ def _tare_text(model: HandModel) -> str:
 def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) -> str:
     """Return the text of an accepted response to the pull of tendon i.
 
-    Only load cells can show that another tendon has responded. The text names the check of the
-    other tendons that was possible.
+    Only load cells can show that another tendon has responded. If there are no other load cells,
+    the text says that swapped tendons are not checked.
 
     Args:
         model: model of the hand.
@@ -461,9 +475,9 @@ def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:
-    """Return the goal of a digit while tendon i is pulled.
+    """Return the goal of a digit during the pull of tendon i.
 
-    If the tendon belongs to another digit, the goal is no torque.
+    If tendon i belongs to another digit, the goal is no torque.
     """
     if not tendons.start <= i < tendons.stop:
         return DigitGoal()
@@ -475,9 +489,10 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 def _known_tensions(
     model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
-    """Return the tensions (N,) in a tick [N]: readings of load cells, or estimates for tendons without a load cell.
+    """Return the tensions (N,) in a tick [N].
 
-    If no estimate is given, a tendon without load cell counts as slack.
+    The tensions are the readings of load cells. For tendons without a load cell, they are the
+    estimates. If no estimate is given, a tendon without load cell counts as slack.
     """
     return np.where(
         model.hand.has_cell, measurements.tension, 0.0 if estimate is None else estimate.tension
@@ -485,12 +500,12 @@ def _known_tensions(
 
 
 def _hold_phase(model: HandModel, i: int) -> str:
-    """Return the name of the phase in which all tendons of tendon i's digit pull together."""
+    """Return the name of the phase in which the digit of tendon i is pulled by all of its tendons."""
     return f"hold {model.hand.digit_names[model.digit_of_tendon[i]]}"
 
 
 def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
-    """Return goals that press the joints of tendon i's digit against their lower limits.
+    """Return goals that press the joints in the digit of tendon i against their lower limits.
 
     The motors of all other digits make no torque.
 
@@ -521,7 +536,7 @@ def _commissioning_table(progress: ProgramProgress) -> Vector:
 
 
 def _with_commissioning_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
-    """Return a copy of a progress with another table."""
+    """Return a copy of a progress, with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
 
@@ -531,12 +546,12 @@ def _tares_from_table(table: Vector) -> Vector:
 
 
 def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
-    """Return a copy of a progress in which the tares of the table apply, beginning with the next reading."""
+    """Return a copy of a progress that uses the tares in its table, from the next reading on."""
     return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
 def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
-    """Return the table with the results for tendon i, and with the sums set to zero."""
+    """Return the table after the results for tendon i are stored and the sums are set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
     if model.redundancy.is_sprung[i]:
@@ -564,10 +579,10 @@ def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -
 
 
 def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector) -> int | None:
-    """Return the tendon whose motor encoder turned in place of that of the pulled tendon i, or None.
+    """Return the tendon whose motor encoder turned in place of the encoder of tendon i, during the pull of tendon i.
 
-    A digit without springs is not tested, because it moves by its weight while its motors make no
-    torque.
+    If no such encoder turned, return None. A digit without springs is not tested, because it moves
+    by its weight while its motors make no torque.
 
     Args:
         model: model of the hand.
@@ -585,12 +600,12 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
 
 
 def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]:
-    """Return a line about motors that commissioning would refuse, because they cannot be commanded to rest.
+    """Return warnings about motors with which commissioning would fail, because they cannot be commanded to rest.
 
-    The range of a torque command may have no code for zero torque. An idle motor then makes the
-    torque of the nearest code. Commissioning accepts this pull up to ``MAX_CROSSTALK_FRACTION`` of
-    its own pull. In simulation with spools of 5 mm, AK80-9 motors (0.88 N) pass, and AK70-10 motors
-    (1.2 N) and AK10-9 motors (3.2 N) do not.
+    The range of a torque command may have no code for zero torque. When such a motor is idle, it
+    makes the torque of the nearest code. Commissioning accepts an idle pull up to the fraction
+    ``MAX_CROSSTALK_FRACTION`` of the commissioning pull. In simulation with spools of 5 mm, AK80-9
+    motors (0.88 N) pass. AK70-10 motors (1.2 N) and AK10-9 motors (3.2 N) do not pass.
 
     Args:
         hand: description of the hand.

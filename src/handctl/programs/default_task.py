@@ -1,4 +1,7 @@
-"""Default task and default object for a hand without a task file: open, close until contact, hold, release, open."""
+"""Default task and default object for a hand without a task file.
+
+The phases of the task are: open, close until contact, hold, release, open.
+"""
 
 from itertools import pairwise
 from typing import Any
@@ -71,7 +74,7 @@ LINK_SAMPLES = 9
 
 
 def default_task(hand: Hand) -> tuple[Task, str]:
-    """Return the default task of a hand, and the same task as the text of a task file.
+    """Return the default task of a hand, as an object and as the text of a task file.
 
     Args:
         hand: hand for which the task is made.
@@ -140,10 +143,10 @@ def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
 
 
 def _tension_factors(hand: Hand) -> dict[str, float]:
-    """Return the factor of each digit's tension in a hold, 1 on average.
+    """Return factors for the tensions of the digits in a hold.
 
-    With these factors, the forces of the digits on an object balance each other. If all factors
-    were equal, two fingers, for example, would push a thumb open.
+    The mean of the factors is 1. With these factors, the forces of the digits on an object balance
+    each other. With equal factors, for example, two fingers would push a thumb open.
     """
     balance = _balance_factors(hand)
     if balance is not None:
@@ -162,9 +165,10 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
 
 
 def _balance_factors(hand: Hand) -> dict[str, float] | None:
-    """Return the factors nearest to 1, with mean 1, for which the forces of the digits cancel.
+    """Return factors for which the forces of the digits cancel.
 
-    Otherwise return None.
+    The factors have the mean 1, and are as near to 1 as possible. If a factor is too small, return
+    None.
     """
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
@@ -175,7 +179,7 @@ def _balance_factors(hand: Hand) -> dict[str, float] | None:
 
 
 def _flexion_directions(hand: Hand) -> dict[str, Array]:
-    """Return the direction in which the tip of each closing digit moves, (3,) in the palm frame.
+    """Return the direction (3,) in which the tip of each closing digit moves, in the palm frame.
 
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
@@ -200,8 +204,8 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
     Tendons that extend the digit are only kept taut.
 
-    For a digit of spool pairs, the result is one number, the largest net tension while the tip of
-    the digit presses.
+    For a digit of spool pairs, the result is a single number. It is the largest net tension while
+    the tip of the digit presses.
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
@@ -224,7 +228,7 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
 
 
 def _pressing_tension(hand: Hand, name: str) -> float:
-    """Return the tension of closing tendons that makes PRESSING_FORCE_N at the tip of a half-closed digit [N]."""
+    """Return the tension [N] of closing tendons at which a half-closed digit presses with PRESSING_FORCE_N."""
     digit = DigitModel.from_hand(hand, name)
     half_closed_angles = digit.coordinate_units.si(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half_closed_angles
@@ -263,11 +267,12 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def default_scene(hand: Hand) -> str:
-    """Return the scene for the default task of a hand, with a cylinder or a ball between the open digits.
+    """Return the scene for the default task of a hand.
 
-    The diameter of the object is proportional to the length of the digits. Around a thin object,
-    the tips of opposed digits would touch each other. If the digits of a hand cannot press against
-    each other, as in an anthropomorphic hand, the object has a diameter of 35 mm.
+    The scene contains a cylinder or a ball between the open digits. The diameter of the object is
+    proportional to the length of the digits. If the object were thin, the tips of opposed digits
+    would touch each other. In some hands, such as an anthropomorphic hand, the digits cannot press
+    against each other. The object then has a diameter of 35 mm.
     """
     directions = _flexion_directions(hand)
     are_digits_parallel = all(

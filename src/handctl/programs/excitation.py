@@ -34,7 +34,8 @@ class ExciteStep(Document):
       to `high_Hz`.
     - `tension`: change the tension to `target` [N] at `rate` [N/s].
 
-    All coordinates or tendons of the digit have the same target, unless `targets` has one for each.
+    The field `target` applies to all coordinates or tendons of the digit. The field `targets` gives
+    one target for each of them.
     """
 
     digit: str
@@ -60,7 +61,9 @@ class ExciteStep(Document):
 
 @dataclass(frozen=True, slots=True)
 class SwingTrajectory:
-    """Oscillation of all coordinates of a digit in phase, each about its own mean angle.
+    """Oscillation of all coordinates of a digit in phase.
+
+    Each coordinate oscillates about its own mean angle.
 
     Attributes:
         centre: (n,) mean angle of each coordinate [rad].
@@ -95,7 +98,7 @@ class ExciteProgram:
     steps: tuple[ExciteStep, ...]
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress before the first step: no torque."""
+        """Return the progress before the first step. The motors make no torque."""
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(

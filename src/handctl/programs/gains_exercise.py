@@ -1,7 +1,7 @@
 """Program for the comparison of gains.
 
-With each set of gains, the program executes the same moves and tensions. The errors in these moves
-and tensions are then compared.
+The program executes the same moves and tensions with each set of gains. Afterwards the errors in
+these moves and tensions can be compared.
 """
 
 import functools
@@ -51,7 +51,7 @@ GENTLE_RISE_DURATION_S = 1.3
 
 @dataclass(frozen=True, slots=True)
 class ExerciseStage:
-    """One stage of the exercise. In a stage, all digits do the same.
+    """One stage of the exercise. All digits do the same in a stage.
 
     Attributes:
         name: phase in the log: `settle`, `move`, `close` or `hold`. Only `move` and `hold` are
@@ -73,12 +73,12 @@ class ExerciseStage:
 
 
 def move_amplitude(angle: float) -> float:
-    """Return the amplitude of the exercise at which the moves reach a given angle [rad]."""
+    """Return the amplitude of the exercise that moves the joints to a given angle [rad]."""
     return (angle - HOME_ANGLE_RAD) / FULL_MOVE_RAD
 
 
 def _gentle_rise(stage: ExerciseStage) -> ExerciseStage:
-    """Return a stage that approaches its tension slowly, for digits without springs."""
+    """Return a copy of a stage with a slow rise of the tension, for digits without springs."""
     return replace(stage, duration=GENTLE_RISE_DURATION_S, tension_rate=GENTLE_RISE_N_PER_S)
 
 
@@ -108,7 +108,9 @@ def exercise_stages(
 
 @dataclass(frozen=True, slots=True)
 class ExerciseProgram:
-    """Program that takes up the slack of the tendons, and then runs the exercise once for each amplitude.
+    """Program that takes up the slack of the tendons.
+
+    Then it executes the exercise once for each amplitude.
 
     Attributes:
         amplitudes: fractions of the full angles and tensions, in the order of execution.
@@ -122,11 +124,11 @@ class ExerciseProgram:
         return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
     def stages_for_hand(self, model: HandModel) -> tuple[ExerciseStage, ...]:
-        """Return all stages for a hand. Digits that tendons open first close gently."""
+        """Return all stages for a hand. If tendons open a digit, the digit first closes gently."""
         return _stages_of_program(self, model.hand.has_springs)
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress until the hand is armed: no torque."""
+        """Return the progress before the hand is armed. The motors make no torque."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -162,7 +164,7 @@ class ExerciseProgram:
         stage_index: int,
         t: float,
     ) -> ProgressAndEvents:
-        """Enter a stage of the exercise."""
+        """Begin a stage of the exercise."""
         parts = self.stages_for_hand(model)
         stage = parts[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]

@@ -1,9 +1,12 @@
-"""Grip of a hold: its stiffness, and the detection of slip. After slip, the tension is raised.
+"""Grip of a hold.
 
-If an object slips, it pushes a digit open. The tension stays constant, but the tendon pays out. The
-excursion of the tendon, travel minus stretch, is known to a few micrometres, so a fraction of a
-millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
-neither tendons nor joint encoders show when a bar of constant thickness slides along the hinges.
+The module computes the stiffness of the grip, detects slip, and raises the tension after slip.
+
+If an object slips, it pushes a digit open. The tension stays constant, but the spool pays out the
+tendon. The excursion of the tendon is its travel minus its stretch. It is known to a few
+micrometres. Therefore the excursion shows a fraction of a millimetre at the object. A force along
+the hinges moves no joint (J^T F = 0). Therefore neither tendons nor joint encoders show when a bar
+of constant thickness slides along the hinges.
 """
 
 import math
@@ -40,7 +43,9 @@ The rate is high, because slip is faster than the closing of a grasp.
 
 
 class GripState(NamedTuple):
-    """State of the grip during a hold. Arrays are (N,), and NaN for tendons of digits that do not hold.
+    """State of the grip during a hold.
+
+    Arrays have the shape (N,). They are NaN for tendons of digits that do not hold.
 
     Attributes:
         tension: tension targets at the beginning of the hold [N].
@@ -142,7 +147,7 @@ def advance_grip(
 def _raise_after_slip(
     model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
-    """Raise the tensions of a grip after slip, as far as the task allows."""
+    """Raise the tensions of a grip after slip, within the limits of the task."""
     worst_digit = int(np.argmax(opening_distances))
     digit = next(
         name

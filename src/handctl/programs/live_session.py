@@ -1,4 +1,7 @@
-"""Programs that get their goals from requests: a live session for `jog` or a client, and a single jog."""
+"""Programs that get their goals from requests.
+
+One program is a live session for `jog` or a client. The other program is a single jog.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -41,20 +44,23 @@ from handctl.programs.task_program import TaskProgram
 
 
 def import_spline_functions() -> None:
-    """Import the spline functions for the phase `follow` in advance, so that no tick has to import them.
+    """Import the spline functions for the phase `follow` in advance.
 
-    The import takes 0.1 to 0.3 s. If a client's first task with such a phase caused the import
-    within a tick, a run in real time would end.
+    The import takes 0.1 to 0.3 s. If a tick had to import the functions for the first such phase of
+    a client, a run in real time would end.
     """
     import scipy.interpolate  # noqa: F401
 
 
 @dataclass(frozen=True, slots=True)
 class LiveProgram:
-    """Program that tightens the tendons, then waits for requests until a stop."""
+    """Program that tightens the tendons.
+
+    Then it waits for requests until a stop.
+    """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress until the hand is armed: no torque."""
+        """Return the progress before the hand is armed. The motors make no torque."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -119,7 +125,7 @@ def begin_task(
 ) -> ProgressAndEvents:
     """Begin a task.
 
-    The first hold phase of the task lasts until ``release_task`` is called, but at most an hour.
+    The first hold phase of the task lasts until ``release_task`` is called, but at most one hour.
 
     If the task does not suit the hand, or its first move is too fast, nothing changes.
     """
@@ -147,7 +153,10 @@ def begin_task(
 def _refusal_of_fast_first_move(
     model: HandModel, first_move: MovePhase, estimate: HandEstimate
 ) -> TickEvent | None:
-    """Return an event if the first move of a task would be too fast from the present angles, and otherwise None."""
+    """Return an event if the first move of a task would be too fast from the present angles.
+
+    Otherwise return None.
+    """
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
@@ -187,7 +196,7 @@ class JogProgram:
     duration: float
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress until the hand is armed: no torque."""
+        """Return the progress before the hand is armed. The motors make no torque."""
         return LiveProgram().initial_progress(model)
 
     def advance(
@@ -224,8 +233,8 @@ def apply_goal(
 ) -> ProgressAndEvents:
     """Apply the goals that a request contains.
 
-    If the request names an unknown digit or joint, or if an angle, a speed or a tension is out of
-    range, nothing changes.
+    Nothing changes if the request names an unknown digit or joint, or if an angle, a speed or a
+    tension is out of range.
 
     Args:
         model: model of the hand.
@@ -329,7 +338,10 @@ def _move_goal(
     duration: float,
     t: float,
 ) -> DigitGoal:
-    """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
+    """Return a move of a digit from its present reference (3, n).
+
+    If there is no reference, the move begins at the estimate.
+    """
     if start_coordinates is None:
         return goal_to_move_to_angle(model.digits[d], estimate, end_coordinates, duration, t)
     return DigitGoal(
@@ -344,7 +356,10 @@ def _move_goal(
 def _reach_problem(
     model: HandModel, d: int, estimate: HandEstimate, end_coordinates: Vector, duration: float
 ) -> str:
-    """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s], or an empty text."""
+    """Return the reason why a digit cannot move to given coordinates [deg] in a given time [s].
+
+    If the digit can move, return an empty text.
+    """
     digit = model.digits[d]
     units = digit.coordinate_units
     joint_min, joint_max = (units.to_displayed(bound) for bound in digit.coordinate_limits)

@@ -1,4 +1,7 @@
-"""Program that repeats a recorded run with the recorded timing: either its trajectories, or its tensions."""
+"""Program that repeats a recorded run with the recorded timing.
+
+The program repeats either the trajectories or the tensions.
+"""
 
 import base64
 from dataclasses import dataclass, replace
@@ -26,7 +29,9 @@ The recorded setpoints already have a limited rate.
 
 @dataclass(frozen=True, slots=True)
 class RecordedGoals:
-    """Goals from a recorded run, with one row for each tick of the controller that repeats the run.
+    """Goals from a recorded run.
+
+    There is one row for each tick of the controller that repeats the run.
 
     Attributes:
         q: (ticks, J) joint goals [rad], with NaN where the digit held a tension instead.
@@ -65,7 +70,9 @@ class RecordedGoals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Program that takes up the slack, moves slowly to the first pose of a recording, and then follows the recording.
+    """Program that repeats a recording.
+
+    First it takes up the slack, and moves slowly to the first pose. Then it follows the recording.
 
     Attributes:
         recording: recording to follow.
@@ -79,7 +86,7 @@ class PlaybackProgram:
     raw: bool = False
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress until the hand is armed: no torque."""
+        """Return the progress before the hand is armed. The motors make no torque."""
         return LiveProgram().initial_progress(model)
 
     def advance(

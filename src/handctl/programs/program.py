@@ -72,7 +72,7 @@ ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 class Program(Protocol):
     """Interface of a program that the controller executes.
 
-    A program object never changes. All changes are in the `ProgramProgress`.
+    A program object never changes. Only the `ProgramProgress` changes from tick to tick.
     """
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
@@ -127,7 +127,7 @@ def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
-    """Return the tensions (n_t,) with which the tendons of a digit take up their slack [N].
+    """Return the tensions (n_t,) that take up the slack in the tendons of a digit [N].
 
     If a digit has more tendons than necessary, these tensions balance each other and make no
     torque.
@@ -142,11 +142,11 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
 def pull_tensions(
     model: HandModel, d: int, tension: float | tuple[float, ...], estimate: HandEstimate
 ) -> Vector:
-    """Return the tensions (n_t,) of digit d when the tension is controlled [N].
+    """Return the tensions (n_t,) for digit d under tension control [N].
 
     If a single tension is given, the closing tendons get this tension. Their antagonists get the
-    tensions that balance the digit. A digit of spool pairs then presses with its tip. In such a
-    digit, the given tension is the largest net tension. If a tension is given for each tendon,
+    tensions that balance the digit. If the digit consists of spool pairs, the given tension is the
+    largest net tension. The digit then presses with its tip. If a tension is given for each tendon,
     these tensions are returned.
     """
     if isinstance(tension, tuple):
@@ -163,9 +163,9 @@ def pull_tensions(
 def tension_goal(
     model: HandModel, d: int, tension: Vector, rate: float, estimate: HandEstimate
 ) -> DigitGoal:
-    """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
+    """Return the goal with which digit d approaches tensions (n_t,) [N] at a rate [N/s].
 
-    Spool pairs that move the digit sideways hold their position instead.
+    Spool pairs that move the digit sideways keep their position instead.
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
@@ -179,9 +179,10 @@ def tension_goal(
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
-    """Return the tensions (n_t,) of a released digit d [N]: the given tension, or balancing tensions for antagonists.
+    """Return the tensions (n_t,) of a released digit d [N].
 
-    The net tension of a released spool pair is zero.
+    If the digit has antagonists, the tensions balance each other. Otherwise each tension is the
+    given tension. The net tension of a released spool pair is zero.
     """
     tendons = model.digit_tendons[d]
     balance = model.redundancy.balance[tendons]
@@ -196,15 +197,15 @@ Any duration is possible, because these joints do not move.
 
 
 def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
-    """Return the names of the tendons that are slack, or whose tension is below half of the tension floor."""
+    """Return the names of the tendons that are slack or have a tension below half of the tension floor."""
     is_taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, is_taut, strict=True) if not ok]
 
 
 def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
-    """Return the coordinates (n_c,) of a digit that follow from the excursions of its tendons [rad].
+    """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
 
-    Contact may turn the joints further than the excursions show.
+    During contact, the joints may turn further than the excursions show.
     """
     return digit.coordinates_of(estimate.excursion[digit.tendons])
 
@@ -212,7 +213,10 @@ def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vecto
 def goal_to_move_to_angle(
     digit: DigitModel, estimate: HandEstimate, angle: float | Vector, duration: float, t: float
 ) -> DigitGoal:
-    """Return a goal that moves all coordinates of a digit to one angle, or each to its own [rad], in a time [s]."""
+    """Return a goal that moves all coordinates of a digit in a given time [s].
+
+    The target is one angle for all coordinates, or one angle for each coordinate [rad].
+    """
     start = coordinates_by_excursion(digit, estimate)
     return DigitGoal(
         GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t

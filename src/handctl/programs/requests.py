@@ -2,9 +2,10 @@
 
 Each request is one JSON object in a datagram. This module checks the object.
 
-Requests enter the tick as text. So a log is re-executed with exactly the same requests. Streamed
-targets are an exception, because they are frequent and must reach the drives quickly. A target
-arrives as a binary datagram, is decoded before it enters the tick, and becomes text in the log.
+A request enters the tick as text. Therefore the same requests can be executed again from a log.
+Streamed targets are an exception. They are frequent, and must reach the drives quickly. A target
+arrives as a binary datagram. The datagram is decoded before the target enters the tick. In the log,
+the target is text.
 """
 
 import json
@@ -34,13 +35,13 @@ class RequestBase(Document):
 
 
 class ArmRequest(RequestBase):
-    """Enable the drives once every node has replied."""
+    """Enable the drives after every node has replied."""
 
     do: Literal["arm"]
 
 
 class StopRequest(RequestBase):
-    """Relax the tensions, disable the drives, confirm that they are disabled, and end the run."""
+    """Relax the tensions, disable the drives, confirm that the drives are disabled, and end the run."""
 
     do: Literal["stop"]
 
@@ -52,7 +53,7 @@ class CutTorqueRequest(RequestBase):
 
 
 class ClearFaultsRequest(RequestBase):
-    """Clear latched faults. A hand that was disarmed by these faults stays disarmed."""
+    """Clear latched faults. If these faults have disarmed the hand, the hand stays disarmed."""
 
     do: Literal["clear"]
 
@@ -75,7 +76,10 @@ class CommandBase(RequestBase):
 
 
 class AliveRequest(RequestBase):
-    """Send a sign of life of a client. This renews the `lease_s` of its last command."""
+    """Send a sign of life of a client.
+
+    The request renews the `lease_s` of the client's last command.
+    """
 
     do: Literal["alive"]
     client: str = Field(max_length=40, pattern=r"^[\w.-]*$")
@@ -148,7 +152,7 @@ class ReleaseGraspRequest(CommandBase):
 
 
 class CloseStreamRequest(CommandBase):
-    """End a stream. Its digits come to rest where they are."""
+    """End a stream. The digits of the stream come to rest at their present positions."""
 
     do: Literal["stream_end"]
     stream: str = Field(max_length=40)
@@ -190,7 +194,7 @@ REFUSED_PREFIX = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    Request events up to the next text of this form belong to the same request.
+    All request events between this text and the next text of this form belong to the same request.
     """
     return f"{_ACCEPTED_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
@@ -224,7 +228,7 @@ _TARGET_REQUEST_PREFIX = '{"do": "target", '
 def target_request_text(target: StreamTarget) -> str:
     """Return a streamed target as the text of a request.
 
-    Values are written to the last bit.
+    The text contains the exact values.
     """
     stream, number, sent_ns, values = target
     values_text = json.dumps(list(values))
@@ -245,7 +249,10 @@ def is_stream_target(text: str) -> bool:
 def requests_and_stream_targets(
     requests: tuple[TickRequest, ...],
 ) -> tuple[tuple[str, ...], tuple[TickRequest, ...]]:
-    """Return the requests that are no targets of a stream, and the targets, both in their order."""
+    """Divide requests into targets of streams and other requests.
+
+    Return the other requests and the targets, both in their original order.
+    """
     other_texts = list[str]()
     targets = list[TickRequest]()
     for request in requests:
@@ -266,7 +273,10 @@ def alive_request_text(client: str) -> str:
 
 
 def is_routine_request(request: TickRequest) -> bool:
-    """Return True for a request that clients send many times during a run: a streamed target or a sign of life."""
+    """Return True for a request that clients send many times during a run.
+
+    Such requests are streamed targets and signs of life.
+    """
     if isinstance(request, StreamTarget):
         return True
     return is_stream_target(request) or request.startswith(_ALIVE_REQUEST_PREFIX)
@@ -294,7 +304,7 @@ def _is_int64(value: object) -> bool:
 def parse_request(text: str) -> Request | str:
     """Parse a request. If the request is invalid, return a line with the reason.
 
-    This line contains only printable characters, whatever the datagram contains.
+    This line contains only printable characters, even if the datagram contains others.
     """
     try:
         return _REQUEST_ADAPTER.validate_json(text)

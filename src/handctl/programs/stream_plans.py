@@ -102,7 +102,7 @@ class StreamStatus(NamedTuple):
 
 
 def target_horizon_s(rate_Hz: float, period: float) -> float:
-    """Return the time from the sending of a target until the hand should reach this target [s].
+    """Return the time [s] between the sending of a target and the time at which the hand should reach it.
 
     Args:
         rate_Hz: rate of the stream [Hz].
@@ -252,12 +252,12 @@ def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
 
 
 def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector]:
-    """Return the fractions (N,) of the motion loop's stiffness and damping for a stream.
+    """Return the fractions (N,) by which a stream reduces stiffness and damping of the motion loop.
 
     The stiffness of a joint is the stiffness of the tendon's loop [N/m] times the square of the
     tendon's moment arm. If the damping is proportional to the square root of the stiffness, the
-    damping ratio stays the same. Stiffness and damping never exceed the values that follow from the
-    gains, with which the loop is stable.
+    damping ratio stays the same. Stiffness and damping never exceed the values from the gains. With
+    these values, the loop is stable.
     """
     stiffness = np.ones(model.tendon_count)
     damping = np.ones(model.tendon_count)
@@ -349,7 +349,7 @@ def progress_with_stopped_digits(
     reach: tuple[tuple[Vector, Vector], ...],
     streamed_digits_only: bool,
 ) -> ProgramProgress:
-    """Return the progress with new goals, by which moving digits come to rest.
+    """Return the progress with new goals that bring moving digits to rest.
 
     Args:
         progress: progress with the present goals.
@@ -386,11 +386,12 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 def move_that_continues_motion(
     reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
 ) -> MinimumJerk:
-    """Return a move that begins with the position, rate and acceleration of a reference, and ends at rest.
+    """Return a move that begins with the position, rate and acceleration of a reference.
 
-    If the speed of an earlier fast motion decreased over the whole of a long move, the move would
-    run far beyond its start and end. Therefore the speed of the earlier motion decreases in a
-    shorter time. This time is halved repeatedly until the joints stay within their range.
+    The move ends at rest. If the speed of an earlier fast motion decreased during the whole of a
+    long move, the move would go far beyond its start and end. Therefore the speed of the earlier
+    motion decreases in a shorter time. This time is halved until the joints stay within their
+    range.
 
     Args:
         reference: (3, n) position, rate and acceleration at the start [rad, s].

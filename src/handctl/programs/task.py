@@ -84,7 +84,7 @@ class ClosePhase(Document):
 class HoldPhase(Document):
     """Hold a tension or a tip force with the digits in contact.
 
-    The other digits keep their positions.
+    The other digits keep their present positions.
     """
 
     kind: Literal["hold"]
@@ -111,7 +111,7 @@ class HoldPhase(Document):
 class ReleasePhase(Document):
     """Lower the tensions.
 
-    From the next phase on, the digits count as free, and need a new contact to hold.
+    From the next phase on, the digits count as free. To hold, they need a new contact.
     """
 
     kind: Literal["release"]
@@ -160,7 +160,7 @@ class FollowPhase(Document):
 def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """Return the largest speed of a curve [rad/s].
 
-    It is inf or NaN if the times of the curve are too close together.
+    The result is inf or NaN if the times of the curve are too close together.
     """
     with np.errstate(all="ignore"):
         try:
@@ -174,8 +174,8 @@ def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
 def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through given angles [rad] at given times [s].
 
-    The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
-    later tick, and takes the curves from the cache.
+    The check of a task computes the curves of its digits. Each curve takes up to 1 ms. The phase
+    begins in a later tick, and gets the curves from the cache.
     """
     return CurveTrajectory.through_points(times_s, angles, 1)
 
@@ -214,7 +214,9 @@ class TrajectoryFile(Document):
 
 
 def load_trajectory(path: Path) -> Task:
-    """Read a trajectory file as a task that first moves slowly to the first pose, and then follows the trajectory.
+    """Read a trajectory file as a task.
+
+    The task first moves slowly to the first pose, and then follows the trajectory.
 
     Raises:
         ConfigError: the file cannot be read, the times do not increase, or an angle or a speed is
@@ -249,7 +251,7 @@ def load_task(path: Path) -> Task:
 
 
 class DigitShape(NamedTuple):
-    """Numbers of values that a task may give for a digit.
+    """Numbers of values that a task may contain for a digit.
 
     Attributes:
         coordinates: number of coordinates of the digit, each with an angle.
@@ -360,7 +362,10 @@ Value = TypeVar("Value")
 
 
 def value_for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value of a phase for a digit, or None if the phase gives values only for other digits."""
+    """Return the value of a phase for a digit.
+
+    If the phase gives values only for other digits, return None.
+    """
     return value.get(digit) if isinstance(value, dict) else float(value)
 
 
@@ -374,7 +379,9 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 def end_angles(
     value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
-    """Return the coordinates of a digit at the end of a phase [deg], or None if the phase gives the digit no angle.
+    """Return the coordinates of a digit at the end of a phase [deg].
+
+    If the phase gives the digit no angle, return None.
 
     Args:
         value: angles in the phase [deg], by the name of the digit or joint.

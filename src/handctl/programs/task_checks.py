@@ -64,7 +64,9 @@ def check_task_for_hand(
 
 
 def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> None:
-    """Check that no move of a task exceeds the largest joint speed, wherever the earlier phases may end.
+    """Check that no move of a task exceeds the largest joint speed.
+
+    The check includes all positions at which the earlier phases may end.
 
     Args:
         task: task whose numbers of values fit the digits.
@@ -118,7 +120,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], task_name: str) -> Non
 def _check_curves(phase: FollowPhase, models: Sequence[DigitModel], task_name: str) -> None:
     """Check that no prismatic joint is too fast on the curve of a phase.
 
-    The file itself is checked for hinges only, because it does not say which joints slide.
+    The check of the file assumes that all joints are hinges, because the file does not say which
+    joints slide.
     """
     for model in models:
         for name in (model.name, *model.joint_names):
@@ -211,7 +214,10 @@ def _check_joints(
     digit_description: Digit,
     phase_path: str,
 ) -> None:
-    """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
+    """Check that joint angles are within their limits.
+
+    Also check that coupled joints can have these angles at the same time.
+    """
     angles = joint_values(phase.angle_deg, digit)
     if not angles:
         return
@@ -247,11 +253,11 @@ def _check_joints(
 
 
 def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
-    """Check that a task requires no tip force of a digit with fewer tendons than joints.
+    """Check that a task requires no tip force from digits with fewer tendons than joints.
 
-    The tensions of a digit with fewer tendons than joints do not determine the force at the tip.
-    The tensions of such a digit determine only combinations of joint torques. When 4 N were
-    requested, fingers of the hand `jamia` curled up on a wall, and pressed with 23 to 56 N.
+    The tensions of such a digit do not determine the force at the tip. They determine only
+    combinations of joint torques. When a task required 4 N, fingers of the hand `jamia` curled up
+    on a wall, and pressed with 23 to 56 N.
 
     Args:
         task: task that suits the hand in all other respects.
@@ -278,7 +284,9 @@ def check_tip_force(task: Task, hand: Hand, task_name: str) -> None:
 
 
 def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
-    """Check that no slip limit is below the tension of the hold phase, because slip could then not raise the tension.
+    """Check that no slip limit is below the tension of the hold phase.
+
+    With such a limit, the tension could not rise after slip.
 
     Args:
         task: task that suits the hand in all other respects.
@@ -308,7 +316,10 @@ def check_slip_limit(task: Task, hand: Hand, task_name: str) -> None:
 def _reached_angles(
     phase: MovePhase | ClosePhase | FollowPhase, name: str
 ) -> Iterable[float | tuple[float, ...]]:
-    """Return the angles that a digit must reach in a phase: one for all its coordinates, or one for each coordinate."""
+    """Return the angles that a digit must reach in a phase.
+
+    There is one angle for all coordinates, or one angle for each coordinate.
+    """
     if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)
         return (min(angles), max(angles)) if angles else ()

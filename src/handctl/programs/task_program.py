@@ -75,7 +75,7 @@ class TaskProgram:
     task: Task
 
     def initial_progress(self, model: HandModel) -> ProgramProgress:
-        """Return the progress until the hand is armed: no torque."""
+        """Return the progress before the hand is armed. The motors make no torque."""
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
@@ -119,10 +119,10 @@ class TaskProgram:
     def _wait_until_taut(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Wait until all tendons have been taut for a while.
+        """Wait until all tendons have been taut for some time.
 
-        A tick with a slack tendon reduces the count by one. So noise delays the start of the task,
-        but does not restart the wait.
+        A tick with a slack tendon reduces the count by one. Therefore noise delays the start of the
+        task, but does not restart the wait.
         """
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
@@ -232,9 +232,10 @@ class TaskProgram:
     def _hold_tension(
         self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: HandEstimate
     ) -> Vector | None:
-        """Return the tension targets (n_t,) of a digit that holds [N], from a tension or from a tip force.
+        """Return the tension targets (n_t,) of a digit that holds [N].
 
-        If the result is None, the digit keeps its goal.
+        The targets come from a tension or from a tip force. If the result is None, the digit keeps
+        its goal.
         """
         digit = model.digits[d]
         tendons = model.digit_tendons[d]
@@ -275,10 +276,10 @@ class TaskProgram:
     def _detect_contact(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
-        """Detect the contact of closing digits, and let these digits hold their tension.
+        """Detect the contact of closing digits, and make these digits hold their tension.
 
-        The estimated tip force of a digit that carries others, such as a wrist, has no meaning.
-        Such a digit keeps its motion.
+        If a digit carries others, such as a wrist, its estimated tip force has no meaning. Such a
+        digit keeps its motion.
         """
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ClosePhase):
@@ -355,7 +356,7 @@ class TaskProgram:
     def _release_warnings(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate
     ) -> tuple[TickEvent, ...]:
-        """Return warnings for digits that still have tension at the end of a release."""
+        """Return warnings for digits that still have too much tension at the end of a release."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, ReleasePhase):
             return ()
@@ -373,7 +374,7 @@ def _closing_digits(
     phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
     progress: ProgramProgress,
 ) -> tuple[bool, ...]:
-    """Return, for each digit, True if the digit closes until contact.
+    """Return True for each digit that closes until contact.
 
     In a phase that is not a close phase, the result is empty.
     """
@@ -386,7 +387,10 @@ def _closing_digits(
 def _still_tensioned(
     model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
-    """Return the names of tension-controlled digits whose tension is still above the tension of the release phase."""
+    """Return the names of digits whose tension is still above the tension of the release phase.
+
+    Only digits under tension control are checked.
+    """
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + MAX_TENSION_ABOVE_RELEASE_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
@@ -402,7 +406,9 @@ def _grip_plan(
     stiffness_N_per_mm: float,
     slip_limit: float | tuple[tuple[str, float], ...] | None,
 ) -> GripPlan:
-    """Return stiffness and slip limit of the grip that a hold phase requires, with numbers for each tendon.
+    """Return stiffness and slip limit of the grip for a hold phase.
+
+    The slip limit has a number for each tendon.
 
     Args:
         model: model of the hand.
@@ -444,9 +450,9 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
 def _curve_of_digit(
     phase: FollowPhase, digit: DigitModel, estimate: HandEstimate
 ) -> CurveTrajectory | None:
-    """Return the curve that a digit follows in a phase, or None if the phase gives the digit no angle.
+    """Return the curve that a digit follows in a phase.
 
-    Joints without angles keep their positions.
+    If the phase gives the digit no angle, return None. Joints without angles keep their positions.
     """
     count = digit.coupling.shape[1]
     if digit.name in phase.angle_deg:
@@ -472,7 +478,10 @@ def _curve_of_digit(
 
 @functools.lru_cache(maxsize=64)
 def contact_margin_without_cells(model: HandModel, d: int) -> float:
-    """Return the margin that tendons without load cell add to digit d's contact threshold [N], 0 with load cells."""
+    """Return the margin that digit d adds to its contact threshold for tendons without load cells [N].
+
+    If all tendons have load cells, the margin is 0.
+    """
     digit = model.digits[d]
     margin = float(model.blind_margin[digit.tendons].mean())
     if margin == 0.0:

@@ -67,7 +67,7 @@ class LocalCanBus(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """Return the next message, or None if the timeout [s] has passed.
 
-        The second value is False, so that python-can applies its filters.
+        The second value is False, which makes python-can apply its filters.
         """
         if not self._waiting:
             if not self._link.early_frames:

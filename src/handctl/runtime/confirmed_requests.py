@@ -1,8 +1,9 @@
 """Requests to a running controller. The controller confirms each request.
 
-A sent datagram may never be received. The controller may be paused, its mailbox may be full, or the
-socket may be left from a killed process. Therefore every request contains a unique name. The
-controller confirms the request by a status line that contains the same name.
+It is possible that no program receives a sent datagram. The controller may be paused, or its
+mailbox may be full. The socket may also belong to a killed process. Therefore every request
+contains a unique name. The controller confirms the request by a status line that contains the same
+name.
 """
 
 import itertools
@@ -54,10 +55,11 @@ def open_watcher(bus: str, command_word: str) -> StatusWatcher:
 
 @contextmanager
 def report_absent_controller(bus: str) -> Iterator[None]:
-    """Replace an UnconfirmedError in a block if no controller of a local bus has a mailbox.
+    """Raise another error in place of an UnconfirmedError if no controller of a local bus has a mailbox.
 
-    No motor of a simulated hand needs its power removed. A killed controller leaves its mailbox, and
-    the controller of a real bus may run as another user. Then the UnconfirmedError remains.
+    An UnconfirmedError tells the operator to switch off the power. A simulated hand does not need
+    this. If a controller was killed, its mailbox still exists. The controller of a real bus may run
+    as another user. Then the UnconfirmedError remains.
 
     Args:
         bus: bus to which the block sends a request.
@@ -170,7 +172,7 @@ def request_action(bus: str, command_word: str) -> StatusLine:
 def wait_until_drives_off(
     watcher: StatusWatcher, command_word: str, line: StatusLine
 ) -> StatusLine:
-    """Wait until a controller that stops its hand reports that every drive is disabled.
+    """Wait until a controller that is stopping its hand reports that every drive is disabled.
 
     Args:
         watcher: watcher of the controller.
@@ -210,7 +212,7 @@ def wait_until_drives_off(
 
 
 def are_drives_off(line: StatusLine) -> bool:
-    """Return True if a status line reports the end of the run with every drive off."""
+    """Return True if a status line reports the end of the run, and all drives are disabled."""
     return bool(line["mode"] == HandMode.DONE.name) and not any(
         REMOVE_POWER in text for text in _mode_event_texts(line)
     )

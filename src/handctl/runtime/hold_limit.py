@@ -1,8 +1,9 @@
-"""Limit of the time for which a fault may hold the hand in a run that no operator watches.
+"""Limit of the time for which a fault may hold the hand.
 
-While a fault holds the hand, the time of the motion program stands still. If the gains of a hand
-make it oscillate, the fault of a noisy encoder (N07) holds the hand as long as it oscillates.
-Without a limit, such a run may never end.
+The limit applies to runs that no operator watches. While a fault holds the hand, the time of the
+motion program does not advance. If the gains make a hand oscillate, the fault of a noisy encoder
+(N07) occurs. This fault holds the hand during the whole oscillation. Without a limit, such a run
+may never end.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ MAX_HOLD_S = 5.0
 
 @dataclass
 class HoldLimit:
-    """Observer of a run. It stops the run if a fault holds the hand for too long.
+    """Observer of a run. The observer stops the run if a fault holds the hand for too long.
 
     Attributes:
         stop_reason: fault that made this observer stop the run. The text is empty if the run was

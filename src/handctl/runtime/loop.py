@@ -1,13 +1,14 @@
 """The control loop with a fixed rate.
 
-In each tick, the loop waits for the deadline, receives frames, begins the tick, reads requests, reads streamed
-targets, sends commands, concludes the tick, and records it. The same loop runs in real time and in lockstep.
+In each tick, the loop waits for the deadline, receives frames, and begins the tick. Then it reads
+requests and streamed targets, and sends commands. At the end, it concludes and records the tick.
+The same loop runs in real time and in lockstep.
 
 If a tick is missed, the loop never executes it later. After missed deadlines, the loop skips the
-numbers of the missed ticks. The next tick decides whether this gap is a fault. Only this module of
-the project catches exceptions of every kind. After any error inside a tick, the loop disables the
-drives, and polls them until they report that they are disabled. Then the loop raises the error
-again.
+numbers of the missed ticks. The next executed tick decides whether this gap is a fault. Only this
+module of the project catches exceptions of every kind. After any error inside a tick, the loop
+disables the drives, and polls them until they report that they are disabled. Then the loop raises
+the error again.
 """
 
 import gc
@@ -134,9 +135,10 @@ class StopSignals:
         self.received_count += 1
 
     def take_request(self) -> tuple[str, ...]:
-        """Return the request for the next unread signal, if there is one.
+        """Return the request for the oldest unread signal.
 
-        Each tick gets at most one such request.
+        If there is no unread signal, return an empty tuple. Each tick gets at most one such
+        request.
         """
         if self.converted_count == self.received_count:
             return ()
@@ -154,13 +156,13 @@ class StopSignals:
 
 
 def _skip_snapshot(entry: TickIn, state: object) -> None:
-    """Do nothing. This function takes the place of a recorder of snapshots, if the run has none."""
+    """Do nothing. If the run has no recorder of snapshots, this function is used in its place."""
 
 
 def _skip_publication(entry: TickIn, tick_output: TickOut, state: object, sent_ns: int) -> None:
     """Do nothing.
 
-    This function takes the place of the programs that observe the run, if there are none.
+    If no program observes the run, this function is used in place of the publication.
     """
 
 
@@ -283,7 +285,7 @@ class ControlLoop(Generic[S]):
     def _send_torque_cut(self) -> None:
         """Send the frames that remove the torque on every bus.
 
-        If a queue is full of commands and refuses some of these frames, they are sent again.
+        If the queue of a bus is full and refuses some of these frames, the frames are sent again.
         """
         is_single_bus = len(self.buses) == 1
         left = [
@@ -313,8 +315,8 @@ class ControlLoop(Generic[S]):
     def _warm_up(self, state: S) -> None:
         """Execute a tick before the run, and discard the result.
 
-        In this tick, everything is imported and created that is needed for the first time.
-        Otherwise the first tick of the run would be late.
+        This tick imports and creates everything that is needed for the first time. Otherwise the
+        first tick of the run would be late.
         """
         tick = self.begin_tick(state, TickIn(0, 0))
         tick.decide(())
@@ -324,15 +326,15 @@ class ControlLoop(Generic[S]):
     def _run(self, last_state: list[S]) -> S:
         """Run ticks until the end of the run, beginning with the state in ``last_state``.
 
-        ``last_state`` has a single entry: the state after the last commands. After an error, the drives are
-        disabled from this state.
+        ``last_state`` has a single entry, which is the state after the last commands. After an
+        error, the drives are disabled from this state.
         """
         k = 0
         mode = HandMode.SILENT
         while mode != HandMode.DONE:
             self._k = k
             late_ns = self.clock.wait(k)
-            # Ticks that were missed are skipped and not made up for.
+            # Ticks that were missed are skipped. They are not executed later.
             skipped_ticks = late_ns // self.period_ns
             k += skipped_ticks
             self._k = k

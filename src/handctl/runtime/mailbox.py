@@ -1,11 +1,13 @@
-"""The mailbox of a running controller: a Unix datagram socket that receives requests.
+"""Mailbox of a running controller.
 
-The controller reads the socket without blocking. The socket has the name of the bus. A program that
-sends ``{"do": "watch"}`` from its own socket subscribes to status lines. This request is handled
-here, and has no effect on the tick. After any other request, the program gets the status line of
-the tick that took the request. This status line is the controller's confirmation. On Linux the
-kernel reports the user who sends a datagram. Controller and program accept only datagrams from
-their own user and from root.
+The mailbox is a Unix datagram socket that receives requests.
+
+The controller reads the socket without blocking. The name of the socket contains the name of the
+bus. A program may send ``{"do": "watch"}`` from its own socket. With this request, the program
+subscribes to status lines. The request is handled here, and has no effect on the tick. After any
+other request, the program gets one status line, which belongs to the tick that took the request.
+This status line is the controller's confirmation. On Linux the kernel reports the user who sends a
+datagram. Controller and program accept only datagrams from their own user and from root.
 """
 
 import fcntl
@@ -109,7 +111,7 @@ class Mailbox:
         return tuple(texts)
 
     def publish_status(self, status_line: dict[str, Any]) -> None:
-        """Send a status line to all watchers and askers.
+        """Send a status line to all programs that have subscribed to status lines or have sent a request.
 
         If the socket of a watcher no longer exists, the watcher is removed from ``watchers``.
         """
@@ -131,7 +133,7 @@ class Mailbox:
 
 @contextmanager
 def bus_lock(name: str) -> Iterator[None]:
-    """Lock one of the hand's further buses against other controllers. These buses have no mailbox.
+    """Lock another bus of the hand against other controllers. These buses have no mailbox.
 
     Raises:
         BusError: another controller uses the bus, or the lock cannot be created.
@@ -184,7 +186,7 @@ def is_running(name: str) -> bool:
 
 
 class RequestSender:
-    """Sender of requests for which the controller need not send a reply."""
+    """Sender of requests that need no reply from the controller."""
 
     def __init__(self, name: str) -> None:
         """Open a socket for the controller of bus ``name``. The controller may start later."""

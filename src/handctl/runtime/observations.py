@@ -1,13 +1,15 @@
-"""Observations of a running hand in shared memory: one numpy record for each tick, for any number of readers.
+"""Observations of a running hand in shared memory.
+
+There is one numpy record for each tick. Any number of readers can read the records.
 
 The controller writes the records into a ring. The ring is part of a file in the folder of the
 sockets. A reader maps the file and copies records, without locks or system calls. Each record has a
 counter that is odd while the controller writes the record (a seqlock). If the counter has changed
 during a copy, the reader copies the record again.
 
-The file begins with a magic text of 8 bytes and five u64 numbers: length of the description, size
-of a record, number of records in the ring, number of records written so far, and end mark. The
-description follows as JSON, and then the ring.
+The file begins with a magic text of 8 bytes. Five u64 numbers follow: length of the description,
+size of a record, number of records in the ring, number of records written so far, and end mark.
+After these numbers, the file contains the description as JSON, and the ring.
 """
 
 import contextlib
@@ -247,9 +249,10 @@ class ObservationReader:
         return None
 
     def next_record(self) -> NDArray[np.void] | None:
-        """Return the record after the last returned record, or None if it has not been written yet.
+        """Return the record after the last returned record.
 
-        If it has already been overwritten, return the oldest usable record in the ring.
+        If this record has not been written yet, return None. If this record has already been
+        overwritten, return the oldest usable record in the ring.
         """
         for _ in range(COPY_ATTEMPTS):
             written_count = self.written_count
@@ -265,7 +268,10 @@ class ObservationReader:
         return None
 
     def read_record(self, record_index: int) -> NDArray[np.void] | None:
-        """Return the record with the number ``record_index``, or None if the ring buffer does not contain it."""
+        """Return the record with the number ``record_index``.
+
+        If the ring buffer does not contain this record, return None.
+        """
         start = self._ring_at + self._size * (record_index % self._records)
         data = self._map[start : start + self._size]
         bytes_after = self._map[start : start + 8]

@@ -40,7 +40,9 @@ def find_simulator(bus: str | None) -> Path:
 
 
 def simulated_time_scale(bus: str) -> float | None:
-    """Return the time scale of the simulator on a bus, or None if no simulator on this machine serves the bus.
+    """Return the time scale of the simulator on a bus.
+
+    If no simulator on this machine serves the bus, return None.
 
     Raises:
         BusError: the simulator does not answer.

@@ -1,12 +1,14 @@
-"""Paths of the sockets and shared files of a user's runs. They are protected against other users.
+"""Paths of the sockets and shared files of a user's runs.
+
+The paths are protected against other users.
 
 A user who can write into the folder of the sockets could replace the socket of a controller. Such a
 user would then receive the stop requests to the controller. Therefore the folder is used only if no
-other user can change it, or any folder above it. The check begins at the root folder and goes down.
-Each folder is opened relative to its parent folder, which has just been checked. The owner of a
-folder, root, and every user who can write into the parent folder can replace the folder. The check
-makes sure that only root and this user can do so. Therefore no other user can replace a folder
-after the check of this folder.
+other user can change this folder or any folder above it. The check begins at the root folder and
+goes down. Each folder is opened relative to its parent folder, which has just been checked. Three
+kinds of users can replace a folder: its owner, root, and every user who can write into the parent
+folder. The check makes sure that these are only root and this user. Therefore no other user can
+replace a folder after the check of this folder.
 """
 
 import os
@@ -41,7 +43,7 @@ def run_dir() -> Path:
     A missing folder is created.
 
     If the environment variable HANDCTL_RUN_DIR is set, it names the folder. Otherwise the folder is
-    XDG_RUNTIME_DIR/handctl if XDG_RUNTIME_DIR is set. If neither is set, the folder is
+    XDG_RUNTIME_DIR/handctl if XDG_RUNTIME_DIR is set. If neither variable is set, the folder is
     handctl-UID/handctl in the folder for temporary files.
 
     Raises:
@@ -114,9 +116,9 @@ def _stat_or_make_folder(folder_name: str, parent_fd: int) -> os.stat_result:
 
 
 def _refuse_shared_folder(folder_path: Path, folder_fd: int) -> None:
-    """Raise an error if another user owns a folder of handctl, or can write into it.
+    """Raise an error if another user owns a folder of handctl or can write into it.
 
-    If other users can only read the folder, their permission is removed.
+    If other users can only read the folder, they lose this permission.
     """
     state = os.fstat(folder_fd)
     if state.st_uid != os.geteuid():
@@ -163,7 +165,7 @@ def _user_name(user_id: int) -> str:
 
 
 def _file_name(spec: str) -> str:
-    """Return the text with which the names of all files for a bus specification begin."""
+    """Return the beginning of the names of all files for a bus specification."""
     return spec.replace(":", "_").replace("/", "_")
 
 
@@ -198,12 +200,18 @@ def faults_path(spec: str) -> Path:
 
 
 def truth_path(spec: str) -> Path:
-    """Return the default path of the truth file, into which the simulator on a bus writes true values."""
+    """Return the default path of the truth file.
+
+    The simulator on a bus writes true values into this file.
+    """
     return run_dir() / f"{_file_name(spec)}.truth"
 
 
 def clock_path(spec: str) -> Path:
-    """Return the path of the clock file, by which the simulator on a bus shares its clock with the controller."""
+    """Return the path of the clock file.
+
+    With this file, the simulator on a bus shares its clock with the controller.
+    """
     return run_dir() / f"{_file_name(spec)}.clock"
 
 

@@ -1,8 +1,8 @@
 """Check of the user at the other end of a Unix socket. Only the user of this process and root are trusted.
 
-The folder of the sockets already excludes other users (see ``paths``). This check is a second
-protection. On Linux the kernel reports the user of a sender. On other systems every sender is
-trusted.
+The folder of the sockets already excludes other users (see ``socket_paths``). This check is a
+second protection. On Linux the kernel reports the user of a sender. On other systems every sender
+is trusted.
 """
 
 import os

@@ -5,9 +5,9 @@ Clients send the targets as binary datagrams.
 The controller reads the socket without blocking. Requests arrive at a different socket. Therefore a
 client that sends targets too fast cannot delay a stop request from another client.
 
-A datagram is little-endian: magic 4 bytes, process number of the client u32, number of the stream
-u32, number of values u32, number of the target i64, CLOCK_MONOTONIC when the client sent the target
-i64 [ns], values float64.
+A datagram is little-endian. It contains, in this order: magic 4 bytes, process number of the client
+u32, number of the stream u32, number of values u32, number of the target i64, sending time of the
+target on CLOCK_MONOTONIC i64 [ns], values float64.
 """
 
 import socket
@@ -83,9 +83,9 @@ class TargetBox:
         self.socket.setblocking(False)
 
     def read_targets(self) -> tuple[StreamTarget, ...]:
-        """Return the newest targets that wait in the socket, sorted from old to new.
+        """Return the newest targets in the socket, sorted from old to new.
 
-        A datagram of a wrong form is dropped.
+        A datagram with a wrong form is dropped.
         """
         targets: list[StreamTarget] = []
         for _ in range(MAX_DATAGRAMS_PER_TICK):

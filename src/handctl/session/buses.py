@@ -1,4 +1,4 @@
-"""Bus specifications that commands without a hand file read from the command line."""
+"""Bus specifications from the command line, for commands without a hand file."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,11 @@ from handctl.session.defaults import DEFAULT_HAND
 
 
 def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
-    """Return the specification of each bus by the name of the bus, from the words after ``--bus``.
+    """Return the specification of each bus by its name.
 
-    A word has the form NAME=SPEC, or is only the specification SPEC. A bus without a name is named
-    after its position in the command: main, bus1, bus2.
+    The specifications come from the words after ``--bus``. A word has the form NAME=SPEC, or is
+    only the specification SPEC. A bus without a name is named after its position in the command:
+    main, bus1, bus2.
 
     Raises:
         ConfigError: a name is given twice or is not a valid bus name.
@@ -34,10 +35,10 @@ def named_buses(bus_arguments: Sequence[str]) -> dict[str, str]:
 
 
 def refuse_default_hand(bus_specs: Sequence[str], location: str) -> None:
-    """Raise an error if the operator named no hand although a bus may have real motors.
+    """Raise an error if a bus may have real motors and the operator has named no hand.
 
-    In this case the operator must name the hand, because the limits of the default hand belong to
-    other motors and tendons.
+    The operator must then name the hand, because the limits of the default hand belong to other
+    motors and tendons.
 
     Args:
         bus_specs: specifications of the buses.

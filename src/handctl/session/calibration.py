@@ -47,7 +47,7 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 def find_calibration(
     path: Path, hand: Hand, is_file_named: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
-    """Return the calibration from a file, if this calibration may be used to arm the hand.
+    """Return the calibration from a file if it may be used to arm the hand.
 
     Args:
         path: path of the calibration file, which may not exist yet.
@@ -131,7 +131,7 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 def previous_identified_parameters(
     path: Path, hand: Hand, drives: Mapping[str, str], show_notice: NoticeCallback = ignore_notice
 ) -> IdentifiedParametersByTendon:
-    """Return the identified parameters from the previous calibration, by the name of the tendon.
+    """Return the identified parameters of the previous calibration, by the name of the tendon.
 
     These parameters stay valid when the load cells are tared again. The result is empty if the file
     is missing or unusable, or if the hand now has other drives.
@@ -182,7 +182,10 @@ def identified_parameters_in_file(path: Path | None, hand: Hand) -> IdentifiedPa
 
 
 def homed_calibration(hand: Hand, identified: IdentifiedParametersByTendon) -> Calibration:
-    """Return the calibration of a simulated hand that starts with taut tendons and zero encoder readings."""
+    """Return the calibration of a simulated hand.
+
+    The hand starts with taut tendons and encoder readings of zero.
+    """
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     date_text = LOCKSTEP_CALIBRATION_DATE.isoformat(timespec="seconds")

@@ -1,6 +1,6 @@
 """Default values of the command line.
 
-This module imports no other module. Therefore every command can import this module quickly.
+This module imports no other module. Therefore its import by any command is fast.
 """
 
 DEFAULT_HAND = "jamia"

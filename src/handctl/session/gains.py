@@ -1,7 +1,7 @@
 """Gains of a run, and the source of each value.
 
-A gains file takes the place of the packaged gains of the hand. The command line overrides single
-values of the file or of the packaged gains.
+If there is a gains file, its gains replace the packaged gains of the hand. The command line
+overrides single values of the file or of the packaged gains.
 """
 
 from collections.abc import Sequence
@@ -77,10 +77,10 @@ def layered_gains(
 def read_gains_for_hand(
     hand: Hand, path: Path, show_notice: NoticeCallback = ignore_notice
 ) -> GainsFile:
-    """Read a gains file, and check that the gains are meant for this hand.
+    """Read a gains file, and check that the gains belong to this hand.
 
-    If the gains belong to an earlier version of the hand file, they are accepted, but a notice
-    tells the operator.
+    Gains for an earlier version of the hand file are accepted. In this case, a notice tells the
+    operator.
 
     Raises:
         ConfigError: the file cannot be used, or is for another hand.

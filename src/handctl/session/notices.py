@@ -1,6 +1,6 @@
 """Notices and progress reports from a run to the operator.
 
-The caller of a run passes the functions that show these notices.
+The caller of a run provides the functions that show these notices.
 """
 
 from collections.abc import Callable

@@ -82,7 +82,7 @@ class RunOutcome:
 
     @property
     def exit_code(self) -> ExitCode:
-        """Return the exit code of a command whose only work is this run."""
+        """Return the exit code of a command that executes only this run."""
         if self.state.unconfirmed:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
@@ -113,7 +113,7 @@ def make_controller(
 ) -> Controller:
     """Construct the controller of a run.
 
-    The construction includes the design with the gains of the plan.
+    This includes the design with the gains of the plan.
 
     If numba must compile code first, show a progress bar.
     """
@@ -220,10 +220,10 @@ def run_lockstep(
     clock: LockstepClock,
     observer: RunObserver | None = None,
 ) -> RunOutcome:
-    """Execute a run in virtual time, with the simulated hand to which a lockstep clock belongs.
+    """Execute a run in virtual time.
 
-    Several runs may use the same clock, one after the other. In virtual time, no operator is
-    present to clear a fault.
+    The simulated hand is the one that the lockstep clock advances. Several runs may use the same
+    clock, one after the other. In virtual time, no operator is present to clear a fault.
 
     Raises:
         DriveError: a fault made the hand hold its position for longer than allowed.
@@ -274,7 +274,7 @@ def _start_recording(
 
 
 def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
-    """Return the clock by which a run in real time measures time.
+    """Return the clock of a run in real time.
 
     If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the
     result is the clock CLOCK_MONOTONIC.
@@ -381,7 +381,10 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
-    """Return the constants of a run by name, for programs that receive the observations of the run."""
+    """Return the constants of a run by name.
+
+    Programs that receive the observations of the run need these constants.
+    """
     return {
         "hand_toml": plan.hand.to_toml(),
         "rate_Hz": plan.rate_hz,
@@ -392,9 +395,10 @@ def _describe_run(plan: RunPlan) -> dict[str, object]:
 def _request_source(
     plan: RunPlan, signals: StopSignals, mailbox: Mailbox
 ) -> Callable[[], tuple[TickRequest, ...]]:
-    """Return a function that collects all requests for a tick except streamed targets.
+    """Return a function that collects the requests for a tick.
 
-    If the plan requires it, the first request clears the latched errors of the drives.
+    Streamed targets are not included. If the plan requires it, the first request clears the latched
+    errors of the drives.
     """
     orders = [CLEAR_REQUEST] if plan.clear_faults else []
 
@@ -432,7 +436,7 @@ STATUS_RATE_HZ = 50.0
 
 @dataclass(slots=True)
 class PublishedState:
-    """Part of the controller's latest state that status lines show.
+    """Part of the controller's latest state, as shown in status lines.
 
     Attributes:
         commander: client that commands the hand, or None if any client may start to command it.
@@ -449,7 +453,7 @@ def _publish_tick(
     state: ControllerState,
     sent_ns: int,
 ) -> None:
-    """Write the observation of a tick, and store the part of the state that status lines show."""
+    """Write the observation of a tick, and store the values that status lines show."""
     observations.write_record(entry, tick_output, stream_status(state), sent_ns)
     published_state.commander = state.decisions.commander
 
@@ -460,7 +464,7 @@ def _status_callback(
     rate_hz: float,
     published_state: PublishedState,
 ) -> TickCallback:
-    """Return a function to call after each tick.
+    """Return a function that must be called after each tick.
 
     The function updates the display, and sends status lines to the programs that observe the run.
     """

@@ -85,7 +85,7 @@ class RunPlan:
 
     @property
     def is_simulated(self) -> bool:
-        """Return True if the plan has buses, and none of these buses can have real motors."""
+        """Return True if the plan has buses, and none of them can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
 
@@ -166,7 +166,10 @@ def make_plan(
 
 
 def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> float:
-    """Return the time scale of a run: the chosen scale, otherwise that of the simulator on the bus, otherwise 1.
+    """Return the time scale of a run.
+
+    If the operator has chosen no scale, the simulator on the bus determines it. Without a
+    simulator, the scale is 1.
 
     Args:
         requested_scale: ratio of simulated time to wall time that the operator has chosen, or None if there
@@ -208,7 +211,7 @@ def chosen_time_scale(requested_scale: float | None, buses: Sequence[str]) -> fl
 
 
 def check_hand_ready(hand: Hand, location: str) -> None:
-    """Raise an error if a hand must not run although the hand file is valid, see ``reasons_not_ready``.
+    """Raise an error if a hand with a valid file must not run, see ``reasons_not_ready``.
 
     Args:
         hand: description of the hand to run.
@@ -248,7 +251,7 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
 
 
 def _check_log(log: Path | None) -> None:
-    """Raise an error if the log file of a run already exists, has a wrong suffix, or has no folder."""
+    """Raise an error if the log file of a run exists, has a wrong suffix, or is in a missing folder."""
     if log is None:
         return
     if log.suffix != ".mcap":
@@ -275,7 +278,10 @@ def default_control_rate(hand: Hand) -> float:
 
 
 def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
-    """Return one line for each drive protocol with a hint for the operator, with the names of its motors."""
+    """Return one line for each drive protocol that has a hint for the operator.
+
+    The line contains the names of the motors with this protocol.
+    """
     hints = ((motor.name, PROTOCOL_TRAITS[motor.protocol].hint) for motor in hand.motor)
     return lines_by_text((name, hint) for name, hint in hints if hint)
 
@@ -283,7 +289,7 @@ def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
     """Raise an error if no valid controller or filter can be designed with the gains.
 
-    Such a design may be impossible although each single gain is within its bounds.
+    Such a design may be impossible although every gain is within its bounds.
 
     Args:
         hand: description of the hand.
@@ -300,7 +306,9 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
 
 
 def bus_specs(hand: Hand, bus_arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the specification of each bus of a hand, from the words after ``--bus``.
+    """Return the specification of each bus of a hand.
+
+    The specifications come from the words after ``--bus``.
 
     Raises:
         ConfigError: a bus is missing, given twice, or not part of the hand, or a specification is
@@ -333,10 +341,10 @@ def _specs_by_name(names: tuple[str, ...], bus_arguments: Sequence[str]) -> tupl
 
 
 def commissioning_log_path(log: Path) -> Path:
-    """Return an unused path next to the log of a run, for the log of the commissioning that comes before the run.
+    """Return an unused path next to the log of a run, for the log of the commissioning before the run.
 
-    If a fault ends the commissioning, the commissioning has a log, and the run has none. When the
-    operator repeats the command, the next commissioning gets a log with another name.
+    If a fault ends the commissioning, there is a log of the commissioning, but no log of the run.
+    When the operator repeats the command, the next commissioning gets a log with another name.
     """
     number = 1
     path = log.with_suffix(".commission.mcap")

@@ -38,7 +38,7 @@ CHECKED_CONTROL_PERIOD_NS = 2_000_000
 
 
 class SimulatedHand(LockstepSimulator, Protocol):
-    """Simulated hand on the opposite side of the bus from the controller.
+    """Simulated hand at the other end of the bus, opposite to the controller.
 
     Tests can inject faults into this hand.
 
@@ -58,7 +58,7 @@ class SimulatedHand(LockstepSimulator, Protocol):
         ...
 
     def truth(self) -> dict[str, list[float]]:
-        """Return the present true tensions [N], and the torques that are commanded to the motors [N m]."""
+        """Return the present true tensions [N] and the commanded torques of the motors [N m]."""
         ...
 
 
@@ -234,9 +234,10 @@ class SimulatedRun:
             self._advance_simulated_hand()
 
     def run_until(self, is_condition_met: Callable[[TickOut], bool], timeout_s: float) -> bool:
-        """Run ticks until the output of a tick fulfils a condition, for at most ``timeout_s`` [s].
+        """Run ticks until the output of a tick fulfils a condition.
 
-        Return True if an output fulfilled the condition.
+        The method runs ticks for at most ``timeout_s`` [s]. Return True if an output fulfilled the
+        condition.
         """
         for _ in range(round(timeout_s * 1e9 / self.period_ns)):
             tick_output = self.run_tick()

@@ -62,8 +62,8 @@ def scene_for_hand(name: str | None, hand: Hand) -> str:
 def task_path(name: Path) -> Path:
     """Return the path of a task file, given by path or packaged name.
 
-    Only a name without folder, such as ``grasp`` or ``grasp.toml``, selects a packaged task. A path
-    of a missing file must not select another task of the same name.
+    Only a name without a folder, such as ``grasp`` or ``grasp.toml``, can mean a packaged task. If
+    a path has a folder and its file is missing, no packaged task of the same name is used.
 
     Raises:
         ConfigError: the task does not exist.

@@ -16,7 +16,7 @@ FRACTION_OF_FAILED_TIME_SCALE = 0.7
 
 
 def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
-    """Return advice for a run with a simulated hand that failed because ticks or answers were late.
+    """Return advice for a simulated run that failed because ticks or answers were late.
 
     For any other run, the result is an empty text.
     """
@@ -27,10 +27,11 @@ def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
 
 
 def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
-    """Return a time scale at which this machine is fast enough, from the computing times of a slow run.
+    """Return a time scale at which this machine is fast enough.
 
-    Simulator and controller use one core each. On a machine with a single core, they share this
-    core. The simulator reports its own computing time.
+    The result follows from the computing times of a slow run. Simulator and controller use one core
+    each. On a machine with a single core, they share this core. The simulator reports its own
+    computing time.
 
     Args:
         plan: plan of the run.

@@ -1,4 +1,4 @@
-"""Verdict on a finished run: its performance numbers and a picture."""
+"""Verdict on a finished run, with performance numbers and a picture."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -89,7 +89,7 @@ def _hold_phases(task: Task | None) -> set[str]:
 def _copy_truth(
     log: Path, truth: Path, times_ns: Sequence[int], show_notice: NoticeCallback
 ) -> Path | None:
-    """Copy the true values during a run to the folder of the log, and return the path of the copy.
+    """Copy the true values of the run to the folder of the log, and return the path of the copy.
 
     If the file cannot be copied, return the original path. If the file has no values of this run, return None.
 
@@ -138,7 +138,7 @@ def _delete_incomplete_file(path: Path, error: OSError, show_notice: NoticeCallb
 def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
     """Return the number of frames that were lost in a run.
 
-    A frame is lost if a bus refused to send it, or if the sensor node's frame never arrived. A
+    A frame is lost if a bus refused to send it, or if a frame of the sensor node never arrived. A
     reply that arrives after the next SYNC frame counts as late, not as lost.
     """
     return outcome.loop_stats.refused_frames + make_sensors(plan.hand).lost_frame_count(

@@ -1,6 +1,6 @@
 """``handctl bus``: plan the bus load of a hand, check buses, set up interfaces, or watch the readings of a hand.
 
-Only the module of the selected subcommand is imported. Importing ``plan`` and ``watch`` also
+handctl imports only the module of the selected subcommand. Importing ``plan`` and ``watch`` also
 imports the modules of the controller, which the other subcommands do not need.
 """
 

@@ -1,4 +1,4 @@
-"""``handctl bus doctor``: check the interface and the nodes of each bus, and print a repair for each bad finding."""
+"""``handctl bus doctor``: check the interface and the nodes of each bus, and print a remedy for each problem."""
 
 import argparse
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ The limit is one tick at a control rate of 200 Hz.
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the buses that the command line names. Return 1 if a finding needs a repair.
+    """Check the buses that the command line names. Return 1 if a problem was found.
 
     Args:
         args: arguments of the command: bus, bitrate, data_bitrate, json and hand. The hand file
@@ -203,7 +203,7 @@ def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFindin
 
 
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
-    """Return one finding for each motor of the hand file that did not answer on a bus."""
+    """Return one finding for each motor that should be on the bus, but that the scan has not found."""
     found_numbers = {(node.protocol, node.node_id) for node in result.found_nodes}
     motors = [
         motor

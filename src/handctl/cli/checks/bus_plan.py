@@ -1,6 +1,6 @@
 """``handctl bus plan``: compute the worst-case load of each bus of a hand.
 
-For an overloaded bus, the command proposes to divide the motors among more buses.
+If a bus is overloaded, the command proposes a distribution of the motors over more buses.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from handctl.session.run_plan import bus_specs, highest_rate_of_buses
 def run(args: argparse.Namespace) -> int:
     """Compute and print the load of each bus of a hand.
 
-    If a bus is overloaded, or a CAN interface has a wrong bit rate, return 1.
+    Return 1 if a bus is overloaded, or if a CAN interface has a wrong bit rate.
     """
     if args.table:
         _print_table() if not args.json else print_json(

@@ -41,7 +41,7 @@ MAX_WATCH_S = 86400.0
 def run(args: argparse.Namespace) -> int:
     """Show the readings for a given time, or until the operator presses Ctrl-C.
 
-    If a drive has stopped replying before the end, return 1.
+    Return 1 if a drive stopped replying before the end.
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
@@ -158,7 +158,7 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
 
 
 def _joint_reading(hand: Hand, joint_index: int, value: float) -> dict[str, float]:
-    """Return the reading of a joint encoder with its unit.
+    """Return the reading of a joint encoder and the unit of the reading.
 
     The position of a prismatic joint is in m.
     """
@@ -170,7 +170,7 @@ def _drive_fields(
 ) -> dict[str, Any]:
     """Return the readings of a drive. The position and the velocity are converted to the spool.
 
-    Positive values belong to motion that winds the tendon up.
+    Values are positive for a motion that winds up the tendon.
     """
     motor = hand.motor_of(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)

@@ -144,7 +144,7 @@ def _file_checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], obje
         )
 
     def check_scene() -> None:
-        """Check that the hand can be simulated in the scene that the user has named, if any."""
+        """Check that the hand can be simulated in the scene, if the user has named a scene."""
         if args.scene:
             # Only this check needs the module of the simulated hand, so the import is here.
             from handctl.session.simulate import SimulatorSettings
@@ -263,7 +263,7 @@ def _hand_warnings(hand: Hand) -> list[str]:
 
 
 def _gains_with_sources(layers: LayeredGains) -> list[str]:
-    """Return every gain with its origin as TOML comments.
+    """Return TOML comments with the value and the origin of every gain.
 
     A hand file contains no gains, because they belong in a separate file.
     """

@@ -162,7 +162,7 @@ def _mesh_of_link(
 ) -> ModelMesh | None:
     """Return the largest mesh of a link that a hand file can contain, or None if there is none.
 
-    For each mesh that is left out, add a line to ``notes``.
+    For each mesh that is left out, add a line to the list ``notes``.
     """
     sizes: dict[int, float] = {}
     for i, mesh in enumerate(meshes):
@@ -223,7 +223,10 @@ def _check_answers(tendon_answers: ImportAnswers) -> None:
 def _unexpected_mistakes(
     mistakes: Iterable[FileMistake], missing_values: list[FileMistake], output_path: Path
 ) -> list[str]:
-    """Return one line for each mistake in the new hand file, but none for missing values."""
+    """Return one line for each mistake in the new hand file.
+
+    Missing values do not count as mistakes.
+    """
     return [
         str(mistake.error(str(output_path)))
         for mistake in mistakes

@@ -46,8 +46,8 @@ VERDICT_WORDS = {
 def run(args: argparse.Namespace) -> int:
     """Run the checks of a drive, and return the exit code.
 
-    The exit code is 1 if a check failed, 5 if none failed and at least one could not be made, and
-    71 if the drive does not confirm that it is disabled.
+    The exit code is 1 if a check failed. It is 5 if no check failed, but at least one check could
+    not be made. It is 71 if the drive does not confirm that it is disabled.
     """
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and MIN_TORQUE_LIMIT_N_M <= args.limit <= MAX_TORQUE_N_M):

@@ -1,4 +1,4 @@
-"""``handctl doctor``: check the permissions and devices of this machine, and print a repair for each bad finding."""
+"""``handctl doctor``: check the permissions and devices of this machine, and print a remedy for each problem."""
 
 import argparse
 import platform
@@ -37,7 +37,7 @@ The limit is one tick at 500 Hz.
 def run(args: argparse.Namespace) -> int:
     """Check the process priority, CAN, the viewer and the disk space of this machine.
 
-    If a finding needs a repair, return 1.
+    Return 1 if a problem was found.
     """
     findings = [
         _check_priority(),
@@ -125,7 +125,7 @@ def _check_memory() -> DoctorFinding:
 
 
 def _check_wakeups() -> DoctorFinding:
-    """Measure how late the system wakes a process, and whether a hypervisor has taken processor time away."""
+    """Measure how late the system wakes a process, and check whether a hypervisor has taken processor time away."""
     start_time_s, ticks = time.monotonic(), _processor_ticks()
     max_lateness_s = 0.0
     with realtime_priority():
@@ -148,10 +148,12 @@ def _check_wakeups() -> DoctorFinding:
 
 
 def _processor_ticks() -> tuple[int, int]:
-    """Return the time of all cores since system start, and the part that a hypervisor gave to other machines.
+    """Return two processor times since the start of the system, each summed over all cores.
 
-    The unit of both times is the clock tick of the kernel. The second value is the field ``steal``
-    of ``/proc/stat`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are 0.
+    The first value is the total time. The second value is the part that a hypervisor gave to other
+    machines. The unit of both times is the clock tick of the kernel. In ``/proc/stat``, the second
+    value is called ``steal`` (Linux ``proc_stat(5)``). On systems other than Linux, both times are
+    0.
     """
     try:
         first_line = Path("/proc/stat").read_text().splitlines()[0]

@@ -61,10 +61,11 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 
 
 def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
-    """Return a warning if the gains leave a tendon with a spring and without a load cell too small a gain margin.
+    """Return a warning if the gain margin of a tendon with a spring and without a load cell is too small.
 
-    The filter of such a tendon has a larger phase lag than with a load cell. The default gains may
-    therefore leave the motion loop a gain margin of only 3 dB, even at 500 Hz.
+    The filter of such a tendon has a larger phase lag than the filter of a tendon with a load cell.
+    With the default gains, the gain margin of the motion loop may therefore be only 3 dB, even at
+    500 Hz.
 
     Args:
         hand: description of the hand.
@@ -91,9 +92,10 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
 
 
 def _largest_force_with_margin(hand: Hand, gains: Gains, rate_hz: float) -> float | None:
-    """Return the largest tried ``motion.force_N`` that keeps the gain margin [N], None if there is none.
+    """Try smaller values of ``motion.force_N``, and return the first value with a sufficient gain margin [N].
 
-    The value is rounded down to two digits.
+    If no tried value has a sufficient margin, return None. The tried values are rounded down to two
+    digits.
     """
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB
 
@@ -123,13 +125,16 @@ def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str
 
 
 def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:
-    """Return True if a digit has a tendon without load cell, other than a spool pair."""
+    """Return True if a digit has a tendon without a load cell. Spool pairs do not count."""
     has_no_cell = ~hand.has_cell & ~hand.is_pair
     return bool(has_no_cell[hand.digit_tendons[digit]].any())
 
 
 def _has_springs_without_cells(hand: Hand) -> bool:
-    """Return True if a digit with springs has a tendon without load cell, other than a spool pair."""
+    """Return True if a digit with springs has a tendon without a load cell.
+
+    Spool pairs do not count.
+    """
     return any(
         digit.has_springs and _has_tendon_without_cell(hand, digit.name) for digit in hand.digit
     )

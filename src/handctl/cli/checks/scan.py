@@ -61,14 +61,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_note_of_bus(spec: str, text: str) -> None:
-    """Print a note that begins with the name of a bus."""
+    """Print the name of a bus and a note about the bus."""
     print_note(f"{spec}: {text}")
 
 
 def add_identities(
     nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
 ) -> tuple[DiscoveredNode, ...]:
-    """Return the nodes that a scan has found, with more data about CANopen nodes.
+    """Return the nodes that a scan has found, with additional data about CANopen nodes.
 
     For each CANopen node, the result also contains the identity that the node reports over SDO.
     """

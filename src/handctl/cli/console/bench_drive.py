@@ -1,4 +1,4 @@
-"""Commands on a single drive on a bench, without a hand file.
+"""Commands that use a single drive on a bench, without a hand file.
 
 This module reads the options, scans for the drive, describes it, and opens its bus.
 """
@@ -92,7 +92,7 @@ def _option_from_word(word: str) -> dict[str, Any]:
 
 
 def _drive_in_torque_mode(motor: Motor) -> Drive:
-    """Return the drive of a motor, in torque mode."""
+    """Return the drive of a motor, configured for torque mode."""
     return make_drive(motor, 0)
 
 
@@ -102,9 +102,9 @@ def describe_drive(
     node: DiscoveredNode | None,
     make_drive: Callable[[Motor], Drive] = _drive_in_torque_mode,
 ) -> Drive:
-    """Return the drive, described by the values that it reports.
+    """Return a drive, described by the values that the drive reports.
 
-    If the command line also gives such a value, the value of the command line is used.
+    If the command line also gives one of these values, the value of the command line is used.
 
     Args:
         args: arguments with ``protocol``, ``node`` and ``limit`` [N m].
@@ -166,7 +166,7 @@ def _check_motor_type(protocol: str, options: dict[str, Any]) -> None:
 def _bench_options(protocol: str, options: dict[str, Any]) -> dict[str, Any]:
     """Return the options for a single drive on a test bench.
 
-    The firmware 0.5 of ODrive does not report torque, and has no such options.
+    ODrive firmware 0.5 does not report torque, and has no such options.
     """
     return {} if options.get("firmware") == "0.5" else BENCH_OPTIONS.get(protocol, {})
 
@@ -207,11 +207,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
 
 
 def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
-    """Return the result of a scan for a drive that answers commands but cannot be found by a scan.
+    """Listen on the bus of a drive that a scan cannot find, and return a result like that of a scan.
 
-    The function only listens, and sends nothing. If a frame with the identifier of the drive
-    arrives, another host must be sending commands to the drive. The first check after this scan
-    shows whether the drive is present.
+    Such a drive only answers commands. The function sends nothing. If a frame with the identifier
+    of the drive arrives, another host must be sending commands to the drive. The first check after
+    this scan shows whether the drive is present.
     """
     seen_frames: list[Frame] = []
     collect_frames(bus, SCAN_LISTEN_S, seen_frames)
@@ -236,8 +236,8 @@ def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:
 def open_drive_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[DriveRig, Bus]]:
     """Open the bus of a drive.
 
-    Yield the test rig that operates the drive, and the bus. If the system allows it, the test rig
-    runs with real-time priority.
+    Yield the test rig of the drive, and the opened bus. If the system allows it, the test rig runs
+    with real-time priority.
 
     Args:
         args: arguments with ``bus`` and the bit rates of the bus.

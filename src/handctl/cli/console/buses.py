@@ -1,4 +1,4 @@
-"""Search of the command line for the bus of a running controller, and description of the simulator that a bus lacks."""
+"""Functions that find the bus of a running controller, and the command that starts a missing simulator."""
 
 import argparse
 import shlex
@@ -7,12 +7,15 @@ from handctl.session.buses import named_buses
 
 
 def controller_bus(args: argparse.Namespace) -> str:
-    """Return the bus that identifies a running controller: the first ``--bus``, without its prefix NAME=."""
+    """Return the bus that identifies a running controller.
+
+    This is the first ``--bus`` without its prefix ``NAME=``.
+    """
     return next(iter(named_buses(args.bus).values()))
 
 
 def simulator_command(args: argparse.Namespace) -> str:
-    """Return the command that starts a simulator on the buses of a command line, for the hand or the drive."""
+    """Return the command that starts a simulator for the hand or the drive on the buses of a command line."""
     bus_names = named_buses([args.bus] if isinstance(args.bus, str) else args.bus)
     buses = (
         [f"{name}={spec}" for name, spec in bus_names.items()]

@@ -31,7 +31,7 @@ NO_BREAK_SPACE = "\u00a0"
 
 
 class DisplayProcess:
-    """Controller's end of the pipe that leads to the display process.
+    """Controller's end of the pipe to the display process.
 
     Attributes:
         ticks_per_line: number of ticks between two lines of JSON.
@@ -91,7 +91,8 @@ class DisplayProcess:
     def show_tick(self, entry: TickIn, tick_output: TickOut) -> None:
         """Send a line about the tick to the display process.
 
-        Only ticks with an event, and one tick in each period of ``REFRESH_PERIOD_S``, are sent.
+        The function sends only ticks with an event, and one tick in each period of
+        ``REFRESH_PERIOD_S``.
         """
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.ticks_per_line and not tick_output.events:
@@ -119,7 +120,7 @@ class DisplayProcess:
     def _is_due(self, t_ns: int, event: TickEvent) -> bool:
         """Return True if the display should print an event.
 
-        A repeated warning is printed at most once per second. The log contains every event.
+        The display prints a repeated warning at most once per second. The log contains every event.
         """
         if event.level == "error" or event.name != "fault":
             return True
@@ -132,8 +133,8 @@ class DisplayProcess:
     def _event_text(self, event: TickEvent) -> str:
         """Return the text that the display prints for an event.
 
-        When a fault occurs for the first time, a second line gives the remedy. If a gain has
-        changed, the text contains the key of the gain.
+        At the first occurrence of a fault, a second line gives the remedy. If a gain has changed,
+        the text contains the key of the gain.
         """
         if event.name == GAIN_EVENT:
             return f"{event.where} = {event.text}"
@@ -195,7 +196,7 @@ def _tension_lines(tendon_names: Sequence[str], status_fields: dict[str, Any]) -
 
 
 def _draw_panel_in_place(run_fields: dict[str, Any]) -> None:
-    """Draw the state of the hand in the terminal, always in the same place, with the package rich."""
+    """Draw the state of the hand at a fixed place in the terminal, with the package rich."""
     from rich.live import Live
 
     console = rich_console()

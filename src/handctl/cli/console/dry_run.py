@@ -1,4 +1,4 @@
-"""Report of a dry run, which checks all inputs but moves nothing.
+"""Report of a dry run, in which a command checks all inputs but moves nothing.
 
 All commands that run a controller print the same report.
 """

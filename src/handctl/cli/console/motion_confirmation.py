@@ -60,10 +60,10 @@ def announce_motion(
 
 
 def _file_text(file_kind: str, path: Path, creation_date: str) -> str:
-    """Return the kind, the path and the age of a file as one text.
+    """Return the kind, the path and the age of a file in one text.
 
-    If a date is written in the file, the age is counted from this date. Otherwise the age is
-    counted from the last modification of the file.
+    The age is counted from the date in the file. If the file contains no date, it is counted from
+    the last modification of the file.
     """
     modified_s = path.stat().st_mtime
     with suppress(ValueError):

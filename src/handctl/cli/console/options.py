@@ -59,7 +59,7 @@ def checked_count(count: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, extra_help: str = "") -> None:
     """Declare --protocol and --motor-type.
 
-    With ``--protocol``, all drives of the hand use this protocol instead of the one in the hand
+    With ``--protocol``, all drives of the hand use this protocol, and not the protocol in the hand
     file.
     """
     text = "drives of the simulated hand (default: as in its file)" + extra_help
@@ -193,7 +193,7 @@ def add_perturb_option(parser: argparse.ArgumentParser) -> None:
 
 
 def perturb_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass the factors of --perturb to the command line of the simulator."""
+    """Return the command-line words that give the simulator the factors of --perturb."""
     return ["--perturb", *args.perturb] if args.perturb else []
 
 
@@ -243,7 +243,7 @@ def print_escaped(text: str, error: bool = False) -> None:
 def warn_if_lossy(path: Path, warning: str) -> ExitCode:
     """Warn if a log is incomplete.
 
-    Return the exit code of a command that has used only the readable part of a log.
+    Return the exit code of a command that could read only a part of a log.
     """
     if warning:
         print_escaped(f"handctl: {path}: {warning}", error=True)
@@ -260,7 +260,7 @@ def add_wire_option(parser: argparse.ArgumentParser) -> None:
 
 
 def wire_option_words(args: argparse.Namespace) -> list[str]:
-    """Return the words that pass the values of --wire to the command line of the simulator."""
+    """Return the command-line words that give the simulator the values of --wire."""
     return [] if args.wire is None else ["--wire", *args.wire]
 
 
@@ -275,7 +275,7 @@ def print_json(result: dict[str, Any]) -> None:
 def print_json_line(result: dict[str, Any]) -> None:
     """Print a result as one line of JSON, without buffering.
 
-    Commands that report during their work use this function. A NaN becomes null.
+    Commands that report results during their work use this function. A NaN becomes null.
     """
     text = json.dumps(_json_value(result), allow_nan=False)
     sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")

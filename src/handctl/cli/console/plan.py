@@ -146,7 +146,7 @@ def find_calibration(
 
 
 def check_perturb(args: argparse.Namespace, is_simulated: bool) -> dict[str, float]:
-    """Return the factors of ``--perturb``, after a simulated hand has accepted these factors.
+    """Check that a simulated hand accepts the factors of ``--perturb``, and return these factors.
 
     Args:
         args: arguments with the hand and ``--perturb``.

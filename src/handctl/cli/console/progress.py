@@ -1,4 +1,4 @@
-"""Progress bar on the terminal. It disappears when the work is done."""
+"""Progress bar on the terminal. The progress bar disappears when the work is done."""
 
 import sys
 from collections.abc import Iterator
@@ -13,7 +13,10 @@ class ProgressCallback(Protocol):
     """Function that a long computation calls to report its progress."""
 
     def __call__(self, done: int, total: int | None = None, label: str | None = None) -> None:
-        """Report that ``done`` of ``total`` steps are done. ``label`` names the present step."""
+        """Report that ``done`` of ``total`` steps are complete.
+
+        ``label`` names the present step.
+        """
         ...
 
 

@@ -105,7 +105,7 @@ def check_terminal() -> None:
 def ask_question(question: HandQuestion, default_text: str, default_answer: Any) -> Any:
     """Ask a question until the answer is valid or empty.
 
-    Return the answer. If it is empty, return the default.
+    Return the answer. If the answer is empty, return the default.
     """
     while True:
         text = input(f"{question.question_text} [{default_text}]: ").strip()

@@ -1,7 +1,7 @@
 """Console of the package rich, for the output of all commands.
 
 The console escapes control characters in text from files. If the program that reads the output
-closes its pipe, the console ends the command.
+closes its pipe, the console raises an error that ends the command.
 """
 
 from collections.abc import Iterable
@@ -43,10 +43,10 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
             return super().render_str(escape_text(text, "\n\t"), **keywords)
 
         def on_broken_pipe(self) -> None:
-            """Raise the same error for a closed pipe as a command without rich raises.
+            """Raise the error that every command raises for a closed pipe.
 
-            ``main`` handles this error. If only the reader of the progress output has closed its
-            pipe, the command continues without this output.
+            ``main`` handles this error. If only the pipe of the progress output is closed, the
+            command continues without this output.
             """
             if not error:
                 raise BrokenPipeError

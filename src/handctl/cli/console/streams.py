@@ -6,11 +6,11 @@ from io import TextIOWrapper
 
 
 def open_standard_streams() -> None:
-    """Open those standard streams that are closed.
+    """Open each standard stream that is closed.
 
-    After this, standard output and standard error escape all characters that the terminal cannot
-    show. If a standard stream stayed closed, the next file that is opened would get the stream's
-    file descriptor.
+    After this, standard output and standard error escape each character that the terminal cannot
+    show. If a standard stream stayed closed, the next opened file would get the file descriptor of
+    this stream.
     """
     for number in range(3):
         try:

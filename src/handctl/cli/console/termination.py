@@ -1,8 +1,8 @@
 """Orderly end of a command after a signal or an unexpected exception.
 
-While no hand runs, a signal raises an exception in the command. This exception makes the command
-close its files, child processes and sockets. While a hand runs, the control loop handles the
-signals instead, see ``runtime.loop.StopSignals``.
+While no hand runs, a signal raises an exception in the command. The command then closes its files,
+child processes and sockets. While a hand runs, the control loop handles the signals instead, see
+``runtime.loop.StopSignals``.
 """
 
 import atexit

@@ -46,7 +46,10 @@ def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
 
 
 def is_first_caution(text: str) -> bool:
-    """Return True if the running command has not printed this caution yet, and store that it is printed now."""
+    """Return True if the running command has not printed this caution yet.
+
+    Record that it is printed now.
+    """
     printed_cautions = _printed_cautions.get()
     if printed_cautions is None:
         return True

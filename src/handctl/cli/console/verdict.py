@@ -65,7 +65,7 @@ def print_summary(run_result: dict[str, Any], plan: RunPlan) -> None:
 def _pauses_text(silent_ticks: int) -> str:
     """Return a text that says in how many ticks no node answered.
 
-    Ticks without an answer explain late frames.
+    Such ticks explain why frames were late.
     """
     return (
         f", bus silent for {silent_ticks} tick{'s' if silent_ticks > 1 else ''}"

@@ -78,9 +78,10 @@ def _print_info(args: argparse.Namespace) -> int:
 
 
 def _value_text(value: object) -> str:
-    """Return a value as text: yes, no, a number with 9 significant digits, or ``-`` for no value.
+    """Return a value as text.
 
-    In the header of a run in lockstep, the priority is ``None``.
+    The text is yes or no, a number with 9 significant digits, or ``-`` for no value. In the header
+    of a run in lockstep, the priority is ``None``.
     """
     if isinstance(value, bool):
         return "yes" if value else "no"

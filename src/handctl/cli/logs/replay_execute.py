@@ -1,4 +1,4 @@
-"""``handctl replay execute``: execute the controller again on a log, with the logged gains or other gains.
+"""``handctl replay execute``: execute the controller again with the inputs and the gains of a log, or with other gains.
 
 This module and all modules that it imports use no bus.
 """
@@ -18,7 +18,7 @@ MAX_PRINTED_ULPS = 10_000
 
 
 def run(args: argparse.Namespace) -> int:
-    """Execute the controller again on a log, and return the exit code."""
+    """Execute the controller again with the inputs of a log, and return the exit code."""
     from handctl.log.read.reader import RunLog
 
     if args.within is not None and not args.within >= 0:
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with the logged gains.
+    """Execute the controller with the inputs and the gains of the log.
 
     Return True if all computed ticks equal the ticks in the log, or differ by no more than the
     tolerance.
@@ -138,7 +138,7 @@ def _difference_line(difference: Any) -> str:
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
-    """Execute the log with other gains, and draw a picture of the resulting commands.
+    """Execute the controller with the inputs of the log and other gains, and draw the resulting commands.
 
     Always return True.
     """

@@ -97,7 +97,10 @@ def _check_options(args: argparse.Namespace) -> None:
 
 
 def _write_files(args: argparse.Namespace, run_info: Any, picture_time_s: float) -> dict[str, Any]:
-    """Write the requested recording and picture. Return the fields of the JSON result."""
+    """Write the recording and the picture, if they are requested.
+
+    Return the fields of the JSON result.
+    """
     from handctl.view.rerun_conversion import write_rrd
 
     result: dict[str, Any] = {}

@@ -1,6 +1,6 @@
 """Optional packages that each command of handctl needs.
 
-With this list, handctl reports a missing package before the command begins.
+With this list, handctl can report a missing package before the command begins.
 """
 
 import argparse

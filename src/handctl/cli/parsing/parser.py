@@ -1,8 +1,8 @@
 """Parser of command lines.
 
-Each error message of the parser is one line that suggests a correction. Each help text ends with an
-example. Error messages of argparse may contain words that the user has typed. The parser escapes
-and shortens these messages before it prints them.
+Each error message of the parser is a single line with a suggested correction. Each help text ends
+with an example. Error messages of argparse may contain words from the command line. The parser
+escapes and shortens these messages before it prints them.
 """
 
 import argparse
@@ -40,7 +40,7 @@ class CommandExample(NamedTuple):
     def help_epilog(self) -> str:
         """Return the end of a help text with the example.
 
-        The last line of the example is the command line.
+        The last line of the text is the command line of the example.
         """
         parallel_text = (
             ["in other terminals:", *(f"  {command}" for command in self.parallel_commands)]
@@ -125,7 +125,7 @@ class VerbParser(argparse.ArgumentParser):
         return parsed, unparsed_words
 
     def _report_unknown_word(self, word: str) -> NoReturn:
-        """Raise an error for a word of the command line that no argument accepts."""
+        """Raise an error for a word of the command line that belongs to no argument."""
         option = word.partition("=")[0]
         kind = "option" if word.startswith("-") else "argument"
         suggestion = did_you_mean(option, self._option_string_actions) if kind == "option" else ""
@@ -163,7 +163,7 @@ class VerbParser(argparse.ArgumentParser):
 
 
 def _option_names(words: Iterable[str]) -> Iterable[str]:
-    """Yield the names of the options in a command line, up to the word ``--``."""
+    """Yield the names of all options in a command line that come before the word ``--``."""
     for word in words:
         if word == "--":
             return
@@ -176,9 +176,9 @@ def _quote_word(word: str) -> str:
 
 
 def did_you_mean(unknown_word: str, known_words: Iterable[str]) -> str:
-    """Return a question that suggests the name most similar to a word.
+    """Return a question that suggests the known name most similar to a word.
 
-    If no name is similar enough, the text is empty.
+    If no known name is similar enough, the text is empty.
     """
     similar_word = similar_name(unknown_word, known_words)
     return f", did you mean {similar_word}?" if similar_word else ""

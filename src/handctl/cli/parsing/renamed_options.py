@@ -1,6 +1,6 @@
 """Options of the command line that have been renamed.
 
-If a user writes the old name of an option, the error message gives the new name. The table of
+If a user writes the old name of an option, an error message gives the new name. The table of
 renamed options in docs/reference/command-line.md has the same rows as the table here.
 """
 

@@ -1,7 +1,7 @@
 """``handctl clear``: clear the latched faults of a running controller.
 
-This command never arms a hand. After a crash of the controller, use ``handctl run --clear``, which
-clears the latched faults of the drives before arming.
+This command never arms a hand. If the controller has crashed, use ``handctl run --clear``. That
+command clears the latched faults of the drives before arming.
 """
 
 import argparse

@@ -157,7 +157,7 @@ def _commission_and_run(
 ) -> RunOutcome:
     """Commission the hand, and then run the program.
 
-    In this run, the controller uses parameters of the hand that were identified in an earlier run.
+    In this run, the controller uses parameters that were identified in an earlier run.
     """
     first_function, second_function = run_functions
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
@@ -205,7 +205,7 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall_s: float) -> dict[str,
 
 @contextmanager
 def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]:
-    """Start the simulator as a separate process, and stop it at the end of the context.
+    """Start the simulator as a separate process. Stop the simulator at the end of the context.
 
     Raises:
         BusError: the simulator does not start.

@@ -58,9 +58,10 @@ def run(args: argparse.Namespace) -> int:
 def _jog_program(
     args: argparse.Namespace, names: tuple[str, ...], max_tension: float
 ) -> JogProgram:
-    """Check the goal before the hand moves, and return the program that moves the hand to this goal.
+    """Check the goal, and return the program that moves the hand to this goal.
 
-    An angle may be the goal of a digit or of a single joint.
+    The check takes place before the hand moves. An angle may be the goal of a digit or of a single
+    joint.
 
     Raises:
         ConfigError: the digit, the duration, the tension or the angle is invalid.

@@ -140,7 +140,7 @@ def _describe_motion(
 
 
 def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor:
-    """Return the description of a Damiao motor whose commands contain a torque limit.
+    """Return the description of a Damiao motor with a torque limit in its commands.
 
     A command contains the torque limit as a fraction of the full scale.
 
@@ -155,9 +155,9 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return those options of a drive that also apply in torque mode.
+    """Return the options of a drive without the options of the position and velocity modes.
 
-    The result does not contain the options of the position and velocity modes.
+    All returned options also apply in torque mode.
     """
     return {
         key: value
@@ -183,8 +183,8 @@ def _move_drive(
 
     Return the result, and True if the drive has confirmed that it is disabled.
 
-    If a fault or a limit stops the motion, the drive keeps its latched fault, and stays in the mode
-    of the motion. Otherwise the drive ends in torque mode.
+    If a fault or a limit stops the motion, the drive keeps its latched fault and its mode.
+    Otherwise the drive ends in torque mode.
     """
     result: JogResult | None = None
     with open_drive_rig(args, drive) as (rig, bus):

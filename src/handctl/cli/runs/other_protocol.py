@@ -1,6 +1,6 @@
-"""Hand file for a simulated hand whose drives use another protocol than those in the packaged file.
+"""Hand file in which the drives of a packaged hand are replaced by drives with another protocol.
 
-The fault campaign also uses such hands.
+The file describes a simulated hand. The fault campaign also uses such hands.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def hand_in_protocol(args: argparse.Namespace) -> Iterator[None]:
 
 
 def path_in_protocol(args: argparse.Namespace) -> Path:
-    """Return the path, in the present folder, of the hand file whose drives use ``args.protocol``.
+    """Return the path in the present folder for the hand file with drives of ``args.protocol``.
 
     Raises:
         ConfigError: a file with this name exists and has different content.

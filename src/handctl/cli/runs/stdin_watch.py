@@ -1,4 +1,4 @@
-"""End of a run when standard input ends, for the option ``--until-eof``.
+"""End of a run at the end of standard input, for the option ``--until-eof``.
 
 When standard input ends, the run ends too. Standard input ends when the program that started the
 run ends.
@@ -18,7 +18,7 @@ READ_BYTES = 4096
 class StdinWatch:
     """Observer of a run.
 
-    It requests a stop when standard input has ended, see ``session.run.RunObserver``.
+    The observer requests a stop when standard input has ended, see ``session.run.RunObserver``.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""``handctl stop``: relax and disarm a hand that runs in another terminal."""
+"""``handctl stop``: relax and disarm a hand whose controller runs in another terminal."""
 
 import argparse
 

@@ -40,7 +40,7 @@ VERDICT_COLOURS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute all items about the paper again, run the requested experiments, and print the items with the results.
+    """Compute the items about the paper again, run the requested experiments, and print all items and results.
 
     Return the exit code.
     """

@@ -1,7 +1,6 @@
 """Declaration of the arguments of the commands in this folder.
 
-The code of a command is imported only when that command runs. This makes the help texts appear
-fast.
+The code of a command is imported only when that command runs. Therefore help texts appear fast.
 """
 
 import argparse

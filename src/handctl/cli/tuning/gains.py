@@ -89,7 +89,7 @@ def gain_meaning(gain: GainBounds) -> str:
 
 
 def _provenance_text(provenance: GainsProvenance) -> str:
-    """Return the provenance of gains as a phrase with number, time and sources."""
+    """Return a phrase about the origin of gains: the number, the time and the sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
     made = f", made {provenance.made}" if provenance.made else ""
@@ -121,7 +121,7 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
 
 
 def _gains_to_compare(gains_word: str, hand: Hand) -> Gains:
-    """Return the set of gains that ``gains_word`` names.
+    """Return the set of gains with the name ``gains_word``.
 
     This word is "packaged", "present", a number in the history, a log, or a gains file.
 
@@ -153,7 +153,7 @@ def _gains_to_compare(gains_word: str, hand: Hand) -> Gains:
 
 
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
-    """Make the gains in a file the present gains of the hand."""
+    """Replace the present gains of the hand by the gains in a file."""
     file = read_gains_for_hand(hand, args.file, print_notice)
     check_gain_margins(hand, file.gains)
     options = {
@@ -252,7 +252,7 @@ def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
 def _change_live_gains(args: argparse.Namespace) -> int:
     """Change gains of a running controller, and return the exit code.
 
-    If a value is invalid, an error is raised before a request is sent.
+    An invalid value raises an error before a request is sent.
     """
     from handctl.runtime.confirmed_requests import (
         open_watcher,

@@ -62,9 +62,8 @@ BLOCKED_HINT = (
 def run(args: argparse.Namespace) -> int:
     """Excite a hand with a series of motions, or read logs of such motions.
 
-    Then fit the parameters of the hand, report them, and save them.
-
-    Return the exit code.
+    Then fit the parameters of the hand to the data, report the parameters, and save them. Return
+    the exit code.
     """
     source_count = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if source_count != 1:
@@ -302,7 +301,7 @@ def _report_results(
 def _print_refusals(
     blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
-    """Print which parameters are not kept, and the reasons.
+    """Print the parameters that are not kept, and the reason for each.
 
     Args:
         blocked_digits: for each digit that was blocked, the event that reports the blocking.
@@ -328,7 +327,7 @@ def _print_refusals(
 
 
 def _search_command(args: argparse.Namespace, path: Path) -> str:
-    """Return the command line that tunes the gains for the identified hand.
+    """Return the command line that tunes gains for the identified hand.
 
     The options of this command line select the same hand.
     """

@@ -1,6 +1,6 @@
 """``handctl tune``: design gains, search for gains in simulation, and verify gains on the hand.
 
-Only the module of the requested kind of tuning is imported.
+handctl imports only the module of the requested kind of tuning.
 """
 
 import argparse

@@ -101,7 +101,7 @@ def _report_failure(args: argparse.Namespace, failure_reason: str) -> int:
 
 
 def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate_hz: float) -> Any:
-    """Return gains with which the poles are at ``--poles-Hz`` [Hz], with the damping ratio ``--damping``.
+    """Return gains that give the poles ``--poles-Hz`` [Hz] and the damping ratio ``--damping``.
 
     Raises:
         ConfigError: a pole or the damping is not a number within the limits.
@@ -181,7 +181,9 @@ def _print_design(gain_design: Any, rate_hz: float, plant_count: int) -> None:
 
 
 def _margin_cells(margins_before: Any, margins_after: Any, missing_margin_text: str) -> list[str]:
-    """Return the cells of a row of the table: each margin with the old gains and with the new gains.
+    """Return the cells of a row of the table.
+
+    The row contains each margin twice: with the old gains and with the new gains.
 
     Args:
         margins_before: stability margins with the old gains.

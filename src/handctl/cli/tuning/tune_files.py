@@ -44,10 +44,10 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 def ensemble_of_tuned_hand(
     args: argparse.Namespace, spread_of_factor: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
-    """Return the factors between the parameters of each simulated plant and those of the hand to tune.
+    """Return the factors by which each simulated plant multiplies the parameters of the hand to tune.
 
     The plants form an ensemble around the best estimate of the hand. Without a calibration, the
-    hand at the center of the ensemble has the parameters of the hand file, multiplied by the
+    hand at the centre of the ensemble has the parameters of the hand file, multiplied by the
     factors of ``--perturb``. The identified values in a calibration already contain the effect of
     these factors. With a calibration, the factors are therefore not applied again.
 
@@ -95,14 +95,14 @@ def write_gains(
 
 
 class TunedHand(NamedTuple):
-    """Hand to tune: the hand of the hand file, the hand with identified parameters, and their spread.
+    """Hand to tune, as described by the hand file and as identified.
 
     Attributes:
         hand: hand with the parameters of the hand file. A gains file contains the name and the
             identity of this hand.
         identified_hand: hand with identified parameters in place of the parameters in the file.
             This hand is the model of the controller, as in a run with the same calibration. This
-            hand is also the center of the ensemble of simulated plants.
+            hand is also the centre of the ensemble of simulated plants.
         factor_spread: half width of the ensemble for each parameter, from the identification, see
             ``sample_ensemble``.
     """

@@ -1,6 +1,6 @@
-"""``handctl tune verify``: test new gains on the hand, in rounds whose amplitude rises.
+"""``handctl tune verify``: test new gains on the hand, in rounds of rising amplitude.
 
-If a round fails, the hand gets its old gains again.
+If a round fails, the hand returns to its old gains.
 """
 
 import argparse
@@ -156,7 +156,8 @@ def _stop_reason(failure: str, verify_observer: Any, round_count: int) -> str:
 
     If the run passed all rounds, the text is empty.
 
-    A blocked digit is reported before all other reasons, because it explains most of the others.
+    A blocked digit comes before all other reasons, because a blocked digit explains most of the
+    others.
     """
     if verify_observer.blocked:
         return str(verify_observer.blocked)
@@ -253,7 +254,7 @@ def _print_rounds(
 
 
 def gains_return_text(gains_return: dict[str, Any]) -> str:
-    """Return the line of the report about a return to the old gains."""
+    """Return the line of the report that says when and why the hand returned to the old gains."""
     return (
         f"returned to the old gains at {gains_return['t_s']:.3f} s (tick {gains_return['k']}), "
         f"amplitude {gains_return['amplitude']:g}: {gains_return['why']}"
@@ -263,7 +264,10 @@ def gains_return_text(gains_return: dict[str, Any]) -> str:
 def _gains_label(
     round_number: int, gains_return: dict[str, Any] | None, amplitudes: tuple[float, ...]
 ) -> str:
-    """Return the label of the gains in a test round: old, new, first new and then old, or old again."""
+    """Return the label of the gains in a test round.
+
+    The label is old, new, first new and then old, or old again.
+    """
     from handctl.tune.gains_verification import ROUNDS_WITH_OLD_GAINS
 
     if round_number < ROUNDS_WITH_OLD_GAINS:

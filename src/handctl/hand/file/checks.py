@@ -1,4 +1,7 @@
-"""Checks across the sections of a hand file: references, lengths of lists, tendon routing, limits, CAN identifiers."""
+"""Checks that involve several sections of a hand file.
+
+The checks are about references, lengths of lists, tendon routing, limits and CAN identifiers.
+"""
 
 from __future__ import annotations
 
@@ -110,8 +113,8 @@ MistakeIterator = Iterator[FileMistake]
 def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
-    Checks that need valid references or shapes run only if no mistake was found in references and
-    shapes.
+    Some checks need valid references and shapes. These checks are left out if a mistake was found
+    in references or shapes.
 
     Args:
         hand: hand whose single sections are already valid.
@@ -147,7 +150,7 @@ def check_names(hand: Hand) -> MistakeIterator:
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
     """Yield the mistakes within single digits and single tendons.
 
-    For these checks, no other sections of the file are necessary.
+    These checks need no other sections of the file.
     """
     for digit in digits:
         yield from _check_digit(digit)
@@ -159,7 +162,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
 def _check_unique(names: Iterable[str], key_path: str) -> MistakeIterator:
     """Yield a mistake for each name that occurs more than once.
 
-    In the key path ``key_path``, this name takes the place of {}.
+    This name replaces the {} in the key path ``key_path``.
     """
     seen_names: set[str] = set()
     for name in names:
@@ -210,7 +213,10 @@ def _check_digit(digit: Digit) -> MistakeIterator:
 
 
 def _check_joint_values(digit: Digit, key_path: str) -> MistakeIterator:
-    """Check that the keys of revolute and of prismatic joints have a value per joint of their type."""
+    """Check the keys of revolute and of prismatic joints.
+
+    A key must have one value for each joint of the type to which the key belongs.
+    """
     prismatic_count = digit.is_prismatic.count(True)
     revolute_count = len(digit.is_prismatic) - prismatic_count
     keys = [
@@ -253,7 +259,7 @@ def _check_coupled_types(
 def check_mesh_keys(
     section: Digit | Mount, mesh: str, keys: Iterable[str], key_path: str
 ) -> MistakeIterator:
-    """Check that a section without meshes has no scale and no pose for meshes, and that no scale is 0."""
+    """Check that meshes exist if a section has a scale or a pose for meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
             yield FileMistake(
@@ -388,7 +394,8 @@ def _check_name(key_path: str, name: str, valid_names: tuple[str, ...]) -> Mista
 def _check_mounts(hand: Hand) -> MistakeIterator:
     """Check that each carried digit comes after the digit that carries it in the file.
 
-    Between both, there may only be digits that the same digit carries, directly or through others.
+    Between both digits, the file may only contain digits that the carrying digit also carries,
+    directly or through other digits.
     """
     line: list[str] = []
     for digit in hand.digit:
@@ -411,8 +418,7 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
 def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves a single digit, and that the tendons are in the order of the digits.
 
-    A tendon may cross the joints of its digit, and otherwise only joints of digits that carry its
-    digit.
+    A tendon may cross only the joints of its digit, and the joints of digits that carry its digit.
     """
     last_digit_index = 0
     for tendon in hand.tendon:
@@ -543,7 +549,10 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
 
 
 def arm_key_of(hand: Hand, joint: str) -> str:
-    """Return the key of a tendon for a joint: ``excursion_ratio`` for a prismatic one."""
+    """Return the key of a tendon's moment arm at a joint.
+
+    For a prismatic joint, the key is ``excursion_ratio``.
+    """
     is_prismatic = hand.is_prismatic[hand.joints.index(joint)]
     return "excursion_ratio" if is_prismatic else "moment_arm_m"
 
@@ -592,8 +601,7 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
     """Check the pretension of a spool pair, and check that the pair has no tension floor.
 
-    The pretension must not make the tension of one tendon of the pair larger than the limits for
-    the net tension.
+    With this pretension, no tendon of the pair may exceed the limits for the net tension.
 
     For a net tension u and a pretension p, the pulling tendon has the tension max(p + u / 2, u).
     """
@@ -612,7 +620,10 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
-    """Check that a digit with spool pairs has one pair per coordinate, and no single tendons, springs or cells."""
+    """Check that a digit with spool pairs has one pair per coordinate.
+
+    It must have no single tendons, no springs and no load cells.
+    """
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
     if not pairs:
@@ -688,7 +699,7 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
 
 
 def _check_stream(stream: StreamLimits) -> MistakeIterator:
-    """Check that the hand holds before it relaxes when a client stops its stream of targets."""
+    """Check that the hand first holds and then relaxes, if a client stops its stream of targets."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         expected = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
         yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", expected)
@@ -716,7 +727,7 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
 def _frame_identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
     """Yield (bus, identifier, key path) for all CAN frames of a hand.
 
-    If the protocol of a motor is unknown here, protocol and node number take the place of the
+    If the protocol of a motor is unknown here, the pair of protocol and node number replaces the
     identifier.
     """
     for protocol, identifier, use_text in SHARED_IDS:

@@ -1,4 +1,7 @@
-"""Units of joint positions for a user: deg for a hinge and mm for a prismatic joint, in place of rad and m."""
+"""Units of joint positions for a user: deg for a hinge, and mm for a prismatic joint.
+
+Inside handctl, the units are rad and m.
+"""
 
 from typing import NamedTuple
 
@@ -57,7 +60,10 @@ class DisplayUnits(NamedTuple):
         return np.asarray(np.asarray(values, dtype=np.float64) * self.si_factor)
 
     def as_equivalent_angles(self, values: ArrayLike) -> Array:
-        """Convert positions (.., n) [rad or m] to rad, where a displayed mm counts as much as a deg."""
+        """Convert positions (.., n) [rad or m] to rad.
+
+        One displayed mm counts as one deg.
+        """
         return np.asarray(np.asarray(values, dtype=np.float64) / (self.si_factor / (np.pi / 180.0)))
 
     @property

@@ -29,7 +29,10 @@ class FileMistake(NamedTuple):
     right: str
 
     def error(self, source_name: str) -> ConfigError:
-        """Return the mistake as an exception whose message is a single line with the name of the file."""
+        """Return the mistake as an exception.
+
+        The message is a single line with the name of the file.
+        """
         return ConfigError(self.what, f"{source_name}: {self.where}", self.right)
 
 
@@ -111,9 +114,10 @@ SECTIONS_ALLOWED_IN_DIGITS = ("tendon", "motor")
 
 
 def _meaning_of_missing_key(key_location: Sequence[str | int], model: type[BaseModel]) -> str:
-    """Return a text that says which value the file should contain for a missing key.
+    """Return a text about the value that the file should contain for a missing key.
 
-    It contains the form of the section or value, and the first sentence of the key's description.
+    The text contains the form of the section or value, and the first sentence of the key's
+    description.
     """
     field = _field_of_key(key_location, model)
     if field is None:
@@ -197,10 +201,11 @@ def _unknown_key_mistake(
 def with_paths_in_hand_file(
     mistakes: Iterable[FileMistake], origin_of_path: Mapping[str, str]
 ) -> list[FileMistake]:
-    """Return the mistakes with the key paths of the hand file in place of those of the resolved content.
+    """Return the mistakes with key paths of the hand file.
 
-    Many sections may use the same value of a default or a template. If several mistakes concern
-    such a value, only the first of them is returned.
+    These paths replace the key paths of the resolved content. Many sections may use the same value
+    of a default or a template. If several mistakes concern such a value, only the first mistake is
+    returned.
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content.
@@ -250,7 +255,9 @@ def shortened_list(section_names: Sequence[str]) -> str:
 
 
 def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    """Return one line for each text, with all names to which it applies, in the order of the first names.
+    """Return one line for each different text, with all names that have this text.
+
+    The lines are in the order of their first names.
 
     Args:
         named_texts: pairs of a name and its text.
@@ -262,9 +269,10 @@ def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
 
 
 def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
-    """Return the key path in the file for a key path of the resolved content.
+    """Convert a key path of the resolved content to the key path in the file.
 
-    The longest part of the path with an entry in ``origin_of_path`` is replaced, and the rest stays.
+    If parts of the path have entries in ``origin_of_path``, the longest of these parts is replaced.
+    The rest stays.
     """
     part = path
     while part:

@@ -151,8 +151,8 @@ class _SectionLine:
 def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the tendons of a description that a hand file can contain, and notes about all other tendons.
 
-    The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
-    the short names of the joints.
+    The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max`` and ``arms``. The
+    keys of ``arms`` are the short names of joints.
     """
     joint_indices = {
         joint: (digit.name, f"j{i + 1}")
@@ -374,7 +374,7 @@ def _sensor_node(tendon_answers: ImportAnswers) -> str:
 def _common_lines(
     described_hand: DescribedHand, tendon_answers: ImportAnswers
 ) -> list[_SectionLine]:
-    """Return lines for those values of digits that the robot description does not contain.
+    """Return lines for the values of digits that the robot description leaves out.
 
     The new file contains these values only once, for all digits.
     """
@@ -623,7 +623,7 @@ def _key_meaning(section: type[Section], key: str) -> str:
 
 
 def _section_text(name: str, section_lines: Iterable[_SectionLine]) -> str:
-    """Return the text of a section, or an empty text if there are no lines."""
+    """Return the text of a section: its header and its lines."""
     return "\n".join([f"[{name}]", *map(str, section_lines)])
 
 
@@ -636,7 +636,7 @@ def _short_name(name: str, digit: str) -> str:
 def _inertia_moments(inertia: Array) -> Array:
     """Return the three moments of an inertia (3, 3) [kg m2].
 
-    If the products of inertia are not zero, they follow.
+    If the products of inertia are not zero, they follow after the moments.
     """
     products_of_inertia = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)

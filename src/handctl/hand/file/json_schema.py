@@ -32,8 +32,8 @@ def hand_schema() -> dict[str, Any]:
 
     Hand files of schema 1 also satisfy this JSON Schema.
 
-    In the schema, every key of a digit, tendon or motor is optional, because a default or template
-    can have the key. ``handctl config check`` reports missing keys.
+    In the schema, every key of a digit, tendon or motor is optional, because the value may be in a
+    default or template. ``handctl config check`` reports missing keys.
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
@@ -86,7 +86,10 @@ def hand_schema_text() -> str:
 
 
 def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
-    """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
+    """Extend the definition of a digit by the forms of schema 2.
+
+    These forms are not valid in hand files of schema 1.
+    """
     properties = digit_schema["properties"]
     for kind in DIGIT_KINDS:
         properties[kind] = _table_array_schema(

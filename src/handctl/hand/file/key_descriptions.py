@@ -2,9 +2,9 @@
 
 The descriptions are the docstrings after the fields of the pydantic models.
 
-pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). But
-then every process would parse the source code of every model. Therefore this module parses the
-source code, and only when a description is needed.
+pydantic can store these docstrings in the fields of a model (``use_attribute_docstrings``). With
+this option, every process would parse the source code of every model. Therefore this module parses
+the source code itself, and only when a description is needed.
 """
 
 import ast
@@ -55,7 +55,7 @@ def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
 
 
 def _documented_attributes(class_body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
-    """Yield the name and the docstring of each attribute that a docstring follows."""
+    """Yield the name and the docstring of each attribute that has a docstring."""
     for statement, following in pairwise(class_body):
         match statement, following:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(

@@ -129,7 +129,7 @@ class NewHandAnswers:
 
     @property
     def palm_width_for_thick_object(self) -> float:
-        """Return the distance between both sides of the palm at which a thick object fits between the digits [mm]."""
+        """Return the distance between both sides of the palm [mm] that leaves space for a thick object."""
         return (
             max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_length_mm)
             + self.width_mm
@@ -175,9 +175,10 @@ def check_answers(answers: NewHandAnswers) -> None:
 
 
 def check_springs(tendons: str | None, spring_torques_text: str | None) -> None:
-    """Check that either springs or a tendon can open each digit.
+    """Check that each digit can be opened, either by springs or by a tendon.
 
-    A single tendon only closes the digit, so springs must open it.
+    If a digit has a single tendon, this tendon only closes the digit. Springs must then open the
+    digit.
 
     Args:
         tendons: answer ``one`` or ``each`` about the tendons of a digit, or None.
@@ -266,7 +267,7 @@ def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can
 
 
 def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
-    """Return name and side of each digit. Fingers are on side 0, opposed digits on side 1."""
+    """Return name and side of each digit. Fingers are on side 0. Opposed digits are on side 1."""
     fingers = [
         FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}"
         for i in range(answers.fingers)
@@ -278,8 +279,8 @@ def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
 def _mount_places(answers: NewHandAnswers) -> list[float]:
     """Return the position of each digit along the axes of the hinges [m]. The fingers come first.
 
-    If the sides have different numbers of digits, each digit faces a gap of the other side. Tips
-    that face each other would meet before the digits press on an object.
+    If the sides have different numbers of digits, each digit faces a gap between digits of the
+    other side. If two tips faced each other, they would meet before the digits press on an object.
     """
     counts = (answers.fingers, answers.opposed)
     spacing_of_passing_digits = answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
@@ -437,9 +438,10 @@ def _closing_tendons(answers: NewHandAnswers) -> list[int]:
 def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
     """Return the moment arm of a digit's tendon at each joint that the tendon crosses [m].
 
-    A tendon that closes the digit crosses all joints up to its own. The tendon that opens a digit
-    of n joints balances equal tensions of the n others with n times their tension: its arm at a
-    joint is in proportion to the number of tendons that close this joint.
+    A tendon that closes the digit crosses all joints up to its own. If a digit has n joints, one
+    tendon opens the digit, and n tendons close it. If the tensions of these n tendons are equal,
+    the opening tendon balances them with n times their tension. Therefore its arm at a joint is in
+    proportion to the number of tendons that close this joint.
 
     Args:
         answers: the user's answers.

@@ -37,7 +37,9 @@ def validation_error(valid_value: str) -> PydanticCustomError:
 
 @dataclass(frozen=True, eq=False)
 class CheckedType:
-    """Validation of one type of value, with the method ``check`` for pydantic and the attribute ``schema`` for editors.
+    """Validation of one type of value, in two forms.
+
+    pydantic uses the function ``check``. Editors use the JSON Schema ``schema``.
 
     Attributes:
         check: function that returns a valid value, and raises an error for an invalid value.
@@ -248,7 +250,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
 def _checked_numbers(
     values: Any, key: str, min_length: int, max_length: int, max_magnitude: float
 ) -> tuple[float, ...]:
-    """Return the list at a key, if it has ``min_length`` to ``max_length`` numbers of limited magnitude."""
+    """Return the list at a key, after a check of its length and of the magnitude of its numbers."""
     expected = f"{min_length} to {max_length} numbers from {-max_magnitude:g} to {max_magnitude:g} in {key}"
     if not isinstance(values, list | tuple) or not min_length <= len(values) <= max_length:
         raise validation_error(expected)

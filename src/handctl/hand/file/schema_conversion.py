@@ -41,7 +41,9 @@ MIN_SECTIONS_TO_SHARE = 2
 
 @dataclass
 class TomlEntry:
-    """Line of a hand file: a key with its value and a comment after it, or only a comment.
+    """Line of a hand file.
+
+    A line contains a key with its value and a comment, or only a comment.
 
     Attributes:
         key: key of the line, empty for a blank line and for a line with only a comment.
@@ -150,7 +152,7 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
 
 
 def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
-    """Return the lines of one TOML item: a key, a comment, or blank lines."""
+    """Return the lines for one TOML item. The item is a key, a comment, or blank lines."""
     if isinstance(item, Whitespace):
         return []
     if isinstance(item, Comment):
@@ -261,7 +263,11 @@ def _shorten_sensor_node(
 def _move_sections_into_digits(
     section_kind: str, tables_of_kind: dict[str, list[TomlTable]]
 ) -> None:
-    """Move each tendon or motor into the digit with whose name its name begins, if this is possible for all of them."""
+    """Move each tendon or motor into its digit.
+
+    The name of the digit must be the start of the name of the tendon or motor. If this is not true
+    for all of them, nothing is moved.
+    """
     moved_tables: list[tuple[TomlTable, str, TomlTable]] = []
     digits = {block.values()["name"]: block for block in tables_of_kind["digit"]}
     for block in tables_of_kind[section_kind]:
@@ -344,7 +350,10 @@ def _kind_lines(
     table_of_template: dict[str, TomlTable],
     section_tables: Sequence[TomlTable],
 ) -> list[str]:
-    """Return the lines of the new file for one kind of section: default, templates and sections."""
+    """Return the lines of the new file for one kind of section.
+
+    The lines contain the default, the templates and the sections.
+    """
     lines = ["", *(section_tables[0].comments_before if section_tables else [])]
     if default_entries:
         lines += [f"[default.{section_kind}]", *(entry.line() for entry in default_entries), ""]

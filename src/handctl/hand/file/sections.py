@@ -13,14 +13,14 @@ from handctl.hand.file.display_units import DisplayUnits
 
 
 class Section(BaseModel):
-    """Table of the file: frozen, without unknown keys."""
+    """Table of a hand file, which is frozen and accepts no unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with the given fields replaced.
 
-        pydantic also copies the cached properties, which belong to the fields before the change. The
+        pydantic also copies the cached properties, which were computed from the old fields. The
         copy computes them again.
         """
         copied = super().model_copy(update=update, deep=deep)
@@ -55,7 +55,7 @@ class Mount(Section):
 class Bus(Section):
     """CAN bus.
 
-    Its interface, for example can0, is named on the command line and not in the file.
+    The interface of the bus, for example can0, is named on the command line, and not in the file.
     """
 
     name: qty.Name
@@ -85,7 +85,7 @@ CHANNELS_PER_TPDO = 2
 
 
 class SensorNode(Section):
-    """Sensors of tendon tension, between spool and first pulley, and joint encoders."""
+    """Load cells that measure the tension of tendons between spool and first pulley, and joint encoders."""
 
     protocol: qty.SensorProtocol = HANDCTL_PROTOCOL
     """``handctl``: one node with load cells and joint encoders.
@@ -251,13 +251,13 @@ Y_AXIS = (0.0, 1.0, 0.0)
 
 
 class Digit(Section):
-    """Finger or thumb: a chain of links with a joint before each.
+    """Finger or thumb: a chain of links.
 
-    The frame of a link has its origin in the link's joint and x along the link. Without
-    ``joint_axis`` and ``joint_rpy_deg`` all hinges are along z, and a positive angle flexes towards
-    y. A prismatic joint (``joint_type``) moves its link along the joint's axis. The keys with an
-    angle in their unit have a value per revolute joint, and their counterparts in metres have a
-    value per prismatic joint.
+    Each link has a joint at its start. The frame of a link has its origin in the link's joint, and
+    its x axis is along the link. Without ``joint_axis`` and ``joint_rpy_deg``, all hinges are along
+    z. A positive angle flexes towards y. A prismatic joint (``joint_type``) moves its link along
+    the joint's axis. A key with an angle in its unit has one value per revolute joint. The
+    corresponding key in metres has one value per prismatic joint.
     """
 
     name: qty.Name
@@ -456,7 +456,10 @@ class Digit(Section):
 
     @property
     def rated_loads(self) -> tuple[float, ...] | None:
-        """Return the largest torque or force that each joint withstands [N m or N], or None if one is not known."""
+        """Return the largest torque or force that each joint withstands [N m or N].
+
+        If one of them is not known, return None.
+        """
         rated_torques = self.joint_rated_torque_N_m
         rated_forces = self.joint_rated_force_N
         is_prismatic = self.is_prismatic
@@ -537,8 +540,8 @@ class Tendon(Section):
     def _without_floor(cls, section_content: Any) -> Any:
         """Add keys that a tendon may omit.
 
-        A spool pair has a tension floor of 0, because the net tension of the pair has both signs. A
-        tendon that moves prismatic joints only has no moment arms.
+        A spool pair has a tension floor of 0, because its net tension may be positive or negative.
+        A tendon that moves only prismatic joints has no moment arms.
         """
         if not isinstance(section_content, dict):
             return section_content
@@ -557,7 +560,7 @@ class Tendon(Section):
         return {**self.moment_arm_m, **self.excursion_ratio}
 
     def arm_key(self, joint: str) -> str:
-        """Return the key with the tendon's entry of R for a joint, for messages."""
+        """Return the name of the key that contains the tendon's entry of R for a joint."""
         return "excursion_ratio" if joint in self.excursion_ratio else "moment_arm_m"
 
 
@@ -617,5 +620,5 @@ class Motor(Section):
 
     @property
     def closes_position_loop(self) -> bool:
-        """Return True if the control loop for the position of a moving digit runs in the drive."""
+        """Return True if the drive controls the position of a moving digit."""
         return self.control == "position"

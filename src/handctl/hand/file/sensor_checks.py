@@ -1,4 +1,7 @@
-"""Checks of the section ``sensor_node`` in a hand file: keys of the protocol, sensor channels, measuring range."""
+"""Checks of the section ``sensor_node`` in a hand file.
+
+The checks are about the keys of the protocol, the sensor channels and the measuring range.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +58,10 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
 
 
 def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
-    """Check the SYNC identifier and the node numbers, and that the amplifiers have a channel for each load cell."""
+    """Check the SYNC identifier and the node numbers.
+
+    Also check that the amplifiers have a channel for each load cell.
+    """
     if node.sync_id != CANOPEN_SYNC:
         yield FileMistake(
             f"0x{node.sync_id:X}",
@@ -84,7 +90,10 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
 
 
 def _check_range(hand: Hand) -> Iterator[FileMistake]:
-    """Check that the largest tension is within the measuring range, and that the process value can hold the range."""
+    """Check that the measuring range includes the largest tension.
+
+    Also check that the process value can represent this range.
+    """
     node, location = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:
         yield FileMistake("missing", location, "a value: rated load of the load cells [N]")

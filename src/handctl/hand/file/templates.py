@@ -60,7 +60,7 @@ KeyPathOrigins = dict[str, str]
 
 
 class ValueLayer(NamedTuple):
-    """Values for a section that come from one place in the file, with the key path of this place.
+    """Values for a section from a single place in the file, and the key path of this place.
 
     Values of a later layer replace values of an earlier layer.
     """
@@ -70,7 +70,7 @@ class ValueLayer(NamedTuple):
 
 
 class ResolvedContent(NamedTuple):
-    """Result of the resolution of a hand file.
+    """Result of replacing the defaults and templates in a hand file.
 
     Attributes:
         content: content of the file in the form of schema 1.
@@ -88,8 +88,8 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
 
     Content of schema 1 is not changed.
 
-    A value that stands in the place of a section but is no table is not changed either. The later
-    validation describes a wrong section better.
+    If a section should be a table but is another value, this value is not changed either. The later
+    validation gives a better message about such a value.
     """
     tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
@@ -344,7 +344,7 @@ def join_mistakes_of_default(
 ) -> list[FileMistake]:
     """Join the mistakes about a key that is missing in all sections of a kind.
 
-    The joined mistake says that the key is missing in the default of this kind.
+    The joined mistake reports the key as missing in the default of this kind.
 
     Args:
         mistakes: mistakes whose key paths belong to the resolved content.
@@ -419,7 +419,7 @@ def _template_layers_by_name(
 
 
 def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:
-    """Return the sensor node, where names take the place of ``"all"``."""
+    """Return the sensor node with names in place of ``"all"``."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
         "joints": [

@@ -1,6 +1,6 @@
 """TOML text of the resolved content of a hand file, for the log.
 
-A hand that is read from this text is equal to the original hand.
+A hand that is read from this text equals the original hand.
 """
 
 import json
@@ -26,10 +26,10 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
 
 def _value_lines(table_content: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
-    """Return the lines of a table for all values that are written in one line."""
+    """Return the lines of a table that contain its values with one line each."""
 
     def is_entry(value: Any) -> bool:
-        """Return True for a value that is written in one line of the table."""
+        """Return True for a value that needs only one line of the table."""
         return (
             bool(inline_tables and value)
             if isinstance(value, Mapping)

@@ -102,7 +102,7 @@ def _link_mesh(
 
 
 def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
-    """Yield a mistake for each mesh that cannot be shown, or whose size is not plausible.
+    """Yield a mistake for each mesh that cannot be shown or has an implausible size.
 
     Args:
         hand: description of the hand.
@@ -187,7 +187,7 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
 
 
 def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
-    """Return the size of each mesh file that exists [bytes], by the path in the hand file."""
+    """Return the size [bytes] of each existing mesh file, by the path in the hand file."""
     files = dict.fromkeys(mesh.file for mesh in meshes_of_hand(hand))
     return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
 
@@ -204,7 +204,7 @@ def read_meshes(mesh_files: Iterable[str], folder: Path) -> dict[str, bytes]:
 def exported_meshes(hand: Hand, folder: Path, output_path: Path) -> dict[str, LinkMesh]:
     """Return the meshes of a hand by the name of the link.
 
-    Their paths are relative to the folder of an exported file.
+    The paths of the meshes are relative to the folder of an exported file.
 
     Args:
         hand: description of the hand.
@@ -223,7 +223,9 @@ def relative_path(path: Path, folder: Path) -> str:
 
 
 def with_meshes_from(hand_content: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the resolved content of a hand with absolute mesh paths, which do not depend on the hand file's place.
+    """Return the resolved content of a hand with absolute mesh paths.
+
+    These paths do not depend on the place of the hand file.
 
     Args:
         hand_content: content of the hand, from ``Hand.content``.

@@ -1,4 +1,4 @@
-"""Export of a hand as MJCF for MuJoCo, with links, springs, stops, and tendons whose tension is controlled.
+"""Export of a hand as MJCF for MuJoCo: links, springs, stops and tendons with a controlled tension.
 
 The world frame is the palm frame. At joint angles of zero, the hand is open. Positive angles flex
 the digits. Each control input is the tension of one tendon at the joint pulleys [N]. The exported
@@ -34,8 +34,8 @@ HIDDEN_GROUP = "3"
 def mjcf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the MJCF file of a hand.
 
-    The bodies are named ``palm``, ``index_link1`` and so on, the joints ``index_j1`` and so on, and
-    the sites ``index_tip`` and so on.
+    The bodies have names such as ``palm`` and ``index_link1``. The joints have names such as
+    ``index_j1``, and the sites have names such as ``index_tip``.
 
     Args:
         hand: description of the hand.
@@ -202,10 +202,10 @@ def _add_couplings(model_root: ET.Element, hand: Hand) -> None:
 
 
 def _add_tendons(model_root: ET.Element, hand: Hand) -> None:
-    """Add for each tendon a fixed tendon of MuJoCo with constant moment arms, and a motor.
+    """Add two elements for each tendon: a fixed tendon of MuJoCo with constant moment arms, and a motor.
 
-    The motor of a single tendon only pulls, and the motor of a spool pair pulls both ways. If a
-    moment arm depends on the joint angle, its mean is used.
+    The motor of a single tendon only pulls. The motor of a spool pair can pull in both directions.
+    If a moment arm depends on the joint angle, its mean is used.
     """
     tendons = ET.SubElement(model_root, "tendon")
     actuators = ET.SubElement(model_root, "actuator")

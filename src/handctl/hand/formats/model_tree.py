@@ -3,7 +3,7 @@
 In the description, the frames of the links may have any orientation.
 
 In a hand file, a digit is a chain of links. The x axis of each link's frame is along the link, and
-the next joint lies on this axis. If a frame of the description does not have this form, this module
+passes through the next joint. If a frame of the description does not have this form, this module
 turns the frame.
 """
 
@@ -58,7 +58,7 @@ JOINT_SUFFIX = re.compile(r"[\W_]*(joint|link|j|l)?[\W_]*[0-9]*[\W_]*$", re.IGNO
 
 @dataclass(frozen=True, eq=False)
 class ModelMesh:
-    """Mesh by which a robot description shows a link.
+    """Mesh of a link in a robot description.
 
     Attributes:
         file: path of the mesh file.
@@ -223,7 +223,11 @@ class ModelDigit:
 
 @dataclass(frozen=True)
 class _LinkChain:
-    """Chain of links, with its name, the index of the chain that carries it, and the indices of its links."""
+    """Chain of links.
+
+    ``carrier`` is the index of the chain that carries this chain. ``members`` are the indices of
+    the links.
+    """
 
     name: str
     carrier: int | None
@@ -238,9 +242,9 @@ def digits_of_links(
     Each digit comes after the digit that carries it.
 
     The palm frame of the hand is the root frame of the description. If the digits do not point
-    along the x axis of the root frame, the palm frame is turned by right angles. If the foremost
-    mount is far from the plane x = 0, the palm frame is also shifted. After this shift, the
-    foremost mount lies in the plane.
+    along the x axis of the root frame, the palm frame is turned by multiples of 90 degrees. If the
+    foremost mount is far from the plane x = 0, the palm frame is also shifted. After this shift,
+    the foremost mount lies in the plane.
 
     Args:
         links: all links, where the parent of a link comes before the link.
@@ -320,10 +324,10 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 
 
 def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: int) -> str:
-    """Return a name for a digit that is not used yet.
+    """Return an unused name for a digit.
 
-    The name is the text with which the names of all joints or links of the digit begin. If these
-    names do not begin with a usable text, the digit gets a number.
+    The name is the common beginning of the names of all joints or links in the digit. If there is
+    no usable common beginning, the digit gets a number.
     """
     for names in ([link.joint for link in links], [link.name for link in links]):
         common_prefix = names[0]
@@ -352,7 +356,10 @@ def _digit_name(links: Sequence[ModelLink], used_names: set[str], digit_count: i
 def _link_frames(
     links: Sequence[ModelLink], chains: Sequence[_LinkChain], source_name: str
 ) -> dict[int, tuple[Array, float]]:
-    """Return, for each link, the new frame (3, 3) relative to the frame in the description, and the length [m]."""
+    """Return the new frame (3, 3) and the length [m] of each link.
+
+    The new frame is given relative to the frame in the description.
+    """
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
@@ -487,7 +494,7 @@ def _palm_frame(
 
 
 def _right_angle_rotations() -> Iterator[Array]:
-    """Yield all 24 rotations (3, 3) by right angles."""
+    """Yield all 24 rotations (3, 3) that map the axes to axes."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             turn = np.zeros((3, 3))

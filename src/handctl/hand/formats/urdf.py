@@ -42,8 +42,8 @@ PALM_MARGIN_M = 0.010
 def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     """Return the text of the URDF file of a hand.
 
-    The root link is named ``palm``, the links ``index_link1`` and so on, the joints ``index_j1``
-    and so on, and the tips ``index_tip`` and so on.
+    The root link is named ``palm``. The links have names such as ``index_link1``, the joints such
+    as ``index_j1``, and the tips such as ``index_tip``.
 
     Args:
         hand: description of the hand.
@@ -75,7 +75,7 @@ def urdf_text(hand: Hand, mesh_of_link: Mapping[str, LinkMesh] = NO_MESHES) -> s
 
 
 def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
-    """Return the centre and the side lengths of the box behind the digits that a link carries, (3,) each [m].
+    """Return the centre (3,) and the side lengths (3,) of the box behind the digits that a link carries [m].
 
     Args:
         hand: description of the hand.
@@ -92,8 +92,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
 def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """Return the length of the simple shape for link i [m].
 
-    If a link carries digits, its shape is shorter by the radius of the link. So the round end of
-    the shape ends where the link ends.
+    If the link carries digits, its shape is shorter by its radius. The round end of the shape then
+    ends where the link ends.
     """
     length = digit.link_length_m[i]
     is_last = i == len(digit.link_length_m) - 1
@@ -176,11 +176,12 @@ def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> N
 
 
 def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
-    """Return joint and ratio that each coupled joint of a digit follows, by index.
+    """Return the joint that each coupled joint of a digit follows, and the ratio between both joints.
 
-    The coupling of a digit with spool pairs is rigid. The coupling of other digits follows from
-    their springs and holds in free motion only, so their joints are independent. A joint that
-    depends on several coordinates follows no single joint and is left out.
+    All joints are given by their index. The coupling of a digit with spool pairs is rigid. In other
+    digits, the coupling follows from the springs, and is only valid in free motion. The joints of
+    these digits therefore count as independent. If a joint depends on several coordinates, it
+    follows no single joint, and is left out.
     """
     if digit.coupling is None or not hand.is_pair[hand.digit_tendons[digit.name]].any():
         return {}
@@ -199,9 +200,9 @@ def coupled_joints(hand: Hand, digit: Digit) -> dict[int, tuple[int, float]]:
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
-    """Return the names of the URDF elements that contain a simple shape of a link.
+    """Return the names of the URDF elements that contain the simple shape of a link.
 
-    If the link has a mesh, the mesh replaces the visual shape.
+    If the link has a mesh, the mesh is its visual shape.
     """
     return ("collision",) if mesh else ("visual", "collision")
 

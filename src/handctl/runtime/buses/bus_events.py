@@ -11,8 +11,9 @@ Kinds:
 - ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``,
   ``restarted``: states reported by the CAN controller of the interface
 
-Every call of ``take_events`` reports a lasting state (``bus_off``, ``error_passive``, ``enodev``)
-again, until it ends. The fault detectors count the ticks for which such a state lasts.
+Some states last: ``bus_off``, ``error_passive`` and ``enodev``. Every call of ``take_events``
+reports such a state again, until the state ends. The fault detectors count the ticks in which such
+a state lasts.
 """
 
 import errno
@@ -76,7 +77,10 @@ transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 
 
 class BusEvents:
-    """Events of one bus since the last call of ``take_events``, with their counts, and the lasting states."""
+    """Events of one bus with their counts, and the lasting states.
+
+    Events are counted from the last call of ``take_events``.
+    """
 
     def __init__(self, bus_name: str) -> None:
         """Start without events. Each event will contain ``bus_name`` as the name of the bus."""
@@ -141,7 +145,7 @@ class BusEvents:
             self._count_controller_status(data[1])
 
     def _count_controller_status(self, status: int) -> None:
-        """Count the events that data[1] of an error frame of class CONTROLLER_ERROR reports."""
+        """Count the events in byte data[1] of an error frame of class CONTROLLER_ERROR."""
         if status & OVERFLOW_MASK:
             self.add_event("error_frame", 1, "controller overflow")
         if status & TX_OVERFLOW_MASK:

@@ -27,9 +27,9 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 
 
 def _keep_monotonic_time(t_ns: int) -> int:
-    """Return a CLOCK_MONOTONIC time without a change.
+    """Return an unchanged CLOCK_MONOTONIC time.
 
-    This function is for programs without a run, which have no time of a run.
+    Programs without a run use this function, because they have no time of a run.
     """
     return t_ns
 
@@ -37,7 +37,7 @@ def _keep_monotonic_time(t_ns: int) -> int:
 def check_bus_spec(spec: str) -> None:
     """Raise an error if a bus specification is invalid.
 
-    Callers call this function before they open a bus.
+    Programs call this function before they open a bus.
 
     Raises:
         ConfigError: the kind or the channel is missing, or the name of a local bus contains a slash

@@ -58,7 +58,7 @@ def _copy_payload(
     row: int,
     payload_length: int,
 ) -> None:
-    """Copy the payload of one frame word by word, and set the bytes behind its end to zero.
+    """Copy the payload of one frame word by word, and set the bytes after the payload to zero.
 
     Args:
         source_words: (n, words) records or structs that contain the payload.
@@ -80,7 +80,7 @@ def _copy_payload(
 def read_structs(
     structs: WordRows, records: WordRows, t_ns: int, bus: int, flag_mask: int, added_flags: int
 ) -> bool:
-    """Convert structs to records. Return True if there is an error frame among them.
+    """Convert structs to records. Return True if one of the structs contains an error frame.
 
     Args:
         structs: (at least n, 9) words of the structs.
@@ -116,8 +116,8 @@ def read_structs(
 def write_structs(records: WordRows, structs: WordRows, struct_sizes: WordRows) -> int:
     """Convert records to structs. The flags of a classical frame become 0.
 
-    Return the index of the first record whose payload is longer than its kind of frame can carry.
-    If there is none, return the number of records.
+    Return the index of the first record with a payload that is too long for the kind of its frame.
+    If there is no such record, return the number of records.
 
     Args:
         records: (n, WORDS_PER_RECORD) words of the records.
@@ -164,7 +164,9 @@ class FrameStructs:
     def read(
         self, count: int, t_ns: int, bus: int, flag_mask: int = ALL_FLAGS, added_flags: int = 0
     ) -> tuple[Frames, bool]:
-        """Return the first ``count`` structs as frames, and True if there is an error frame among them.
+        """Return the first ``count`` structs as frames.
+
+        The second value is True if one of them is an error frame.
 
         Args:
             count: number of structs to read.
@@ -178,7 +180,9 @@ class FrameStructs:
         return Frames.from_rows(rows), has_errors
 
     def write(self, frames: Frames) -> NDArray[np.uint64]:
-        """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
+        """Write frames into the first structs.
+
+        Payload bytes after the end of a frame are set to zero.
 
         Returns:
             (n,) number of bytes to send of each struct. It is the size of ``can_frame`` or of

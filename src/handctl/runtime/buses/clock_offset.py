@@ -6,8 +6,9 @@ The Linux kernel stamps received frames with the time of the wall clock. A run u
 
 Both clocks run at the same rate. The offset changes only when the wall clock is set. A bus requests
 a new measurement when a frame has an impossible time stamp. In user-mode Linux, each clock reading
-is a system call. There, two readings in each tick would take as long as the exchange of frames.
-Therefore each measurement is used many times. Source: man 2 clock_gettime, man 7 vdso.
+is a system call. There, two readings in each tick would take as much time as the exchange of
+frames. Therefore each measurement is used many times.
+Source: man 2 clock_gettime, man 7 vdso.
 """
 
 import time
@@ -43,8 +44,8 @@ class ClockOffset:
     def _measure_offset(self) -> None:
         """Measure the offset between the clocks.
 
-        The fastest of several readings is used, because the operating system may interrupt the
-        others.
+        The result comes from the fastest of several readings, because the operating system may
+        interrupt the others.
         """
         readings = [
             (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())
@@ -58,6 +59,6 @@ class ClockOffset:
 def _reading_duration(reading: tuple[int, int, int]) -> int:
     """Return the duration of a reading [ns].
 
-    A reading is a tuple (time before, wall clock, time after).
+    A reading is a tuple of three times: before, wall clock, after.
     """
     return reading[2] - reading[0]

@@ -1,4 +1,4 @@
-"""The interface of a CAN bus, which every kind of bus implements."""
+"""Interface that every kind of CAN bus implements."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -15,7 +15,7 @@ The function is linear, with a positive slope.
 
 
 class Bus(Protocol):
-    """CAN bus whose methods never block. Events on the wire never make a method raise an error."""
+    """CAN bus whose methods never block. No event on the wire makes a method raise an error."""
 
     @property
     def name(self) -> str:
@@ -35,8 +35,8 @@ class Bus(Protocol):
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames.
 
-        Return how many frames the bus has accepted, counted from the first one. The other frames
-        are dropped, because a command must not be sent too late.
+        Return the number of accepted frames, which are the first frames of the batch. The other
+        frames are dropped, because a command must not be sent too late.
 
         Args:
             frames: frames to send. A ``Frames`` object, as the control loop uses, is sent directly.
@@ -55,7 +55,10 @@ class Bus(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return a file descriptor that becomes readable when a frame arrives, or -1 if the bus has none."""
+        """Return a file descriptor that becomes readable when a frame arrives.
+
+        If the bus has no file descriptor, return -1.
+        """
         ...
 
     def close(self) -> None:
@@ -64,7 +67,7 @@ class Bus(Protocol):
 
 
 def check_payload_size(frame: Frame) -> None:
-    """Raise an error if the payload of a frame is too long for its kind of frame.
+    """Raise an error if a frame of this kind cannot carry a payload of this length.
 
     Raises:
         ValueError: the payload is longer than 8 bytes in a classical frame, or longer than 64 bytes

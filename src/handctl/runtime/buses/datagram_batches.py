@@ -1,8 +1,9 @@
-"""Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux on reused buffers.
+"""Many datagrams in one system call.
 
-The ``socket`` module of Python has no such call. If each frame needed its own system call, these
-calls would take longer than all other work of an exchange. Source: man 2 recvmmsg, man 7 socket
-(SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+The module uses ``sendmmsg`` and ``recvmmsg`` of Linux with reused buffers. The ``socket`` module of
+Python has no such call. With one system call for each frame, these calls would take longer than all
+other work of an exchange.
+Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -105,7 +106,9 @@ The kernel omits the loss counter until the first loss. A missing counter counts
 
 
 class DatagramSlots:
-    """Buffers of equal size for datagrams, and the kernel headers that point to these buffers.
+    """Buffers of equal size for datagrams.
+
+    The kernel headers of the class point to these buffers.
 
     Attributes:
         count: number of slots.
@@ -156,12 +159,13 @@ class DatagramSlots:
         self._last_has_counters = False
 
     def common_datagram_size(self, count: int, known_loss_count: int) -> int:
-        """Return the common size of the first ``count`` datagrams [bytes], or 0 if each must be read separately.
+        """Return the common size of the first ``count`` datagrams [bytes].
 
-        The result is not 0 if all these datagrams have the same length and a time stamp, and none
-        has a new value of the loss counter. After the first lost datagram, the kernel adds the loss
-        counter to every datagram. In every tick, the kernel usually writes the same bytes into the
-        headers. Therefore the result for the last bytes is kept in a cache.
+        If each datagram must be read separately, return 0. The datagrams have a common size if all
+        have the same length and a time stamp, and if no loss counter has a new value. After the
+        first lost datagram, the kernel adds the loss counter to every datagram. In every tick, the
+        kernel usually writes the same bytes into the headers. Therefore the result for the last
+        bytes is kept in a cache.
 
         Args:
             count: number of received datagrams.
@@ -248,7 +252,7 @@ def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
 def send_datagrams(
     fd: int, slots: DatagramSlots, first_slot: int, slot_end: int
 ) -> tuple[int, int]:
-    """Send the slots from ``first_slot`` up to but not including ``slot_end``, without blocking.
+    """Send the slots from ``first_slot`` to the slot before ``slot_end``, without blocking.
 
     Returns:
         the number of accepted datagrams, and the errno of the first refused datagram (0 if all were

@@ -1,4 +1,4 @@
-"""Shell commands that set up a CAN interface for a hand, and a check of the bit rates of an interface.
+"""Shell commands that set up a CAN interface for a hand, and checks of the bit rates of an interface.
 
 The module ``link`` reads the state of an interface.
 """
@@ -57,7 +57,10 @@ def interface_setup_commands(
 def interface_setup_text(
     channel: str, bitrate: int, data_bitrate: int | None, interface_exists: bool
 ) -> str:
-    """Return the commands of ``interface_setup_commands`` in one line, for a user who is not root."""
+    """Return the commands of ``interface_setup_commands`` in one line.
+
+    A user who is not root can run this line.
+    """
     commands = interface_setup_commands(channel, bitrate, data_bitrate, interface_exists)
     return " && ".join(f"sudo {shlex.join(command)}" for command in commands)
 

@@ -50,7 +50,7 @@ class CanLinkState(NamedTuple):
 
 
 class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
-    """The program ``ip`` is not installed, or does not answer in time."""
+    """Raised if the program ``ip`` is not installed or does not answer in time."""
 
 
 def read_link(name: str) -> CanLinkState | None:
@@ -97,7 +97,10 @@ def parse_link(json_text: str) -> CanLinkState | None:
 
 
 def _dropped_frame_count(link_statistics: dict[str, Any]) -> dict[str, int]:
-    """Return how many received frames and sent frames were dropped, by kind of event."""
+    """Return the numbers of dropped frames, by kind of event.
+
+    Received frames and sent frames are counted separately.
+    """
     return {
         f"{side}_dropped": int(link_statistics.get(side, {}).get("dropped", 0))
         for side in ("rx", "tx")

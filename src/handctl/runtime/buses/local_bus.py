@@ -158,7 +158,7 @@ class LocalBus:
         return size
 
     def _report_lost_hub(self) -> None:
-        """Make every later call of ``take_events`` report that the hub has ended."""
+        """Set the state that makes every later call of ``take_events`` report the end of the hub."""
         self._closed = True
         self._events.set_lasting_state("enodev", True)
 
@@ -210,7 +210,7 @@ class LocalBus:
         )
 
     def _count_dropped_frames(self, hub_counter: int) -> None:
-        """Count the frames dropped by the hub since the last record.
+        """Count the frames that the hub has dropped since the last record.
 
         Here, ``hub_counter`` is the counter of the hub, modulo 65536.
         """
@@ -219,14 +219,17 @@ class LocalBus:
             self._dropped = hub_counter
 
     def _take_control(self, can_id: int, data: bytes) -> None:
-        """Process a frame that is no data frame: a queue report from the hub, or an error frame."""
+        """Process a frame that contains no data.
+
+        It is a queue report from the hub, or an error frame.
+        """
         if can_id == QUEUE_REPORT_ID:
             self._transmitted_count, self._queue_frames = QUEUE_REPORT_STRUCT.unpack(data)
         else:
             self._events.add_error_frame(can_id, data)
 
     def _frames_for_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """Return as many frames, counted from the first, as the queue has room for.
+        """Return the frames from the first to the last one for which the queue has room.
 
         All other frames count as refused.
         """
@@ -287,9 +290,9 @@ class LocalBus:
     def _keep_partial_record(
         self, unsent_bytes: bytes | memoryview, sent_size: int, frames: int
     ) -> int:
-        """Store the rest of a record that was sent only in part, for the next call.
+        """Store the rest of a partly sent record for the next call.
 
-        All records after this record are dropped.
+        All later records are dropped.
 
         Args:
             unsent_bytes: unsent part of the previous batch, followed by this batch.

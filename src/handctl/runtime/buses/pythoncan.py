@@ -194,7 +194,7 @@ class PythonCanBus:
 
 
 def _errno_of(error: Exception) -> int | None:
-    """Return the errno that belongs to an error of python-can, or None if there is none.
+    """Return the errno of an error from python-can, or None if there is none.
 
     The errno may be in the error itself, in the attribute ``error_code``, or in the cause of the
     error.

@@ -121,9 +121,9 @@ class SocketCanBus:
     def _convert_datagrams(self, count: int) -> Frames:
         """Convert the received datagrams to frames.
 
-        Usually all datagrams are of the same kind (classical or CAN FD), their time stamps are
-        close to each other, and no frame was lost before them. Such datagrams are converted as one
-        batch. Otherwise each datagram is converted separately.
+        Usually all datagrams are of the same kind (classical or CAN FD), have similar time stamps,
+        and follow no lost frame. Such datagrams are converted as one batch. Otherwise each datagram
+        is converted separately.
         """
         size = self._in.common_datagram_size(count, self._dropped)
         frames = (
@@ -137,7 +137,7 @@ class SocketCanBus:
         return frames
 
     def _convert_uniform_batch(self, count: int, fd_flag: int) -> Frames | None:
-        """Return the frames of a batch whose datagrams are all of the same kind.
+        """Return the frames of a batch with datagrams of one kind.
 
         If the batch contains an error frame or a doubtful time stamp, return None. The caller then
         converts each frame separately.

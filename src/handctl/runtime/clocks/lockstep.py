@@ -1,9 +1,11 @@
-"""Virtual time for lockstep: the control loop advances the simulator tick by tick, and never sleeps.
+"""Virtual time for lockstep.
+
+The control loop advances the simulator tick by tick, and never sleeps.
 
 The simulator is called the peer. The peer is an object with the method ``step(t_ns, frames) ->
-frames``. The class of the peer is loaded by name, because no module of handctl imports a simulator.
-If the peer also has the method ``exchange(t_ns, records) -> records``, the loop calls this method
-instead. ``exchange`` needs no object for each frame.
+frames``. The name of the peer's class is given as text, because no module of handctl imports a
+simulator. If the peer also has the method ``exchange(t_ns, records) -> records``, the loop calls
+this method instead. ``exchange`` needs no object for each frame.
 """
 
 import importlib
@@ -114,10 +116,11 @@ class LockstepClock:
         self.offset_ns = 0
 
     def restart(self) -> None:
-        """Begin another run, one tick after the last frames of the previous run were sent.
+        """Begin another run.
 
-        The simulator still receives these frames, because they disable the drives. The answers of
-        the simulator are discarded, because no bus is open between two runs.
+        The run begins one tick after the last frames of the previous run were sent. The simulator
+        still receives these frames, because they disable the drives. The answers of the simulator
+        are discarded, because no bus is open between two runs.
         """
         if self.frames_to_simulator:
             self.wait(self.k + 1)
@@ -129,9 +132,9 @@ class LockstepClock:
         """Do nothing. The simulator's time begins with the first step."""
 
     def wait(self, k: int) -> int:
-        """Advance the simulator from the previous tick to tick k.
+        """Advance the simulator from the previous tick to tick k, and return 0.
 
-        Returns 0, because virtual time is never late.
+        The result is 0, because virtual time is never late.
         """
         if k > 0:
             frames = join_frames(self.frames_to_simulator)
@@ -154,7 +157,7 @@ class LockstepClock:
 
 
 class LockstepBus:
-    """All buses of a hand in lockstep, represented by a single object.
+    """Single object that represents all buses of a hand in lockstep.
 
     Each frame contains the index of its bus.
     """

@@ -19,7 +19,7 @@ under SCHED_FIFO.
 
 
 class TickClock(Protocol):
-    """Clock of the control loop. All its times are the run's time, unless a text says wall time."""
+    """Clock of the control loop. Times are times of the run, unless a text says wall time."""
 
     def start(self) -> None:
         """Start the time of the run. The next tick is tick 0."""
@@ -34,7 +34,7 @@ class TickClock(Protocol):
         ...
 
     def clock_facts(self) -> dict[str, str]:
-        """Return facts about the clock, by the name of the fact.
+        """Return facts about the clock, each with its name.
 
         The recorder writes these facts at the end of the log.
         """
@@ -85,7 +85,7 @@ class RealClock:
         return {}
 
     def run_time_of(self, monotonic_ns: int) -> int:
-        """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns]."""
+        """Convert a CLOCK_MONOTONIC time stamp to a time of the run [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 
     def _read_ns(self) -> int:

@@ -42,8 +42,7 @@ class GrantedPriority:
 def request_priority(level: int = 60) -> GrantedPriority:
     """Request the scheduling class SCHED_FIFO and locked memory.
 
-    The result says which of both the system has refused. If the system refuses them, no error is
-    raised.
+    The result says which of the two requests the system has refused. A refusal raises no error.
     """
     # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
     # Under SCHED_FIFO, no other process on the same core could run during this time.
@@ -52,10 +51,11 @@ def request_priority(level: int = 60) -> GrantedPriority:
 
 
 def prepare_priority() -> GrantedPriority:
-    """Lock the memory, and test whether the system will grant SCHED_FIFO to :func:`realtime_priority`.
+    """Lock the memory, and test whether the system will grant SCHED_FIFO.
 
-    The start of a control loop takes a quarter of a second. During this time, the process has no
-    real-time priority, so that other processes can use the core.
+    The function :func:`realtime_priority` requests SCHED_FIFO later. The start of a control loop
+    takes a quarter of a second. During this time, the process has no real-time priority, so that
+    other processes can use the core.
     """
     is_memory_locked = _lock_memory()
     with realtime_priority() as granted_priority, keep_processors_awake() as are_processors_awake:
@@ -80,9 +80,9 @@ def keep_processors_awake() -> Iterator[bool]:
     """Keep idle processors awake during a ``with`` block.
 
     Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
-    take a millisecond to wake up, above all in a virtual machine. The system keeps all processors
-    awake as long as a process has ``LATENCY_FILE`` open and has written a latency of 0. Source:
-    Linux, Documentation/power/pm_qos_interface.
+    take a millisecond to wake up, above all in a virtual machine. Idle processors stay awake as
+    long as a process keeps ``LATENCY_FILE`` open after writing a latency of 0.
+    Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
         descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)

@@ -12,8 +12,8 @@ Therefore the shared clock pauses in two cases:
   until the answers have arrived.
 
 The time in both processes is CLOCK_MONOTONIC minus the sum of all pauses. The gate is the time at
-which the clock pauses, shortly after the next deadline. The controller moves the gate in every
-tick, and the simulator never advances beyond the gate. Both kinds of pauses are limited to a
+which the clock pauses. It is shortly after the next deadline. The controller moves the gate in
+every tick, and the simulator never advances beyond the gate. Both kinds of pauses are limited to a
 fraction of a second. Therefore a process that was killed or stopped leads to a fault, as on a real
 bus.
 
@@ -21,9 +21,9 @@ The simulator creates a file with six 64-bit integers, and both processes map it
 
     version | gate [ns] | sum of the pauses [ns] | ticks sent | ticks answered | reached [ns]
 
-The controller writes the second, third and fourth integer. The simulator writes the others. The
-gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time scale. No lock is
-needed, because a 64-bit integer is written in one operation.
+In this file, the controller writes the second, third and fourth integer. The simulator writes the
+others. The gate and the reached time are CLOCK_MONOTONIC minus the pauses, without the time scale.
+No lock is needed, because a 64-bit integer is written in one operation.
 """
 
 import mmap
@@ -144,7 +144,7 @@ class SharedClock(RealClock):
     def run_time_of(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
-        The result is right only for time stamps after the last pause but one.
+        The result is right only for time stamps after the second-last pause.
         """
         end_ns, pause_ns = self._end_and_duration_of_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(
@@ -168,8 +168,8 @@ class SharedClock(RealClock):
     def _pause_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
-        The simulator has never seen a time after the gate. Therefore the simulator sees no jump
-        back in time.
+        The simulator has never seen a time after the gate. Therefore no jump back in time occurs in
+        the simulator.
         """
         self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
 
@@ -177,7 +177,7 @@ class SharedClock(RealClock):
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
 
         After ``MAX_SIMULATOR_WAIT_NS`` without an answer, the clock continues. In later ticks, the
-        clock does not wait for the simulator until it has answered again.
+        clock does not wait. When the simulator has answered again, the clock waits again.
         """
         numbers = self._numbers
         if numbers[ANSWERED_INDEX] == self._answer_count_at_timeout:
@@ -191,7 +191,7 @@ class SharedClock(RealClock):
                 return
 
     def _is_answered(self, deadline_ns: int) -> bool:
-        """Return True if the simulator has answered all frames, and is at most ``MAX_SIMULATOR_LAG_NS`` behind."""
+        """Return True if the simulator has answered all frames and is not more than ``MAX_SIMULATOR_LAG_NS`` late."""
         numbers = self._numbers
         behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(

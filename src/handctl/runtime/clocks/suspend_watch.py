@@ -45,7 +45,10 @@ class SuspendWatch:
         self._difference_ns = self._clock_difference()
 
     def _clock_difference(self) -> int | None:
-        """Return the difference of both clocks [ns], or None if the reading of the clocks was interrupted."""
+        """Return the difference of both clocks [ns].
+
+        If the reading of the clocks was interrupted, return None.
+        """
         time_before = self._monotonic()
         boot_time_ns = self._boot()
         return (

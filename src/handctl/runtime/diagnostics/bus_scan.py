@@ -1,7 +1,7 @@
 """Scan of a CAN bus that finds the drives and other nodes on the bus.
 
-The scan listens first. The scan sends requests only if no other host is active on the bus. The scan
-never sends commands to drives.
+The scan listens first. It sends requests only if no other host is active on the bus. The scan never
+sends commands to drives.
 """
 
 import time
@@ -118,8 +118,8 @@ def _requests_of_round(
 ) -> list[Frame]:
     """Return the requests of all protocols for a round of the scan.
 
-    A drive with another protocol might obey a request as a command. Requests of this kind are left
-    out, and appended to ``omitted_frames``.
+    A drive with another protocol might execute such a request as a command. Requests with this risk
+    are left out, and appended to ``omitted_frames``.
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
@@ -133,7 +133,7 @@ def _requests_of_round(
 
 
 def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
-    """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
+    """Return the command identifiers of each discovered drive that uses another protocol than ``name``."""
     other_discoveries = (
         discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name
     )
@@ -147,8 +147,8 @@ def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozen
 def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """Return the received frames from another host.
 
-    By the rules of one protocol, a frame may look like a frame from another host, although a drive
-    with another protocol has sent it. Such frames are not part of the result.
+    Under the rules of one protocol, a frame from a drive with another protocol may look like a
+    frame from another host. Such frames are not part of the result.
     """
     foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():

@@ -1,8 +1,8 @@
 """Readings of the drives, load cells and joint encoders of a hand, while no drive makes torque.
 
-Every drive is polled as in the mode READY of a run: the drive is configured, its settings are read
-back, and its feedback is requested. No function in this module requests the state ENABLE. If a
-drive is enabled, ``DriveTarget.POLL`` disables the drive.
+Every drive is polled as in the mode READY of a run. The drive is configured, its settings are read
+back, and its feedback is requested. No function in this module requests the state ENABLE.
+``DriveTarget.POLL`` disables a drive that is enabled.
 """
 
 import math
@@ -45,7 +45,7 @@ class SensorReading(NamedTuple):
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
-    """Return True if the reading of a load cell [N] is at an end of its range [N], as with a broken wire."""
+    """Return True if the reading of a load cell [N] is at an end of its range [N], as after a break of the wire."""
     return not cell_range[0] < tension < cell_range[1] and not math.isnan(tension)
 
 
@@ -116,7 +116,7 @@ class BusWatch:
     def run_tick(self) -> None:
         """Wait for the next tick, process all received frames, and send the requests of the tick.
 
-        If the host is late and misses ticks, they are skipped and not made up for.
+        If the host is late and misses ticks, these ticks are skipped. They are not executed later.
         """
         self.k += self.clock.wait(self.k) // self.period_ns
         for bus in self.buses:
@@ -136,7 +136,10 @@ class BusWatch:
         self.k += 1
 
     def send_release(self) -> None:
-        """Send the frames which tell the drives that the host will send no more frames."""
+        """Send the frames that announce the end of this host to the drives.
+
+        After these frames, the host sends no more frames.
+        """
         pairs = zip(self.drives, self.states, strict=True)
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
@@ -158,7 +161,10 @@ class BusWatch:
         return [(now_ns - t_ns) * 1e-9 if t_ns >= 0 else math.inf for t_ns in times]
 
     def _receive(self, frame: Frame) -> None:
-        """Pass a received frame to the load-cell amplifiers, and then to the sensor readings or to the drives."""
+        """Pass a received frame to the load-cell amplifiers.
+
+        Afterwards pass it to the sensor readings or to the drives.
+        """
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)

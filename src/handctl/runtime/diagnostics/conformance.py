@@ -37,7 +37,7 @@ OBEYED_TORQUE_FRACTION = 0.3
 
 
 class CheckVerdict(Enum):
-    """Result of a conformance check of a drive."""
+    """Verdict of a conformance check of a drive."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -91,7 +91,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """Run all checks in order, and yield each result.
 
     If a check leaves the drive in an unusable state, the remaining checks are left out. Two checks
-    turn the shaft. If the first of these two checks fails, the second is left out.
+    turn the shaft. If the first of these checks fails, the second is left out.
     """
     is_usable = True
     reversed_direction_failed = False
@@ -111,10 +111,10 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
 def _result_of_omitted_check(
     device: DeviceUnderTest, name: str, requirement: RequirementCheck
 ) -> ConformanceCheck:
-    """Return the result of a check that is left out because an earlier check has failed.
+    """Return the result of a check that is left out after the failure of an earlier check.
 
-    If the drive is still enabled, the check of the disable command counts as failed, because an
-    earlier check has already sent this command.
+    If the drive is still enabled, the check of the disable command counts as failed. In this case,
+    an earlier check has already sent this command.
     """
     if requirement is _check_disable_command and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(
@@ -150,9 +150,10 @@ def _check_configuration(device: DeviceUnderTest) -> str:
 def _failed_check_error(
     device: DeviceUnderTest, checked_property: DriveProperty, observed_text: str
 ) -> Exception:
-    """Return the exception for a drive that does not show a property.
+    """Return the exception for a drive that does not have a property.
 
-    If handctl cannot check this property on the drive, the drive has not failed.
+    If handctl cannot check the property on this drive, the exception does not count as a failure of
+    the drive.
     """
     reason = device.rig.drive.unchecked_properties.get(checked_property)
     return CheckNotPossible(f"{reason}; {observed_text}") if reason else CheckFailed(observed_text)
@@ -192,9 +193,9 @@ def _check_one_answer_per_request(device: DeviceUnderTest) -> str:
 
 
 def _feedback_frames(rig: DriveRig, target: DriveTarget) -> tuple[int, float]:
-    """Run CHECK_DURATION_TICKS ticks, and return the number of received feedback frames, and the duration [s].
+    """Run CHECK_DURATION_TICKS ticks, and count the received feedback frames.
 
-    The duration includes ticks that were missed.
+    Return the count and the duration [s]. The duration includes ticks that were missed.
     """
     feedback_count_before = rig.state.feedback_count
     start_ns = rig.t_ns
@@ -284,7 +285,11 @@ def _check_feedback(device: DeviceUnderTest) -> str:
 
 
 def _rotation_check(motion_sign: int) -> RequirementCheck:
-    """Return a check whether a torque of the given sign turns the shaft in the direction of this torque."""
+    """Return a check of the direction of rotation.
+
+    The check tests whether a torque of the given sign turns the shaft in the direction of this
+    torque.
+    """
 
     def check_rotation(device: DeviceUnderTest) -> str:
         rig = device.rig
@@ -361,7 +366,10 @@ def _check_disable_command(device: DeviceUnderTest) -> str:
 
 
 def _check_watchdog(device: DeviceUnderTest) -> str:
-    """Check that the watchdog disables the drive when the host sends no frames, and that the drive then stays off."""
+    """Check that the watchdog disables the drive when the host sends no frames.
+
+    Also check that the drive then stays disabled.
+    """
     rig = device.rig
     _enable_drive(rig)
     silence_s = max(HOST_SILENCE_S, 3.0 * device.watchdog_s)
@@ -377,7 +385,10 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
 
 
 def _check_fault_clearing(device: DeviceUnderTest) -> str:
-    """Check that the torque cut disables the drive, and that it is ready again after its faults are cleared."""
+    """Check that the torque cut disables the drive.
+
+    Also check that the drive is ready again after its faults are cleared.
+    """
     rig = device.rig
     _enable_drive(rig)
     rig.cut_torque()
@@ -409,7 +420,7 @@ def release_drive(rig: DriveRig, watchdog_s: float, original_drive: Drive | None
     Return True if the drive reports that it is disabled.
 
     After these frames, the next program can use the drive. The drive also knows that its host has
-    ended, and reports no lost host.
+    ended. Therefore it does not report the loss of its host.
 
     Args:
         rig: test rig with a drive in any state.

@@ -107,7 +107,10 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
 
 
 class _JogExecution:
-    """Execution of a jog: computation of the commands, checks of the limits, and collection of the result."""
+    """Execution of a jog.
+
+    It computes the commands, checks the limits, and collects the result.
+    """
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
         self._rig = rig
@@ -131,7 +134,8 @@ class _JogExecution:
     def hold_command(self, state: DriveState) -> float:
         """Return the command that keeps the shaft still.
 
-        It is the last position, zero velocity or zero torque, whichever belongs to the mode.
+        In position mode, the command is the last position. In the other modes, it is zero velocity
+        or zero torque.
         """
         if not self._is_position_mode:
             return 0.0
@@ -140,7 +144,7 @@ class _JogExecution:
     def enable_at_rest(self) -> str:
         """Enable the drive while the shaft is at rest.
 
-        Return the problem in words, or an empty text if the drive is enabled.
+        Return a description of the problem, or an empty text if the drive is enabled.
         """
         rig = self._rig
         if not rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
@@ -180,9 +184,9 @@ class _JogExecution:
         return ""
 
     def bring_to_rest(self) -> str:
-        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_DURATION_S.
+        """Bring velocity or torque to zero along a ramp, or hold the position.
 
-        Returns the reason for an early stop, empty if there was none.
+        This takes at least HOLD_DURATION_S. Returns the reason for an early stop, or an empty text.
         """
         ramp_s = 0.0
         if self._goal.mode == DriveMode.VELOCITY:
@@ -209,7 +213,8 @@ class _JogExecution:
     def _ramped_command(self, target_value: float) -> float:
         """Return the next command of a ramp to a target velocity or torque.
 
-        The step from the last command depends on the time since then, which contains missed ticks.
+        The step from the last command depends on the time since this command. This time includes
+        missed ticks.
         """
         goal = self._goal
         rate = goal.max_torque_N_m / TORQUE_RAMP_S

@@ -28,7 +28,10 @@ VELOCITY_WINDOW_TICKS = 4
 
 
 def _zero_torque_command(state: DriveState) -> float:
-    """Return the command that does not move the shaft in torque mode: a torque of zero."""
+    """Return a torque of zero.
+
+    In torque mode, this command does not move the shaft.
+    """
     return 0.0
 
 
@@ -71,9 +74,9 @@ class DriveRig:
         clock.start()
 
     def replace_drive(self, drive: Drive) -> None:
-        """Continue with another description of the same drive.
+        """Use another description of the same drive from now on.
 
-        The state of the drive is again the initial state.
+        The drive then starts again in its initial state.
         """
         self.drive = drive
         self.state = drive.initial_state()
@@ -100,7 +103,8 @@ class DriveRig:
     ) -> DriveState:
         """Run one tick, and return the state of the drive after it.
 
-        If the host is late by whole periods, the missed ticks are skipped and not made up for.
+        If the host is late by whole periods, the missed ticks are skipped. They are not executed
+        later.
 
         Args:
             target: requested state of the drive.
@@ -129,8 +133,8 @@ class DriveRig:
     ) -> bool:
         """Run ticks with the idle command until ``is_condition_met`` returns True for the state of the drive.
 
-        Returns False if this does not happen within the time ``timeout_s`` [s]. Only executed ticks count
-        as time. Otherwise a late host would leave the drive too few ticks for its answers.
+        Returns False if this does not happen within the time ``timeout_s`` [s]. Only executed ticks
+        count as time. Otherwise the drive of a late host would have too few ticks for its answers.
         """
         return any(
             is_condition_met(self.run_tick(target))
@@ -142,7 +146,10 @@ class DriveRig:
         self.run_until(target, lambda state: False, duration_s)
 
     def reason_not_ready(self) -> str:
-        """Return in words why the drive has not reached the phase READY: an error, missing answers, or its phase."""
+        """Return the reason why the drive has not reached the phase READY.
+
+        The reason is an error, missing answers, or the phase of the drive.
+        """
         if self.state.error_text:
             return self.state.error_text
         if self.state.phase != DrivePhase.SILENT:
@@ -181,9 +188,9 @@ class DriveRig:
     def confirm_disabled(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is disabled.
 
-        A drive that was never heard is not off: another host may have enabled it. If the drive does
-        not obey, the host sends no frames until the watchdog of the drive has expired. After that, the
-        host disables the drive again.
+        If no frame of the drive was ever received, the drive does not count as disabled. Another
+        host may have enabled it. If the drive does not obey, the host sends no frames until the
+        watchdog of the drive has expired. After that, the host disables the drive again.
         """
         for silence_s in (0.0, 3.0 * watchdog_s + 0.2):
             self.run_for(DriveTarget.LISTEN, silence_s)
@@ -192,10 +199,10 @@ class DriveRig:
         return self.state.phase in PHASES_BEFORE_READY_REPORT and self._report_after_setup()
 
     def _report_after_setup(self) -> bool:
-        """Set a drive up from the beginning and disable it. Returns True if it reports that it is off.
+        """Set up a drive from the beginning, and disable it.
 
-        A CiA 402 drive reports its power state in a process data object, whose contents are known
-        after the set-up.
+        Return True if the drive reports that it is disabled. A CiA 402 drive reports its power
+        state in a process data object. The content of this object is known only after the set-up.
         """
         self.replace_drive(self.drive)
         return self.run_until(

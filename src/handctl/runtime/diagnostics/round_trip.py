@@ -1,6 +1,7 @@
-"""Round-trip time of a node: the time from the sending of a request to the arrival of the answer.
+"""Round-trip time of a node.
 
-The request has no effect on the node.
+This is the time from the sending of a request to the arrival of the answer. The request has no
+effect on the node.
 """
 
 import math

@@ -1,9 +1,11 @@
-"""Torque-step test: the shaft of a drive is turned a little and brought to rest, with torques below a limit.
+"""Torque-step test.
+
+The shaft of a drive is turned a little and brought to rest, with torques below a limit.
 
 The test also measures the inertia of the shaft. A shaft without a load may have an inertia of only
-1e-4 kg m2, and then accelerates fast. The measured velocity of the shaft is about 30 ms old. If the
-gain of the brake were fixed, such a shaft would oscillate. Therefore the gain of the brake depends
-on the inertia.
+1e-4 kg m2, and then accelerates fast. The measured velocity of the shaft is about 30 ms old. With a
+fixed gain of the brake, such a shaft would oscillate. Therefore the gain of the brake depends on
+the inertia.
 """
 
 import math
