@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from handctl.blas_kernels import use_portable_kernels
-from tests.machine_stall_meter import MachineStallMeter
+from tests.computer_pause_meter import ComputerPauseMeter
 from tests.slow_tests import DurationRecorder, tests_slower_than
 
 pytest_plugins = ("pytester",)
@@ -116,7 +116,7 @@ class RepeatAfterStall:
     def __init__(self) -> None:
         """Start without a stall meter, because most runs have no test on the real clock."""
         self.stalls: list[tuple[str, float]] = []
-        self.stall_meter: MachineStallMeter | None = None
+        self.pause_meter: ComputerPauseMeter | None = None
         self._test = ""
         self._start = 0.0
 
@@ -124,7 +124,7 @@ class RepeatAfterStall:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         """Store the start of a test on the real clock."""
         if item.get_closest_marker("realtime"):
-            self.stall_meter = self.stall_meter or MachineStallMeter()
+            self.pause_meter = self.pause_meter or ComputerPauseMeter()
             self._test = item.nodeid
             self._start = time.monotonic()
 
@@ -133,7 +133,7 @@ class RepeatAfterStall:
 
         ``error`` is None if the try passed.
         """
-        longest = self.stall_meter.longest_since(self._start) if self.stall_meter and error else 0.0
+        longest = self.pause_meter.longest_since(self._start) if self.pause_meter and error else 0.0
         if longest:
             self.stalls.append((self._test, longest))
             self.wait_without_stall()
@@ -144,12 +144,12 @@ class RepeatAfterStall:
 
         After a stall, other stalls often follow.
         """
-        assert self.stall_meter
+        assert self.pause_meter
         until = time.monotonic() + MAX_STALL_WAIT_S
         while time.monotonic() < until:
             begin = time.monotonic()
             time.sleep(STALL_FREE_TIME_S)
-            if not self.stall_meter.longest_since(begin):
+            if not self.pause_meter.longest_since(begin):
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -168,8 +168,8 @@ class RepeatAfterStall:
 
     def pytest_unconfigure(self) -> None:
         """Close the stall meter."""
-        if self.stall_meter:
-            self.stall_meter.close()
+        if self.pause_meter:
+            self.pause_meter.close()
 
 
 @pytest.fixture

@@ -123,10 +123,10 @@ def _table_lines(table_name, table_content):
             yield from _table_lines(f"{table_name}.{key}", value)
 
 
-def content_without_key(file_content, key_path, renamed_key=None):
+def content_without_key(file_content, key_path, renamed_value=None):
     """Return a copy of the content of a file without one key.
 
-    If the value ``renamed_key`` is given, store this value under the name of the removed key with
+    If the value ``renamed_value`` is given, store this value under the name of the removed key with
     ``_x`` at its end.
     """
     file_content = content_with_value(file_content, key_path, None)
@@ -134,8 +134,8 @@ def content_without_key(file_content, key_path, renamed_key=None):
     for key in key_path[:-1]:
         parent = parent[key]
     del parent[key_path[-1]]
-    if renamed_key:
-        parent[key_path[-1] + "_x"] = renamed_key
+    if renamed_value:
+        parent[key_path[-1] + "_x"] = renamed_value
     return file_content
 
 

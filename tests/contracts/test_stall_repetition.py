@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from tests.machine_stall_meter import MachineStallMeter
+from tests.computer_pause_meter import ComputerPauseMeter
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 REPEATED_TEST = """
@@ -27,29 +27,29 @@ def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
     assert repeat_time_scale == pytest.approx(expected), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
-        os.kill(repeats.stall_meter.pids[0], signal.SIGSTOP)
+        os.kill(repeats.pause_meter.pids[0], signal.SIGSTOP)
         time.sleep(0.05)
-        os.kill(repeats.stall_meter.pids[0], signal.SIGCONT)
+        os.kill(repeats.pause_meter.pids[0], signal.SIGCONT)
         time.sleep(0.05)
     assert TRIES.count(stalled) == 3
 """
 
 
 def test_a_stall_of_one_core_is_seen_once() -> None:
-    stall_meter = MachineStallMeter()
+    pause_meter = ComputerPauseMeter()
     try:
         start = time.monotonic()
-        os.kill(stall_meter.pids[-1], signal.SIGSTOP)
+        os.kill(pause_meter.pids[-1], signal.SIGSTOP)
         time.sleep(0.05)
-        os.kill(stall_meter.pids[-1], signal.SIGCONT)
+        os.kill(pause_meter.pids[-1], signal.SIGCONT)
         longest = 0.0
         while not longest and time.monotonic() < start + 10.0:
-            longest = stall_meter.longest_since(start)
+            longest = pause_meter.longest_since(start)
         assert 0.03 < longest < 10.0
-        assert stall_meter.longest_since(time.monotonic()) == 0.0
+        assert pause_meter.longest_since(time.monotonic()) == 0.0
     finally:
-        stall_meter.close()
-    assert not any(os.path.exists(f"/proc/{pid}") for pid in stall_meter.pids)
+        pause_meter.close()
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in pause_meter.pids)
 
 
 def test_a_test_is_repeated_only_after_a_stall(

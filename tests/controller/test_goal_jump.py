@@ -31,15 +31,15 @@ def targets_after_command(
     model: HandModel,
     previous_state: ControllerState,
     joint_angle: float,
-    goal_tolerance: float | Vector = np.nan,
+    excursions: float | Vector = np.nan,
 ) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
-    The argument ``goal_tolerance`` gives the excursions of the tendons [m].
+    The argument ``excursions`` gives the excursions of the tendons [m].
     """
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle
-    state.view("excursion")[...] = goal_tolerance
+    state.view("excursion")[...] = excursions
     tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
     return state
 

@@ -23,7 +23,7 @@ from tests.report.generated_run import (
 )
 
 
-def quiet_run() -> GeneratedRunLog:
+def log_without_faults() -> GeneratedRunLog:
     """Create a run of two seconds without events."""
     log = GeneratedRunLog(JAMIA_HAND, 200, {0: "home"})
     for name in ("tension", "tension_raw", "tip_force"):
@@ -48,7 +48,7 @@ def log_of_hold(ramp_ticks: int = 20) -> GeneratedRunLog:
 
 
 def test_ticks_misses_and_lateness() -> None:
-    log = quiet_run()
+    log = log_without_faults()
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
     result = summarise_run(log, JAMIA_HAND, None, 0)
@@ -101,7 +101,7 @@ def test_the_mean_angle_weights_joints_by_their_moment_arms() -> None:
 
 
 def test_tracking_error_is_computed_in_free_motion_only() -> None:
-    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200, 7)
+    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200, 7)
     joints = slice(0, 3)  # joints of the index finger
     log.fields["q_goal"][:, joints] = 0.5
     for joint in JAMIA_HAND.joints[joints]:
@@ -131,7 +131,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
     The load-cell reading is compared with the true tension one period earlier, when it was taken.
     """
-    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200)
+    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200)
     real = 20.0 + np.arange(200) * 0.1
     for name in JAMIA_HAND.tendon_names:
         set_truth_column(truth, f"tension/{name}", real)
@@ -147,7 +147,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 
 
 def test_slack_tendons_do_not_count() -> None:
-    log, truth = quiet_run(), zero_truth(JAMIA_HAND, 200)
+    log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200)
     log.fields["tension"][:] = 7.0
     assert math.isnan(summarise_run(log, JAMIA_HAND, truth, 0)["tension_rmse_n"])
 
@@ -259,7 +259,7 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
     The other 13 bits of the frame get no stuff bits.
     """
-    log = quiet_run()
+    log = log_without_faults()
     one = (98 + 97 // 4 + 13) / 1e6
     assert measured_bus_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(
         10 * one / 1.99

@@ -12,20 +12,20 @@ from tests.report.generated_run import JAMIA_HAND, set_truth_column, write_truth
 
 
 @pytest.fixture
-def small_truth() -> TruthRecord:
+def truth_record() -> TruthRecord:
     rng = np.random.default_rng(1)
     return TruthRecord(
         {}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d")
     )
 
 
-def test_a_written_truth_file_is_read(small_truth: TruthRecord, tmp_path: Path) -> None:
+def test_a_written_truth_file_is_read(truth_record: TruthRecord, tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small_truth)
+    write_truth(path, truth_record)
     repeated_truth = read_truth(path)
-    np.testing.assert_array_equal(repeated_truth.t_ns, small_truth.t_ns)
-    np.testing.assert_array_equal(repeated_truth.values, small_truth.values)
-    assert repeated_truth.columns == small_truth.columns
+    np.testing.assert_array_equal(repeated_truth.t_ns, truth_record.t_ns)
+    np.testing.assert_array_equal(repeated_truth.values, truth_record.values)
+    assert repeated_truth.columns == truth_record.columns
     assert repeated_truth.has_column("b/c")
     assert not repeated_truth.has_column("x")
 
@@ -50,10 +50,10 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
 
 
 def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
-    small_truth: TruthRecord, tmp_path: Path
+    truth_record: TruthRecord, tmp_path: Path
 ) -> None:
     path = tmp_path / "t.truth"
-    write_truth(path, small_truth)
+    write_truth(path, truth_record)
     complete_content = path.read_bytes()
     head = complete_content.index(b"\n") + 1
     for cut in range(len(complete_content)):
@@ -61,7 +61,7 @@ def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
         rows = max(0, cut - head) // 32
         if rows:
             truth = read_truth(path)
-            np.testing.assert_array_equal(truth.values, small_truth.values[:rows])
+            np.testing.assert_array_equal(truth.values, truth_record.values[:rows])
         else:
             with pytest.raises(LogError) as caught:
                 read_truth(path)
@@ -140,9 +140,9 @@ def test_a_copy_has_the_rows_between_two_times(
     np.testing.assert_array_equal(part.values, values[expected_rows.start : expected_rows.stop])
 
 
-def test_a_copy_without_rows_is_no_file(tmp_path: Path, small_truth: TruthRecord) -> None:
-    write_truth(tmp_path / "whole", small_truth)
-    late = int(small_truth.t_ns[-1]) + 1
+def test_a_copy_without_rows_is_no_file(tmp_path: Path, truth_record: TruthRecord) -> None:
+    write_truth(tmp_path / "whole", truth_record)
+    late = int(truth_record.t_ns[-1]) + 1
     assert copy_truth(tmp_path / "whole", tmp_path / "part", late, late + 10**9) == 0
     assert not (tmp_path / "part").exists()
     (tmp_path / "other").write_bytes(b"no truth")

@@ -32,7 +32,7 @@ from handctl.gym.observation_layout import (
     Float32Array,
     ObservationLayout,
     ObservationPart,
-    telemetry_part,
+    telemetry_observation,
 )
 from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.hand_loading import load_hand
@@ -170,9 +170,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         """Return the parts of an observation that all environments have: joint angles, joint rates and tensions."""
         largest = 2.0 * max(tendon.tension_max_N for tendon in self.hand.tendon)
         return [
-            telemetry_part(self.hand, "q_rad", -math.pi, math.pi),
-            telemetry_part(self.hand, "dq_rad_s", -30.0, 30.0),
-            telemetry_part(self.hand, "tension_N", -largest, largest),
+            telemetry_observation(self.hand, "q_rad", -math.pi, math.pi),
+            telemetry_observation(self.hand, "dq_rad_s", -30.0, 30.0),
+            telemetry_observation(self.hand, "tension_N", -largest, largest),
         ]
 
     @abstractmethod

@@ -18,7 +18,7 @@ from handctl.gym.environment import (
     HandEnv,
     TargetSpace,
 )
-from handctl.gym.observation_layout import ObservationPart, telemetry_part
+from handctl.gym.observation_layout import ObservationPart, telemetry_observation
 
 FULL_REWARD_FORCE_N = 1.0
 """Force of a digit on the object above which the reward for this digit no longer grows [N]."""
@@ -99,8 +99,8 @@ class GraspEnv(HandEnv):
         """Return the parts of an observation: joint angles, joint rates, tensions, tip forces and contacts."""
         return [
             *self.body_observation_parts(),
-            telemetry_part(self.hand, "tip_force_N", -50.0, 50.0),
-            telemetry_part(self.hand, "contact", 0.0, 1.0),
+            telemetry_observation(self.hand, "tip_force_N", -50.0, 50.0),
+            telemetry_observation(self.hand, "contact", 0.0, 1.0),
         ]
 
     def extra_values(self, name: str) -> Any:

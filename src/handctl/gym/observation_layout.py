@@ -70,7 +70,7 @@ class ObservationLayout:
         return np.asarray(clipped_values, np.float32)
 
 
-def telemetry_part(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
+def telemetry_observation(hand: Hand, name: str, low: float, high: float) -> ObservationPart:
     """Return the part of an observation for one name of the telemetry, such as ``q_rad``."""
     axis: Mapping[str, tuple[str, ...]] = {
         "joint": hand.joints,

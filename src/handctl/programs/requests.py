@@ -18,7 +18,7 @@ from handctl.core.tick_types import StreamTarget, TickRequest
 from handctl.document import Document
 from handctl.programs.task import SHORTEST_MOVE_S, AngleDeg, Task, TensionN
 
-MAX_TARGET_VALUES = 64
+MAX_VALUES_PER_TARGET = 64
 """Largest number of values of a streamed target."""
 SHORTEST_LEASE_S, LONGEST_LEASE_S = 0.2, 3600.0
 """Limits of a lease, the silence after which a client counts as lost [s]."""
@@ -122,7 +122,7 @@ class OpenStreamRequest(CommandBase):
     It is an angle for each joint [deg], one angle for all joints of a digit [deg], a tension for
     each tendon [N], or a force at the tip of a digit [N].
     """
-    names: tuple[str, ...] = Field(min_length=1, max_length=MAX_TARGET_VALUES)
+    names: tuple[str, ...] = Field(min_length=1, max_length=MAX_VALUES_PER_TARGET)
     """Names of the values of a target, in the order of the values."""
     rate_Hz: float = Field(ge=1, le=1000)
     """Rate at which the client sends targets."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import StreamTarget
 from handctl.errors import BusError
-from handctl.programs.requests import MAX_TARGET_VALUES
+from handctl.programs.requests import MAX_VALUES_PER_TARGET
 from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
 from handctl.runtime.socket_paths import targets_path
 from handctl.runtime.socket_peers import receive_datagram, request_sender_credentials
@@ -27,7 +27,7 @@ from handctl.runtime.socket_peers import receive_datagram, request_sender_creden
 TARGET_MAGIC = b"HCT1"
 """First bytes of every datagram with a target. These bytes include the version of the format."""
 HEADER_STRUCT = struct.Struct("<4sIIIqq")
-MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_TARGET_VALUES
+MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_VALUES_PER_TARGET
 """Largest size of a datagram with a target [bytes]."""
 MAX_DATAGRAMS_PER_TICK = 64
 """Largest number of datagrams that are read in a tick.

@@ -39,7 +39,7 @@ from handctl.safety.faults.node import (
     CONTRADICTORY_REPORT_MEAN_N,
     CONTRADICTORY_REPORT_N,
     MIN_REPORTED_TORQUE_FRACTION,
-    REPORT_COMPARISON_TIME_S,
+    TORQUE_CORRELATION_TIME_S,
 )
 
 MIN_FILTER_RESPONSE = 0.9
@@ -106,7 +106,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         c: constants of the hand.
         missed_ticks: ticks missed before the present tick.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORT_COMPARISON_TIME_S)
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / TORQUE_CORRELATION_TIME_S)
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
@@ -203,7 +203,7 @@ def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool
     return (
         ab
         + COVARIANCE_MARGIN_SIGMAS
-        * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORT_COMPARISON_TIME_S))
+        * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * TORQUE_CORRELATION_TIME_S))
         < MIN_REPORTED_TORQUE_FRACTION * aa
     )
 

@@ -134,7 +134,7 @@ def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
     return writer.finished_template()
 
 
-def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
+def pack_names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     """Encode the names (`field/name`) of the telemetry columns as pal_statistics_msgs/StatisticsNames."""
     writer = CdrWriter()
     writer.put_number("I", seconds)

@@ -19,7 +19,7 @@ from handctl.log.topics.message_streams import (
     variable_length_block,
 )
 from handctl.log.topics.snapshot_topic import ControllerSnapshot, SnapshotTopic
-from handctl.log.topics.state_topics import StateTopics, names_message
+from handctl.log.topics.state_topics import StateTopics, pack_names_message
 from handctl.log.topics.target_topic import TargetTopic
 from handctl.log.topics.transform_topics import TfTopics
 
@@ -73,7 +73,7 @@ class TopicSet:
         stamps = MessageStamps(
             np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
         )
-        names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
+        names = pack_names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
             variable_length_block(self._names, stamps, [names]),
             self._tf.latched_messages(stamps),

@@ -91,7 +91,7 @@ a released tendon had 10 N for 150 ms, and its spool had paid out 6 mm after 100
 still pulls holds its spool or winds the tendon.
 """
 MIN_REPORTED_TORQUE_FRACTION = 0.4
-REPORT_COMPARISON_TIME_S = 0.25
+TORQUE_CORRELATION_TIME_S = 0.25
 """Smallest ratio of reported to commanded torque changes, and time constant of the comparison [s]."""
 
 # Texts of the fault catalogue for faults that the messages of a drive protocol do not report.
@@ -325,7 +325,7 @@ declare_row("N17", "drives exchanged, or obeying late",
     ticks=2, ms=4000)  # fmt: skip
 N17 = declare_fault(
     "N17", "torque reports of another motor",
-    f"Over {REPORT_COMPARISON_TIME_S * 1e3:g} ms, less than {MIN_REPORTED_TORQUE_FRACTION:g} of the small changes "
+    f"Over {TORQUE_CORRELATION_TIME_S * 1e3:g} ms, less than {MIN_REPORTED_TORQUE_FRACTION:g} of the small changes "
     "of the command are reported",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Cables or identifiers of two motors are exchanged, or the drive obeys late.",

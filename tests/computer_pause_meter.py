@@ -21,7 +21,7 @@ Even a busy core wakes such a process within some milliseconds.
 """
 
 
-class MachineStallMeter:
+class ComputerPauseMeter:
     """Processes that sleep and report when they wake up late.
 
     These processes run until :meth:`close`.
