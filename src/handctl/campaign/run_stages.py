@@ -89,15 +89,12 @@ def hand_with_drives(
         motor_options: options of every drive, or None for the default options of the protocol.
     """
     protocol_traits = PROTOCOL_TRAITS[protocol]
+    options = dict(protocol_traits.options if motor_options is None else motor_options)
+    if protocol_traits.torque_option and not hand.has_cell.all():
+        options.setdefault(protocol_traits.torque_option, True)
     motors = tuple(
         motor.model_copy(
-            update={
-                "protocol": protocol,
-                "node_id": FIRST_NODE_NUMBER + i,
-                "options": dict(
-                    protocol_traits.options if motor_options is None else motor_options
-                ),
-            }
+            update={"protocol": protocol, "node_id": FIRST_NODE_NUMBER + i, "options": options}
         )
         for i, motor in enumerate(hand.motor)
     )

@@ -204,19 +204,36 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     frame, the host also sends SYNC after this command.
 
     Raises:
-        ConfigError: the drive does not support an option in the hand file, or two nodes use the
-            same identifier.
+        ConfigError: the drive does not support an option in the hand file, two nodes use the same
+            identifier, or neither a load cell nor a torque report shows the tension of a tendon.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
     for motor, drive in zip(motors, drives, strict=True):
         _check_position_loop(motor, drive)
+    for motor, tendon, has_cell in zip(motors, hand.tendon_names, hand.has_cell.tolist(), strict=True):
+        if not has_cell:
+            _check_torque_report(motor, tendon)
     sensors = make_sensors(hand)
     drives_by_key = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
     location = "sensor_node.node_ids" if hand.sensor_node.is_cia404 else "sensor_node.base_id"
     check_identifiers([(location, sensors), *drives_by_key])
     return _with_host_frames(drives, sensors)
+
+
+def _check_torque_report(motor: Motor, tendon: str) -> None:
+    """Check that the drive of a tendon without a load cell reports its torque.
+
+    Without the report, a drive that does not obey could pull with any torque unnoticed.
+
+    Raises:
+        ConfigError: an option of the drive disables the report.
+    """
+    option = PROTOCOL_TRAITS[motor.protocol].torque_option
+    if option and not motor.options.get(option, False):
+        expected = f"true, because no load cell measures the tension of {tendon}"
+        raise ConfigError("false", f"motor[{motor.name}].options.{option}", expected)
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:

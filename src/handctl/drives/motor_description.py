@@ -19,6 +19,8 @@ class ProtocolTraits(NamedTuple):
             campaign accepts only such protocols.
         can_fd: True if the bus of the drives needs CAN FD.
         options: values of the drive options in a simulated hand.
+        torque_option: drive option without which the drives report no torque. The text is empty if they
+            always report it.
         position_option: drive option with which the drives close the position loop of a digit. The
             text is empty if they need no option.
         no_position_loop_reason: reason why the drives close no position loop. The text is empty if they do.
@@ -32,6 +34,7 @@ class ProtocolTraits(NamedTuple):
     is_verifiable: bool = True
     can_fd: bool = False
     options: Mapping[str, Any] = {}
+    torque_option: str = ""
     position_option: str = ""
     no_position_loop_reason: str = ""
     hint: str = ""
@@ -43,7 +46,7 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "odrive": ProtocolTraits("ODrive", options={
         "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
         "endpoint_torque_max": 203, "endpoint_torque_min": 204,
-    }, no_position_loop_reason="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
+    }, torque_option="torque_feedback", no_position_loop_reason="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
     "cia402": ProtocolTraits(
         "CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
         no_position_loop_reason="CiA 402 standardises no gains of position loops, "

@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
     options = ""
     if tendon_answers.protocol:
         drive_options = options_with_motor_type(tendon_answers.protocol, tendon_answers.motor_type)
-        options = options_line(tendon_answers.protocol, drive_options)
+        options = options_line(
+            tendon_answers.protocol, drive_options, tendon_answers.cells != "none"
+        )
     text = imported_hand_text(
         described_hand,
         tendon_answers,

@@ -491,16 +491,22 @@ position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{options_line(answers.protocol, given_options)}"""
+watchdog_ms = 50{options_line(answers.protocol, given_options, answers.cells == "all")}"""
 
 
-def options_line(protocol: str, given_options: Mapping[str, Any]) -> str:
+def options_line(protocol: str, given_options: Mapping[str, Any], has_cells: bool) -> str:
     """Return the line with the options of the drives.
 
     If the protocol has no options, the line is empty.
+
+    Args:
+        protocol: protocol of the drives.
+        given_options: options of the drives.
+        has_cells: True if load cells measure the tension of all tendons.
     """
     if protocol == "odrive":
-        return "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
+        line = "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
+        return line if has_cells else f"\noptions = {{ torque_feedback = true }}   # no load cells{line}"
     if not given_options:
         return ""
     values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in given_options.items())
