@@ -75,7 +75,7 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    From a given time on, the wrapper drops the replies with one identifier.
+    From a given time on, the wrapper drops all replies with the identifier ``can_id``.
 
     Attributes:
         simulator: the wrapped simulator, which sends all replies.

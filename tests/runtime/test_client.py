@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    If the first argument was a mapping, the client took the mapping for the duration, and raised
-    the error "no digit".
+    The first argument of a call was a mapping. The client used this mapping as the duration, and
+    raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

@@ -163,7 +163,7 @@ class SyntheticMonitor:
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
 
-        Keep only the time for which each fault has been present.
+        Only one value is kept: for how many ticks each fault has been present.
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest

@@ -61,10 +61,10 @@ def check_ticks(
 def check_fault_alone(
     fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks with regard to one fault.
+    """Judge several ticks, and evaluate only one fault.
 
-    Return the monitor after these ticks, the action that it demands in each tick, and the findings that
-    it reports.
+    Return the monitor after these ticks, the action that the monitor demands in each tick, and the
+    findings that the monitor reports.
     """
     monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
@@ -357,7 +357,7 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
-    """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
+    """If any value in the declaration of a fault is changed by one step, its test cases fail.
 
     The failure shows that the test cases notice wrong declarations.
     """

@@ -125,7 +125,7 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
 ) -> None:
     """After some ticks without a reply, all missing replies may arrive at once.
 
-    One reply more than the missing ones is a duplicate.
+    A further reply after these replies is a duplicate.
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):

@@ -155,8 +155,8 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
 ):
     """The extensor of a grasp has a small commanded tension.
 
-    Reproduce a defect: the tension loop of such a tendon damped its spool to less than 0.03 m/s, so
-    T01 was not reported for it.
+    Reproduce a defect: when such a tendon snapped, its tension loop kept the spool slower than 0.03
+    m/s. The fault T01 was therefore not reported.
     """
 
     def is_snapped(spool_speed):
@@ -255,9 +255,10 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    On jamia11, a healthy end of a run reported the fault N16: the springs of a digit kept a released
-    tendon at 10 N while they accelerated its rotor. In the first correction, the estimated speed of the
-    spool decided. On t42 with ODrive drives, this estimate hid a motor that did not release.
+    On jamia11, the fault N16 was reported at the end of a run without a defect. The springs of a
+    digit accelerated the rotor of a released tendon, and the tension stayed at 10 N in this time.
+    The first correction used the estimated speed of the spool. On t42 with ODrive drives, this
+    estimate hid a motor that did not release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTendons(

@@ -1,4 +1,4 @@
-"""Use of the motor chain of i2rt with four simulated DM4310 motors on vcan0.
+"""Test the motor chain of i2rt with four simulated DM4310 motors on vcan0.
 
 The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
 """
@@ -107,7 +107,10 @@ def check_velocity_mode(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Command torques and then positions to a chain of motors in MIT mode, as in the arm YAM of i2rt."""
+    """Send torques and then positions to a chain of motors in MIT mode.
+
+    The arm YAM of i2rt uses its motors in this mode.
+    """
     chain = open_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
 
