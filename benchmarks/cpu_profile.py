@@ -59,10 +59,11 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield each part to which a function belongs, with the fraction of the function's time for this part.
+    """Yield each part of the program to which a function belongs.
 
-    The time of a function that matches no part is divided among the parts of the callers, in
-    proportion to their times.
+    Each part is yielded together with its fraction of the time of the function. The time of a
+    function that matches no part is divided among the parts of the callers, in proportion to their
+    times.
     """
     name = f"{function[0]}/{function[2]}"
     part = next(

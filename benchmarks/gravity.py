@@ -6,7 +6,7 @@ In this position, gravity acts on the joints.
 gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
 on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark
 compares two pairs of control laws. The laws of a pair differ only in gravity compensation. Both
-move every digit as in the tracking benchmark, with the same LQR weights.
+laws move every digit as in the tracking benchmark, and both have the same LQR weights.
 """
 
 import argparse

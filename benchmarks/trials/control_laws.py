@@ -99,7 +99,10 @@ This force costs as much as the position error and the speed error that define t
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that restores the force weight, which the controller reduces at a low control rate."""
+    """Return the factor that restores the full force weight.
+
+    At a low control rate, the controller reduces the force weight.
+    """
     return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 
 

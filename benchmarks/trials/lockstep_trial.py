@@ -103,7 +103,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
-        """Return true values (ticks, names) at each tick, or earlier by ``delay_ns`` [ns]."""
+        """Return the true values (ticks, names) at a time ``delay_ns`` [ns] before each tick."""
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:
