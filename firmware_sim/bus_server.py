@@ -53,7 +53,10 @@ class ServerClock(Protocol):
         ...
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks for which a controller that uses this clock has sent all frames."""
+        """Return the number of ticks whose frames were all sent by the controller.
+
+        The controller uses the same clock.
+        """
         ...
 
     def publish_answered_ticks(self, ticks: int) -> None:
@@ -105,7 +108,10 @@ class ServedNodes(Protocol):
 
 
 class BusServer:
-    """The loop that advances simulated nodes by a clock, and exchanges frames through the ports of the buses.
+    """The main loop of the simulator.
+
+    The loop advances the simulated nodes to the time of a clock. It exchanges frames through the
+    ports of the buses.
 
     Attributes:
         pace: measured pace of the simulation.
@@ -231,9 +237,9 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Give up the time during which this process did not run: the plant does not catch up.
+        """Skip the time in which this process did not run.
 
-        The plant and the watchdogs of the drives stood still during this time.
+        The plant and the watchdogs of the drives do not advance by this time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1

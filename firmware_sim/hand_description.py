@@ -1,6 +1,6 @@
-"""The simulator's description of a hand, read from the hand file.
+"""The simulator's description of a hand. It is read from the hand file.
 
-Python's standard library is sufficient for the reading.
+To read the file, the module needs only the standard library of Python.
 """
 
 import importlib.util
@@ -471,7 +471,7 @@ def _section_with_template(
     """Return an entry of a hand file, with all missing keys filled in.
 
     The template of the entry gives the value of a missing key. If the template lacks the key, the
-    defaults for this kind of entry do.
+    value comes from the defaults for this kind of entry.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (
@@ -533,7 +533,7 @@ def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMe
 def _make_mesh(link_name: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh with the given placement.
 
-    An argument that is None stands for no scaling, no shift or no rotation.
+    If an argument is None, the mesh is not scaled, not shifted or not rotated.
     """
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
@@ -601,8 +601,8 @@ def _joint_values(
 ) -> tuple[float, ...]:
     """Return a value for each joint of a digit.
 
-    For a hinge, the value comes from ``key``. For a prismatic joint, the value comes from the
-    corresponding other key. Without a default, a missing key raises KeyError.
+    For a hinge, the value comes from the key ``key``. For a prismatic joint, the value comes from
+    the key ``JOINT_KEYS[key]``. Without a default, a missing key raises KeyError.
     """
     is_prismatic = _are_joints_prismatic(digit_section)
     lists = {}

@@ -84,9 +84,10 @@ class PaceCounter:
         self._mark = self._start = self._clock_readings(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock, after which the lost time is never made up.
+        """Count a slip of the clock.
 
-        If the last report is at least a second old, report the slip.
+        The simulation never catches up on the time that is lost by a slip. If the last report is at
+        least a second old, report the slip.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].

@@ -11,7 +11,7 @@ from firmware_sim.wire.wire_options import WireSpec
 
 
 class TimedLockstep:
-    """The buses of a hand as simulated wires between the host and the nodes, in virtual time.
+    """The buses of a hand in virtual time. Each bus is a simulated wire between host and nodes.
 
     Attributes:
         wires: one simulated wire for each bus.

@@ -200,7 +200,7 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the frames of an earlier answer in place of the present ones.
 
-    The size of the fault says how many answers earlier.
+    The size of the fault states by how many answers the sent answer is older than the present one.
 
     While the node has sent fewer answers, send the present frames.
     """

@@ -370,7 +370,10 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 def _assign_bus_times(
     frames: Any, answer_frames: Any, count: int, t_ns: int, last_ns: int, buses: int
 ) -> bool:
-    """Set the times of answers as if each bus carried all frames and answers one after the other.
+    """Set the times of answers.
+
+    The times are those of a bus that first transmits all frames of the host, and then the answers,
+    one after the other.
 
     Args:
         frames: frames of the host.
@@ -600,7 +603,7 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 def answer(
     frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
 ) -> None:
-    """Answer frames, where most arrays are given by their addresses.
+    """Answer frames. Most of the arrays are given by their addresses.
 
     The kernel ``_answer`` explains the answers.
 
@@ -629,10 +632,10 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
+    """Return True if an ODrive has due work other than the two cyclic messages.
 
-    Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
-    ``odrive.motion_modes``, and the messages of firmware 0.5.
+    Python must wake the drive for this work: the update of temperatures, the watchdog, the end of a
+    calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -642,7 +645,10 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
+    """Return True if a CiA 402 drive has due work other than the heartbeat.
+
+    Python must wake the drive for this work.
+    """
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -703,7 +709,7 @@ def send_due(
     sent_frames: Any,
     progress: Any,
 ) -> bool:
-    """Write the unsolicited frames of all drives that are due.
+    """Write all unsolicited frames that are due.
 
     Args:
         drives: drives in the order of sending.

@@ -141,8 +141,8 @@ class SimulatedDriveBench:
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        For this, a time step may have to be divided. The next call then first completes the divided
-        step.
+        If this time is within a time step, the step is divided. The next call first completes the
+        divided step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns

@@ -1,6 +1,6 @@
 """Damiao motors as delivered.
 
-The data of the free shaft are assumed. Source of the ranges: fact sheet mit_damiao.
+The data of the free shaft are assumptions. Source of the ranges: fact sheet mit_damiao.
 """
 
 import math

@@ -5,13 +5,14 @@
 
 The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
 messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
-ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. While the torque
-is limited, the integrator decays. In each step, the rest of the trapezoid is planned again. The
-result differs from trapTraj.cpp only if the target changes during the motion.
+ramps and integrator are those of the ODrive firmware (MIT licence), controller.cpp. While the
+torque is limited, the integrator decays. In each step, the rest of the trapezoid is planned again.
+The result differs from trapTraj.cpp only if the target changes during the motion.
 
-Differences from the firmware: a speed above the limit is not an error, because the position
-controller limits the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware
-refuses modes without an entry above, and the simulation ignores them.
+The simulation differs from the firmware in the following points. A speed above the limit is not an
+error, because the position controller limits the velocity demand. Input mode 0 (inactive) keeps the
+last setpoint. The list above contains all simulated modes. The firmware refuses other modes, but
+the simulation ignores them.
 """
 
 import math

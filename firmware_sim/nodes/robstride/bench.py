@@ -1,6 +1,6 @@
 """RobStride motors as delivered.
 
-The data of the free shaft are assumed. Source of the ranges: docs/facts/robstride.md.
+The data of the free shaft are assumptions. Source of the ranges: docs/facts/robstride.md.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, Frame

@@ -138,7 +138,7 @@ class RobstrideMitNode(RobstrideNode):
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _change_configuration(self, data_area: int, command_code: int) -> list[Frame]:
-        """Change the protocol, or the number of the motor or of the host.
+        """Change the protocol, the number of the motor, or the number of the host.
 
         The motor replies with its identity.
         """
