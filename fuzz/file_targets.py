@@ -37,7 +37,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_hand_parts(hand: Hand) -> None:
-    """Construct all objects that a run constructs from a hand before it opens a bus."""
+    """Construct all objects that a run needs from a hand before the run opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:

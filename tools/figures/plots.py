@@ -26,13 +26,19 @@ POINTS_LIMIT = 1500
 
 
 def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
-    """Return every n-th point of curves, with n so large that a curve has at most POINTS_LIMIT points."""
+    """Return every n-th point of each curve.
+
+    A long curve keeps at least POINTS_LIMIT points, but fewer than twice as many.
+    """
     step = max(1, len(t) // POINTS_LIMIT)
     return tuple(values[::step] for values in (t, *curves))
 
 
 def estimate_plot(folder: Path) -> Any:
-    """Plot raw load cell, estimated tension with its uncertainty, and true tension, in motion and at contact."""
+    """Plot three tensions: raw load cell, estimate with its uncertainty, and true tension.
+
+    The two panels show a motion and a contact.
+    """
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.interpolated_column("tension/index_tendon", log.t_ns + offset)
@@ -119,7 +125,10 @@ def snapped_tendon(folder: Path) -> Any:
 
 
 def tip_force(folder: Path) -> Any:
-    """Plot the commanded, the estimated and the true tip force of each digit, on a wall and in a grasp."""
+    """Plot the commanded, the estimated and the true tip force of each digit.
+
+    One row shows forces on a wall, and the other row shows forces in a grasp.
+    """
     del folder
     figure = new_figure(8.6, 5.8)
     grid = figure.subplots(2, 4, sharey="row")
