@@ -27,10 +27,10 @@ TUNED_LAW_NAME_BY_LAW_NAME = dict(
         strict=True,
     )
 )
-"""For each control law of this benchmark, a control law of the tracking benchmark with the same LQR weights.
+"""Dictionary from each control law of this benchmark to a law of the tracking benchmark.
 
-The tracking benchmark has selected these weights so that the control loops keep their stability
-margins.
+The two laws have the same LQR weights. The tracking benchmark has selected these weights so that
+the control loops keep their stability margins.
 """
 MEASURED_SPEEDS = ("slow", "fast")
 FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}

@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 UNLIMITED_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
-This value is so large that only the controller limits the rate of change.
+The value is so large that it has no effect. Only the controller limits the rate of change.
 """
 RANDOM_WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range of a joint."""

@@ -50,13 +50,13 @@ TRACKED_DURATION_S = 4.0
 Errors of the first second are not counted.
 """
 TRAJECTORY_KNOT_INTERVAL_S = 0.04
-"""A task repeats the streamed motion by a spline through given angles.
+"""A task repeats the streamed motion as a spline through given angles.
 
-``TRAJECTORY_KNOT_INTERVAL_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
-sine by less than 0.001 deg.
+``TRAJECTORY_KNOT_INTERVAL_S`` is the time between two successive angles [s]. The spline differs
+from the streamed sine by less than 0.001 deg.
 """
 WAIT_AFTER_KILL_S = 2.0
-"""Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
+"""Time for a hand to relax after its client was killed, on the clock of the simulated hand [s]."""
 TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_DURATION_S = 10.0
@@ -225,7 +225,7 @@ CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
     "killed": ("killed", stream_while_paused),
     "killed-owner": ("killed, had started the controller", stream_while_paused),
 }
-"""For each client, the description of its misbehaviour, and the function that misbehaves.
+"""Description of the misbehaviour of each client, and the function that sends the wrong targets.
 
 If a client is killed, the run ends.
 """

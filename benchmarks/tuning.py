@@ -1,7 +1,7 @@
 """Measure the benefit of tuning if the real hand differs from its hand file.
 
 A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
-hand differ from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
+hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One
 search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
 true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
 The gains of all searches are then tried on the true plant. The ratio of their costs shows how much
@@ -42,7 +42,7 @@ TRUE_PLANT_FACTORS = {
     "motor_inertia": 0.7,
     "damping": 1.3,
 }
-"""Factors that multiply parameters of the hand file to give those of the true plant.
+"""Factors from the parameters of the hand file to the parameters of the true plant.
 
 The factors were fixed before anything was tuned.
 """

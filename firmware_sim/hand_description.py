@@ -208,8 +208,8 @@ class TendonSpec:
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair.
 
-        The winding and the moment arms of the second tendon have the opposite signs of those of the
-        first tendon.
+        The second tendon is wound in the opposite direction. Its moment arms have the opposite
+        signs.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.negated for joint, curve in self.curves.items()}
@@ -591,7 +591,10 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 
 
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
-    """Return, for each joint of a digit, True if the joint slides along its axis."""
+    """Return one truth value for each joint of a digit.
+
+    The value is True if the joint slides along its axis.
+    """
     kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
 

@@ -20,7 +20,7 @@ SLOW_TEST_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S"
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """Property tests have no time limit per example.
 
-Property tests check results, not durations. Other processes that share the processor cores can
+Property tests check results and not durations. Other processes that share the processor cores can
 delay an example.
 """
 
@@ -131,7 +131,7 @@ class RepeatAfterStall:
             self._start = time.monotonic()
 
     def is_failure_by_stall(self, error: BaseException | None) -> bool:
-        """Return True if the present try failed and the machine stalled during it.
+        """Return True if the present try failed and the machine stalled during this try.
 
         ``error`` is None if the try passed.
         """

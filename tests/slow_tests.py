@@ -54,7 +54,10 @@ def listed_costs() -> dict[str, float]:
 
 
 def processor_time() -> float:
-    """Return the processor time of this process and of those of its children that have ended [s]."""
+    """Return the processor time of this process and of its child processes [s].
+
+    Child processes that still run are not included.
+    """
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in usages)
 

@@ -94,7 +94,7 @@ def misprinted_torque(
 MOTION_FORCE_WEIGHT_N = 20.0
 """Motor force in the LQR cost [N].
 
-This force costs as much as the position error and the speed error that define the weights.
+In the cost, this force counts as much as each of the two errors that define the weights.
 """
 
 

@@ -49,7 +49,7 @@ RETURN_DURATION_S = 0.5
 REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
 MOTION_TAIL_S = 0.05
-"""Time after a motion whose errors are counted with the motion [s]."""
+"""Time after a motion [s]. Errors in this time count as errors of the motion."""
 SETTLED_BAND_DEG = 1.0
 """A motion has settled when the tracking error stays below this value [deg]."""
 WEIGHT_CANDIDATES = tuple(

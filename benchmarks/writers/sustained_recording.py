@@ -108,7 +108,10 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
 
 
 def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
-    """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
+    """Convert the frames of a tick to records, and its telemetry to one array.
+
+    The control loop converts its ticks in the same way.
+    """
     telemetry_places = TelemetryPlaces()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):

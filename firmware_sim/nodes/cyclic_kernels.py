@@ -75,8 +75,9 @@ FD_FRAME_DURATION_NS = 57_000
 NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
 """Indices into the array ``progress``.
 
-The array holds the index of the next frame, the number of answers, 1 if the times of the answers
-rise, the number of unsolicited frames, and the earliest wake time of all drives [ns].
+The first three numbers of the array are the index of the next frame, the number of answers, and a
+flag. The flag is 1 if the times of the answers rise. The other two numbers are the number of
+unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
 """Wake time if no drive needs to be woken [ns]."""

@@ -49,7 +49,10 @@ HIDDEN_GROUP = 3
 MIN_SOLVER_FACTOR = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
 COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
-"""Stiffness of the constraint that keeps the length of a loopback tendon, that of the contacts or higher."""
+"""Stiffness of the constraint that keeps the length of a loopback tendon.
+
+The stiffness is that of the contacts or higher.
+"""
 MAX_CONTACTS = 16
 """Maximum number of measured contacts between a digit and the object.
 

@@ -147,9 +147,10 @@ class RigidBodyEngine:
         return release
 
     def overlaps(self) -> dict[str, float]:
-        """Return how deep the object overlaps each body that it touches [m], by the name of the body.
+        """Return the depth by which the object overlaps each body that it touches [m].
 
-        The overlap with the table is not included.
+        The keys of the returned dictionary are the names of the bodies. The overlap with the table
+        is not included.
         """
         model = self._model
         depths: dict[str, float] = {}

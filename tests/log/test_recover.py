@@ -71,7 +71,7 @@ def _recover_bytes(log_bytes: bytes, work_folder: Path) -> tuple[RecoveryReport,
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
-    """Return, for every n, the number of /tick messages in the first n chunks of a log."""
+    """Return a dictionary from n to the number of /tick messages in the first n chunks of a log."""
     scan, ticks = _scan_log(path), {0: 0}
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):

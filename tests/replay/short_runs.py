@@ -181,7 +181,8 @@ def record_lockstep_run(
 def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Wrap a simulator.
 
-    From 2.2 s on, which is in the hold phase, the replies of the index motor are dropped.
+    From 2.2 s on, the replies of the index motor are dropped. At this time, the run is in the hold
+    phase.
     """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

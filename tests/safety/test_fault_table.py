@@ -1,4 +1,7 @@
-"""Test every fault just below and just above its limit, its action, and whether only an operator may clear it."""
+"""Test every fault just below and just above its limit.
+
+The tests also check the action of each fault, and whether only an operator may clear the fault.
+"""
 
 import math
 import re
@@ -276,7 +279,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 
 
 def test_a_fault_is_either_found_or_reported() -> None:
-    """Either a detector finds a fault, or a bus or the host reports it.
+    """Each fault is either found by a detector, or reported by a bus or the host.
 
     For each kind of part, a detector has one row in the fault table.
     """

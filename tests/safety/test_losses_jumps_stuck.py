@@ -29,7 +29,7 @@ NAN = np.nan
 
 
 def loss_bits(bits_text: str) -> int:
-    """Return the number whose bits a text of 0 and 1 describes.
+    """Convert a text of the characters 0 and 1 to a number. Each character becomes one bit.
 
     The last character of the text stands for the newest tick.
     """

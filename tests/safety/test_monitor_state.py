@@ -90,7 +90,7 @@ def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
 def monitor_at_20_newton(
     monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> SyntheticMonitor:
-    """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
+    """Return the monitor of a hand at rest. Its commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements)
     return monitor
@@ -405,7 +405,10 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
 def monitor_after_motion(
     monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> SyntheticMonitor:
-    """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
+    """Return the monitor of a hand whose motors moved in the last tick.
+
+    Before this tick, the filters of the hand have settled.
+    """
     return run_ticks(
         1,
         run_ticks(150, monitor_at_20_newton(monitor), **changed_measurements)[0],

@@ -29,7 +29,7 @@ class OpenRequests(SyntheticMonitor):
 
     @property
     def outstanding(self) -> RequestTicks:
-        """Return, for each motor, the ticks of the requests that have no reply yet."""
+        """Return the ticks of the requests to each motor that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
             self.view("question").reshape(MAX_REQUESTS, -1),

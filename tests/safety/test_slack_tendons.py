@@ -38,8 +38,8 @@ class FilteredTendons(SyntheticMonitor):
     ) -> list[tuple[int, int]]:
         """Run a tick with given tensions and commands.
 
-        Return, for each tendon, the number of ticks since it was taut, and the number of ticks in
-        which it was slack.
+        Return two numbers for each tendon. The first is the number of ticks since the tendon was
+        taut. The second is the number of ticks in which the tendon was slack.
         """
         self.reported = self.tick(
             residual={TENSION: tension}, wanted=commanded_tension, **value_by_field
@@ -303,7 +303,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     cell_group, force_before_cut, present_force, is_detected
 ):
-    """A drive that keeps its torque after it was disabled is detected by the torque that it reports.
+    """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
 
     Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
     release). With a load cell, a drive that kept 9 N did not cause this fault either.

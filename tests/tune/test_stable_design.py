@@ -403,8 +403,8 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 ) -> None:
     """With little friction, two digits of jamia oscillate even without feedback.
 
-    The tensions of index and ring finger oscillate by 2 to 5 N, and those of middle finger and
-    thumb by less than 0.1 N.
+    The tensions of index and ring finger oscillate by 2 to 5 N. The tensions of middle finger and
+    thumb oscillate by less than 0.1 N.
     """
     chatter_N = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter_N, (5.0, 0.1, 4.4, 0.1))(jamia)

@@ -22,7 +22,10 @@ from tools.figures.style import (
 )
 
 POINTS_LIMIT = 1500
-"""Maximum number of points of a curve in an SVG."""
+"""Number of points to which a long curve in an SVG is reduced.
+
+A curve may have up to twice this number of points.
+"""
 
 
 def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:

@@ -30,7 +30,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a control command with zero torque, which leaves the motor enabled."""
+    """Replace a stop command by a control command with zero torque. The motor stays enabled."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame

@@ -202,7 +202,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a command with zero torque, which leaves the motor enabled."""
+    """Replace a stop command by a command with zero torque. The motor stays enabled."""
     stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
 

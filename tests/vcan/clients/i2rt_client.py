@@ -89,7 +89,7 @@ def close_chain(chain: Any) -> None:
 
 
 def check_velocity_mode(checks: CheckList) -> None:
-    """Let a chain in velocity mode, as in i2rt's Flow Base, turn all motors."""
+    """Let a chain in velocity mode turn all motors. The Flow Base of i2rt uses this mode."""
     chain = open_chain(ControlMode.VEL)
 
     def speeds() -> list[float]:
@@ -144,7 +144,10 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_watchdog(checks: CheckList) -> None:
-    """Set the watchdog of a motor, let it fire, and let i2rt clear and enable the motor again."""
+    """Set the watchdog of a motor, and wait until it fires. Let i2rt enable the motor again.
+
+    i2rt must first clear the error of the motor.
+    """
     motor = MOTOR_IDS[0]
     bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
     try:
