@@ -1,4 +1,4 @@
-"""Stream random angles to all digits of each packaged hand, and count the runs that end with a fault.
+"""Send random angles to all digits of each packaged hand, and count the runs that end with a fault.
 
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
 untrained policy sends a random target for every digit 50 times a second. The targets are anywhere
@@ -65,7 +65,7 @@ ACTION_SOURCES: dict[str, Callable[[np.random.Generator, FloatArray, int], Float
 
 
 def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[str, float]:
-    """Stream random targets to a hand until the end of the episode.
+    """Send random targets to a hand until the end of the episode.
 
     A fault also ends the episode.
 

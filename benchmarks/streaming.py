@@ -1,4 +1,4 @@
-"""Stream targets to a simulated hand in real time.
+"""Send streams of targets to a simulated hand in real time.
 
 The benchmark measures the effects of bad clients, the tracking error, and the latency.
 
@@ -122,7 +122,7 @@ class MisbehavingClient:
         )
 
     def send_good_targets(self, duration_s: float) -> None:
-        """Stream targets of the correct motion for a time [s]."""
+        """Send the targets of the correct motion for a time [s]."""
         for _ in self.periods(duration_s):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
@@ -140,7 +140,7 @@ def stream_while_paused(client: MisbehavingClient) -> None:
 
 
 def flood_with_targets(client: MisbehavingClient) -> None:
-    """Send 10,000 targets of the correct motion a second."""
+    """Send the correct motion, but with 10,000 targets per second."""
     end = client.t_s + MISBEHAVIOUR_DURATION_S
     while client.t_s < end:
         start_time_ns = time.monotonic_ns()

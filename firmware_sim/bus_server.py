@@ -23,7 +23,7 @@ OVERRUN_NS = 5 * MAX_TURN_NS
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
 
-If the delay is larger, the clock slips: the plant never makes up for the lost time.
+If the delay is larger, the clock slips. The plant then skips the lost time.
 """
 MAX_READS_PER_TURN = 64
 """Maximum number of reads of the ports in one turn.
@@ -261,7 +261,10 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run, for the truth file and for the last line that the program prints."""
+        """Return the counts of a run.
+
+        The truth file and the last line that the program prints contain these counts.
+        """
         return {
             "overruns": self.overruns,
             "slips": self.slips,

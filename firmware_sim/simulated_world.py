@@ -385,7 +385,7 @@ class SimulatedWorld:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames that have senders outside of the hand. The frames are sent on the bus."""
+        """Store frames from senders outside of the hand. The frames will be sent on the bus."""
         self._unsolicited += frames
 
     def take_unsolicited_frames(self) -> list[Frame]:

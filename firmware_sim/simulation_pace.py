@@ -10,7 +10,7 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports of slips [s]."""
 SLOW_MACHINE_SLIPS = 3
-"""Number of slips within a report period from which a machine counts as too slow.
+"""With this number of slips within a report period, a machine counts as too slow.
 
 With fewer slips, the process was only stopped for a moment.
 """

@@ -1,6 +1,7 @@
-"""Fuzz targets for files that users write: hand, task, trajectory, gains and calibration.
+"""Targets of the fuzzer for files that users write.
 
-Inputs are random bytes, or nearly valid files.
+The files are those for hand, task, trajectory, gains and calibration. Inputs are random bytes, or
+nearly valid files.
 """
 
 import math
@@ -94,9 +95,10 @@ def _is_accepted(load_input: Callable[[], object]) -> bool:
 
 
 DOCUMENTS_PER_TEXT = 32
-"""Number of inputs among which one is random bytes, and one is a changed document that is written as text and parsed.
+"""Number of values of the number that selects the kind of an input.
 
-All other inputs are changed documents that need no parsing, because parsing is slow.
+One value selects random bytes. Another value selects a changed document that is written as text and
+parsed. All other values select changed documents that need no parsing, because parsing is slow.
 """
 
 

@@ -1,4 +1,6 @@
-"""Fuzz targets for received CAN frames: the decoders of each drive protocol and of the sensor node.
+"""Targets of the fuzzer for received CAN frames.
+
+    The targets are the decoders of each drive protocol and of the sensor node.
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 

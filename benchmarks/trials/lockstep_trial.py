@@ -1,6 +1,7 @@
-"""Run trials: the controller and a simulated hand exchange frames over a simulated bus in lockstep.
+"""Run trials in lockstep.
 
-The record of a trial also contains the true values of the simulator.
+In a trial, the controller and a simulated hand exchange frames over a simulated bus. The record of
+a trial also contains the true values of the simulator.
 """
 
 import tempfile

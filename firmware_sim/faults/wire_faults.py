@@ -8,7 +8,7 @@ from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
-"""Release time of stored frames [ns], if the fault itself releases them and not the clock."""
+"""Release time of stored frames that the fault itself releases, independently of the clock [ns]."""
 
 
 @dataclass

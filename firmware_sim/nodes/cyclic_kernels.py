@@ -80,7 +80,7 @@ flag. The flag is 1 if the times of the answers rise. The other two numbers are 
 unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
-"""Wake time if no drive needs to be woken [ns]."""
+"""Time of the next wake-up if no drive needs a wake-up [ns]."""
 _STANDARD_ID_COUNT = 0x800
 """Number of standard identifiers.
 
@@ -291,7 +291,7 @@ def _answer_cia402(
 def _write_sensor_frames(
     words: Any, channels: int, can_id: int, frame: Any, answer_frames: Any, count: int
 ) -> int:
-    """Write payloads of the sensor node into the frames that answer a SYNC frame.
+    """Write the payloads of the sensor node into the frames that answer a SYNC frame.
 
     Args:
         words: payloads as integers. The payloads are written with the low byte first.
@@ -499,7 +499,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
 ) -> None:  # fmt: skip
-    """Answer frames until Python must process a frame.
+    """Answer the frames of the host until Python must process a frame.
 
     After the last frame, set the times of all answers.
 
@@ -604,7 +604,7 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 def answer(
     frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
 ) -> None:
-    """Answer frames. Most of the arrays are given by their addresses.
+    """Answer the frames of the host. Most of the arrays are given by their addresses.
 
     The kernel ``_answer`` explains the answers.
 

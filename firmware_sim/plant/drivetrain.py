@@ -33,7 +33,10 @@ DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
 STRAIGHT_OFFSET = 10
-"""Index of the number of a pulley that is 1 at a prismatic joint, see ``tendon.STRAIGHT_OFFSET``."""
+"""Index of a number of each pulley.
+
+The number is 1 at a prismatic joint. See ``tendon.STRAIGHT_OFFSET``.
+"""
 PULLEY_NUMBER_COUNT = 11
 """Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
 

@@ -135,7 +135,7 @@ class SimulatedDriveBench:
                 self.queue_frames(self.faults.advance(self.t_ns))
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames that are sent without a request."""
+        """Store frames that the simulator will send without a request."""
         self._unsolicited += frames
 
     def advance_exactly(self, t_ns: int) -> None:

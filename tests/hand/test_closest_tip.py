@@ -1,4 +1,7 @@
-"""Test postures that bring a fingertip as close as possible to a point, within the joint limits."""
+"""Test the postures that bring a fingertip as close as possible to a point.
+
+All postures are within the joint limits.
+"""
 
 import time
 

@@ -1,4 +1,4 @@
-"""Test documents such as hand files with mistakes.
+"""Test the errors for documents with mistakes, such as hand files.
 
 For each kind of mistake, the test compares the complete error line.
 """

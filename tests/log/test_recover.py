@@ -1,4 +1,4 @@
-"""From a log that was cut at any byte, exactly the complete chunks are recovered."""
+"""A log may be cut at any byte. Exactly its complete chunks are then recovered."""
 
 import random
 from collections.abc import Iterable

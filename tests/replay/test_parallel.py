@@ -1,4 +1,4 @@
-"""Test snapshots of the state in a log.
+"""Test the snapshots of the state in a log.
 
 Several processes can execute parts of a log again, and each process starts at a snapshot. The parts together
 give the same outputs as one execution of the whole log.

@@ -57,8 +57,8 @@ def test_every_numeric_type_is_accepted(unserved_client, angle, monkeypatch):
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, invalid_angle):
     """The client refuses an invalid angle before it sends a request.
 
-    Without this check in the client, the controller would refuse the request, and relax the hand
-    after three refused requests within a second.
+    Without this check, the controller would refuse the request. After three refused requests within
+    a second, the controller would relax the hand.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=invalid_angle)

@@ -1,4 +1,7 @@
-"""Test programs that use a hand in real time: streams, observations, several clients, and clients that fail."""
+"""Test how programs use a hand in real time.
+
+The tests cover streams, observations, several clients, and clients that fail.
+"""
 
 import re
 import select

@@ -1,4 +1,4 @@
-"""Test requests to drives that have no reply yet.
+"""Test the requests to drives that have no reply yet.
 
 A reply to such a request may be late. A reply without any request is a duplicate.
 """

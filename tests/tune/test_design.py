@@ -1,4 +1,4 @@
-"""Test designs of gains.
+"""Test the design of gains.
 
 The hands of an ensemble have different parameters. Designed gains have the required stability
 margins for all these hands.

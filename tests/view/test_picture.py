@@ -1,4 +1,4 @@
-"""Test pictures that the viewer Rerun draws without a screen."""
+"""Test the pictures that the viewer Rerun draws without a screen."""
 
 import io
 import json

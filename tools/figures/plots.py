@@ -1,4 +1,8 @@
-"""Plot simulated runs: the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a tick."""
+"""Draw the plots of simulated runs.
+
+The plots show the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a
+tick.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -70,7 +74,7 @@ def estimate_plot(folder: Path) -> Any:
 
 
 def snapped_tendon(folder: Path) -> Any:
-    """Plot tension, torque and mode before and after a tendon snaps."""
+    """Draw the tension, the torque and the mode before and after a tendon snaps."""
     del folder
     run = runs.snap_run()
     ms = run.t * 1e3
@@ -185,7 +189,10 @@ def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: 
 
 
 def replay_plot(folder: Path) -> Any:
-    """Plot angles and tensions of a grasp, and of the replay of this grasp on a hand with other noise."""
+    """Plot the angles and tensions of a grasp and of its replay.
+
+    In the replay, the hand has other noise.
+    """
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
     start, end = runs.recording_interval(log)

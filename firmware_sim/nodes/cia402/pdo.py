@@ -1,6 +1,6 @@
-"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO.
+"""The process data objects (PDOs) of the simulated CiA 402 drive.
 
-Source: fact sheet cia402.
+The drive has four RPDOs and four TPDOs, which are mapped over SDO. Source: fact sheet cia402.
 
 Objects of PDO i:
 

@@ -19,7 +19,7 @@ from firmware_sim.compiled import kernel_helper
 OFF_STATE, READY_STATE, ON_STATE, ENABLED_STATE, FAULT_STATE = range(5)
 """States of the power stage: switch on disabled, ready to switch on, switched on, operation enabled, fault."""
 _STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
-"""Bits of the status word that tell the state, by state."""
+"""Bits of the status word that encode each state."""
 
 
 @kernel_helper

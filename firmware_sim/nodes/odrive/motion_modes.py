@@ -49,10 +49,10 @@ MOTION_ENDPOINTS = {
     206: ("torque_ramp_rate", 0.01),
     207: ("input_filter_bandwidth", 2.0),
 }
-"""Name and vendor's default of settings that no message can set, by endpoint number [turn/s2], [N m/s], [1/s].
+"""Name and vendor's default of each setting that no message can set, by its endpoint number.
 
-The endpoint numbers are assumed, like those in ``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive
-firmware 0.5.6.
+The units are turn/s2, N m/s and 1/s. The endpoint numbers are assumptions, as in
+``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive firmware 0.5.6.
 """
 VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
 

@@ -21,7 +21,7 @@ system call.
 """
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that are right if the host or the simulator does not run for a while.
+"""Faults that are correctly reported if the host or the simulator does not run for a while.
 
 Each of these faults ends the run.
 """

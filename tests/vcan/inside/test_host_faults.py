@@ -1,4 +1,4 @@
-"""Test faults of the host that only root can cause.
+"""Test the faults of the host that only root can cause.
 
 During the runs of these tests, the wall clock of the guest system is set, or one of its CAN
 interfaces is taken down.
