@@ -21,7 +21,11 @@ from handctl.cli.runs import demo
 
 
 class AdapterRunOutcome(NamedTuple):
-    """Outcome of a run: is the control rate possible, tracking error [deg], tension error [N], cause of the end."""
+    """Outcome of a run.
+
+    The fields are: whether the control rate is possible, the tracking error [deg], the tension
+    error [N], and the cause of the end.
+    """
 
     is_possible: bool
     tracking_deg: float

@@ -1,4 +1,6 @@
-"""Measure the CPU time and the wall time in which handctl and alternatives exchange the frames of one tick.
+"""Measure the time that handctl and its alternatives need to exchange the frames of one tick.
+
+The benchmark measures CPU time and wall time.
 
 ``python benchmarks/bus.py [--quick] [--json]``. The benchmark uses four and eleven MIT motors, on
 the local bus and on vcan. If the machine's own Linux has no vcan, the benchmark uses vcan in
@@ -230,8 +232,8 @@ def measure_client(client, simulated_motors, motor_count: int, tick_count: int) 
 def add_ratios(row_by_name: dict) -> dict:
     """Add ratios to each row.
 
-    One kind of ratio is the wall time divided by that of each C program, and the other is the
-    speed-up over python-can.
+    There are two kinds of ratios. One is the wall time divided by the wall time of each C program.
+    The other is the speed-up over python-can.
     """
     reference = row_by_name[REFERENCE_LABEL]
     for row in row_by_name.values():

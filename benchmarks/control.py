@@ -1,6 +1,6 @@
-"""Measure tracking and a force step with parts of the control law.
+"""Measure tracking and a force step with more and more parts of the control law.
 
-Each case has one more part of the control law.
+Each case has one more part of the control law than the case before it.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see
 ``trials.tracking``.

@@ -25,13 +25,13 @@ CODE_MARKS_BY_PART = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Parts of the program, each with substrings of function paths or names.
+"""Parts of the program. Each part has substrings of paths or names of functions.
 
-A function belongs to the first part whose substring is in the function's path or name. The profiler
-does not see compiled functions, and counts their time for the Python function that calls them. Each
-stage of the tick is therefore recognised by the method that runs this stage. The compiled step of
-tendons and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons
-and rotors.
+A function belongs to the first part that has a substring of its path or name. The profiler does not
+see compiled functions, and counts their time for the Python function that calls them. Each stage of
+the tick is therefore recognised by the method that runs this stage. The compiled step of tendons
+and rotors calls ``mj_step``. The part ``mj_step`` therefore includes the time of tendons and
+rotors.
 """
 
 ProfiledFunction = tuple[str, int, str]
@@ -59,10 +59,11 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
 def _parts_of_function(
     profile_stats: dict, function: ProfiledFunction, depth: int
 ) -> Iterator[tuple[str, float]]:
-    """Yield each part to which a function belongs, with the fraction of the function's time for this part.
+    """Yield each part of the program to which a function belongs.
 
-    The time of a function that matches no part is divided among the parts of the callers, in
-    proportion to their times.
+    Each part is yielded together with its fraction of the time of the function. The time of a
+    function that matches no part is divided among the parts of the callers, in proportion to their
+    times.
     """
     name = f"{function[0]}/{function[2]}"
     part = next(

@@ -1,4 +1,6 @@
-"""Measure the error of the tension estimate, and those of the raw load cell, simpler filters and a reference filter.
+"""Measure the error of the tension estimate, and compare it with other errors.
+
+The other errors are those of the raw load cell, of simpler filters, and of a reference filter.
 
 ``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Two
 simulated hands move freely, grasp a cylinder and slacken their tendons. Hands and controller run in
@@ -134,14 +136,17 @@ def squared_error_sums(job: tuple[str, str, int]) -> dict[str, dict[str, list[fl
 
 
 def _sum_and_count(values: np.ndarray, is_selected: np.ndarray) -> list[float]:
-    """Return the sum and the number of the values that ``is_selected`` selects, without NaN."""
+    """Return the sum and the number of the values that ``is_selected`` selects.
+
+    NaN values are left out.
+    """
     values_in_regime = values[is_selected]
     values_in_regime = values_in_regime[~np.isnan(values_in_regime)]
     return [float(values_in_regime.sum()), float(len(values_in_regime))]
 
 
 def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarray]:
-    """Return the squared quantities of a regime, each (ticks, N).
+    """Return the squared quantities of a regime. The shape of each quantity is (ticks, N).
 
     The quantities are the squared error of each estimator, the variance of the reference filter
     [N^2], the NIS, and the innovations.
@@ -186,7 +191,10 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
 
 @cache
 def _reference_sigmas(hand_name: str, is_digit_held: bool) -> np.ndarray:
-    """Return the standard deviations of the reference filter, at the last sample and at present (N, 2) [N]."""
+    """Return two standard deviations of the reference filter for each tendon (N, 2) [N].
+
+    The first is that at the last sample, and the second is that at present.
+    """
     name = hand_name.removesuffix(SPREAD_DIGITS_SUFFIX)
     model = HandModel.from_hand(hand_by_name(name), Gains(), RATES_HZ[name])
     return np.array([reference_sigma(model, i, is_digit_held) for i in range(model.tendon_count)])
@@ -243,8 +251,8 @@ def measure_estimators(
 ) -> dict:
     """Measure all tables.
 
-    In the result, ``seed_count`` is the number of seeds that were computed for each case within the time
-    of the plan.
+    The plan has a time limit. In the result, ``seed_count`` is the number of seeds of each case
+    that were computed within this time limit.
     """
     cases = [(hand, plant) for plant in plant_names for hand in MEASURED_HANDS]
     cases.insert(len(MEASURED_HANDS), ("jamia_bench", "as known"))

@@ -1,10 +1,13 @@
-"""Measure grasps: success with turned hand and pushed object, payload at 6 N per finger, contact, slip.
+"""Measure grasps: success, payload, contact detection, and the reaction to slip.
+
+For the success of a grasp, the hand is turned and the object is pushed. The payload is measured
+with 6 N per finger.
 
 ``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``.
 Controller and simulated hand run in lockstep, and the results are true values from the simulator.
-``grasps/grasp_objects.py`` contains the objects and disturbances, which were fixed before any tuning.
-With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md and its
-picture.
+``grasps/grasp_objects.py`` contains the objects and disturbances, which were fixed before any
+tuning. With ``--full``, every object is grasped. ``--page`` writes docs/evidence/control-grasps.md
+and its picture.
 """
 
 import argparse
@@ -121,10 +124,11 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
 def _measure_contact_detection(
     hand_names: tuple[str, ...], wall_seeds: int, simulated_minutes: float, plan: JobPlan
 ) -> list[dict[str, Any]]:
-    """Measure contacts with walls and false contacts in free motion, for each hand.
+    """Measure contact detection for each hand.
 
-    In a run of free motion, the digits also rest between motions. The reported time includes only
-    the time in which they move.
+    The results are contacts with walls, and false contacts in free motion. In a run of free motion,
+    the digits also rest between motions. The reported time includes only the time in which they
+    move.
     """
     results = collect_results(
         contact_detection.find_contacts,

@@ -6,7 +6,7 @@ In this position, gravity acts on the joints.
 gravity is parallel to the joint axes and causes no joint torque. In this benchmark, the hands lie
 on their side, and the fingertips are ten times as heavy as in the hand files. The benchmark
 compares two pairs of control laws. The laws of a pair differ only in gravity compensation. Both
-move every digit as in the tracking benchmark, with the same LQR weights.
+laws move every digit as in the tracking benchmark, and both have the same LQR weights.
 """
 
 import argparse
@@ -27,10 +27,10 @@ TUNED_LAW_NAME_BY_LAW_NAME = dict(
         strict=True,
     )
 )
-"""For each control law of this benchmark, a control law of the tracking benchmark with the same LQR weights.
+"""Dictionary from each control law of this benchmark to a law of the tracking benchmark.
 
-The tracking benchmark has selected these weights so that the control loops keep their stability
-margins.
+The two laws have the same LQR weights. The tracking benchmark has selected these weights so that
+the control loops keep their stability margins.
 """
 MEASURED_SPEEDS = ("slow", "fast")
 FIGURE_LABELS = {"rmse_deg": "RMSE", "steady_deg": "steady"}

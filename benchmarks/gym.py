@@ -1,4 +1,6 @@
-"""Measure steps per second and reset time of ``handctl.gym``, and of a plain MuJoCo environment.
+"""Measure the steps per second and the reset time of ``handctl.gym``.
+
+For comparison, the benchmark measures a plain MuJoCo environment.
 
 ``python benchmarks/gym.py [--quick] [--json]``. The MuJoCo environment has the same rigid bodies,
 time step and action rate as ``handctl.gym``. An action of the MuJoCo environment consists of joint
@@ -143,7 +145,7 @@ def reset_cpu_s(env: gymnasium.Env) -> float:
 
 
 def vector_steps_per_s(environments: AsyncVectorEnv, step_count: int) -> float:
-    """Measure how many steps all processes together make per second of wall time.
+    """Measure the steps per second of wall time. Count the steps of all processes.
 
     The time of resets is included.
     """

@@ -191,8 +191,9 @@ def fault_rows(
 def results_table(results: list[dict[str, Any]]) -> str:
     """Make a table with a row for each fault and stage.
 
-    The columns are the number of runs in which the controller relaxed the hand or disabled the
-    motors, the reported faults, the longest delay of a reaction, and the largest true tensions.
+    The first column after the stage is the number of runs in which the controller relaxed the hand
+    or disabled the motors. The other columns are the reported faults, the longest delay of a
+    reaction, and the largest true tensions.
     """
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip

@@ -1,11 +1,11 @@
 """Measure how accurately ``handctl identify`` finds the true parameters of simulated hands.
 
-Each seed gives a random hand. The parameters of this hand differ from the hand file by up to 30 %,
-and the gains of its controller differ from the packaged gains by up to a factor of 3. A digit
-without springs is moved with the packaged gains, and its moment arms differ from the hand file by
-up to 10 %. One digit of the hand is moved in lockstep, and the parameters of this digit are fitted
-to the log. The true parameters are used only to calculate the errors of the fit, and whether the
-confidence intervals contain them.
+Each seed gives a random hand. The parameters of this hand differ from the hand file by up to 30 %.
+The gains of its controller differ from the packaged gains by up to a factor of 3. A digit without
+springs is moved with the packaged gains. Its moment arms differ from the hand file by up to 10 %.
+One digit of the hand is moved in lockstep, and the parameters of this digit are fitted to the log.
+The true parameters are used only to evaluate the fit. They give the errors of the fit, and show
+whether each confidence interval contains the true value.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # continues an interrupted run

@@ -49,7 +49,10 @@ def main() -> None:
 
 
 def measure_loops(duration_s: float, quick: bool) -> dict:
-    """Measure the lateness of ticks, the behaviour at fixed rates and the highest rate, with 4 and 11 motors."""
+    """Measure both loops with 4 and with 11 motors.
+
+    The results are the lateness of ticks, the behaviour at fixed rates, and the highest rate.
+    """
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
@@ -168,10 +171,10 @@ def percentiles_us(times_ns: list[int]) -> dict:
 
 
 def measure_bare_spin(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late the controller's clock ends a wait, without the work of a tick.
+    """Measure how late the waits of the controller's clock end.
 
-    The clock sleeps until shortly before a deadline. With real-time priority, the clock then polls
-    until the deadline.
+    The ticks of this measurement do no work. The clock sleeps until shortly before a deadline. With
+    real-time priority, the clock then polls until the deadline.
     """
     from handctl.runtime.clocks.real_clock import RealClock
     from handctl.runtime.clocks.realtime_priority import request_priority
@@ -202,7 +205,10 @@ def both_cores_loaded():
 
 
 def measure_bare_sleep(duration_s: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Measure how late ``time.sleep`` ends, without the work of a tick and with the priority of the control loop."""
+    """Measure how late ``time.sleep`` ends, with the priority of the control loop.
+
+    The ticks of this measurement do no work.
+    """
     from handctl.runtime.clocks.realtime_priority import request_priority
 
     request_priority()

@@ -1,10 +1,10 @@
-"""Stream random angles to all digits of each packaged hand, and count the runs that end with a fault.
+"""Send random angles to all digits of each packaged hand, and count the runs that end with a fault.
 
 ``python benchmarks/random_streams.py [--hands HAND ...] [--seeds N] [--seconds S] [--json]``. An
-untrained policy sends a random target for every digit 50 times a second, anywhere in the range of
-the joints. The digits collide with each other and with the palm. There are three kinds of targets:
-*noise* sends a new random angle each time, *steps* keeps a random angle for 0.1 to 0.6 s, and
-*walk* adds a random step to the last angle.
+untrained policy sends a random target for every digit 50 times a second. The targets are anywhere
+in the range of the joints. The digits collide with each other and with the palm. There are three
+kinds of targets: *noise* sends a new random angle each time, *steps* keeps a random angle for 0.1
+to 0.6 s, and *walk* adds a random step to the last angle.
 """
 
 import argparse
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 UNLIMITED_SPEED_DEG_S = 1e6
 """Largest rate of change of the targets [deg/s].
 
-This value is so large that only the controller limits the rate of change.
+The value is so large that it has no effect. Only the controller limits the rate of change.
 """
 RANDOM_WALK_STEP = 0.125
 """Standard deviation of a step of the random walk, as a fraction of the range of a joint."""
@@ -65,7 +65,9 @@ ACTION_SOURCES: dict[str, Callable[[np.random.Generator, FloatArray, int], Float
 
 
 def stream_random_targets(env: TrackEnv, source_name: str, seed: int) -> tuple[str, float]:
-    """Stream random targets to a hand until the episode ends or a fault ends it.
+    """Send random targets to a hand until the end of the episode.
+
+    A fault also ends the episode.
 
     Args:
         env: environment of the hand.

@@ -1,4 +1,6 @@
-"""Measure how long the re-execution of a log takes to read, compute and compare a tick, and profile it.
+"""Measure and profile the re-execution of a log.
+
+The results are the times to read, to compute and to compare a tick.
 
 ``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in
 ``logs/golden``. Each log is executed several times. The benchmark uses the shortest time of each

@@ -122,7 +122,10 @@ def cylinder_scene_of(hand_name: str) -> str:
 
 @dataclass
 class SensingRun:
-    """Record of a run, with a row for each tick in which the hand is active, and the reported faults."""
+    """Record of a run.
+
+    The record has one row for each tick with an active hand. It also contains the reported faults.
+    """
 
     phase: list[str] = field(default_factory=list)
     error: list[np.ndarray] = field(default_factory=list)
@@ -222,7 +225,10 @@ def measures_of_case(runs: list[SensingRun], period_s: float) -> dict[str, float
 
 
 def measure_sensing(seed_count: int) -> dict[str, Any]:
-    """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
+    """Measure all cases without faults, and then the injected faults.
+
+    The faults are injected on jamia, with and without load cells.
+    """
     result: dict[str, Any] = {"seeds": seed_count, "cases": [], "faults": {}}
     for name, sensors in SENSING_CASES:
         model = HandModel.from_hand(

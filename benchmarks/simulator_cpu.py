@@ -1,10 +1,10 @@
 """Measure the CPU time of the simulator in lockstep, without MuJoCo's ``mj_step``.
 
-``python benchmarks/simulator_cpu.py [--quick] [--json]``. The controller runs too, because in every
-lockstep run the controller evicts code and data of the simulator from the processor caches. The
-benchmark measures the CPU time of ``LockstepHand.exchange`` in each tick, and subtracts the CPU
-time of ``mj_step`` alone for the same motion. All runs are bit-identical, so the benchmark uses the
-shortest time of each tick.
+``python benchmarks/simulator_cpu.py [--quick] [--json]``. The measured runs include the controller,
+because the controller displaces code and data of the simulator from the processor caches. This
+happens in every run in lockstep. The benchmark measures the CPU time of ``LockstepHand.exchange``
+in each tick, and subtracts the CPU time of ``mj_step`` alone for the same motion. All runs are
+bit-identical, so the benchmark uses the shortest time of each tick.
 """
 
 import argparse

@@ -1,10 +1,12 @@
-"""Measure the time from a command to its first frame on the bus, and to the end of its help.
+"""Measure the time from a command to its first frame on the bus.
+
+Also measure the time that a command needs to print its help.
 
 ``python benchmarks/start_time.py [--repeats N] [--json]``. The bus is a local bus without other
 participants. The kernels and the byte code of Python are compiled before the first measurement. As
-a reference, the benchmark also measures a start of Python that imports numpy, in turns with the
-other starts. Only ratios to this reference are comparable. Other programs affect the CPU time less
-than the wall time.
+a reference, the benchmark also measures a start of Python that imports numpy. These starts
+alternate with the other starts. Only ratios to this reference are comparable. Other programs affect
+the CPU time less than the wall time.
 """
 
 import argparse
@@ -31,7 +33,7 @@ HAND_BY_RUN = {"handctl run": "jamia", "handctl run, 11 motors": "jamia11"}
 
 
 class StartTime(NamedTuple):
-    """Wall time of a start [s], and CPU time that the started process has used by its end [s]."""
+    """Times of a start: the wall time [s], and the total CPU time of the started process [s]."""
 
     wall_s: float
     cpu_s: float

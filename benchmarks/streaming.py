@@ -1,4 +1,6 @@
-"""Stream targets to a simulated hand in real time, and measure bad clients, tracking and latency.
+"""Send streams of targets to a simulated hand in real time.
+
+The benchmark measures the effects of bad clients, the tracking error, and the latency.
 
 ``python benchmarks/streaming.py [clients|tracking|latency ...] [--only CLIENT ...] [--time-scale X]
 [--bus BUS]``. Clients, controller and simulated hand run as separate processes. The latency is
@@ -48,13 +50,13 @@ TRACKED_DURATION_S = 4.0
 Errors of the first second are not counted.
 """
 TRAJECTORY_KNOT_INTERVAL_S = 0.04
-"""A task repeats the streamed motion by a spline through given angles.
+"""A task repeats the streamed motion as a spline through given angles.
 
-``TRAJECTORY_KNOT_INTERVAL_S`` is the time from one given angle to the next [s]. The spline differs from the streamed
-sine by less than 0.001 deg.
+``TRAJECTORY_KNOT_INTERVAL_S`` is the time between two successive angles [s]. The spline differs
+from the streamed sine by less than 0.001 deg.
 """
 WAIT_AFTER_KILL_S = 2.0
-"""Time that a hand gets to relax after its client was killed, on the clock of the simulated hand [s]."""
+"""Time for a hand to relax after its client was killed, on the clock of the simulated hand [s]."""
 TARGET_REPEATS = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_DURATION_S = 10.0
@@ -108,7 +110,10 @@ class MisbehavingClient:
         age_s: float = 0.0,
         target_space: int = 1,
     ) -> None:
-        """Send a value as a target, with any number, and with any age on the clock of the simulated hand [s]."""
+        """Send a target that may have a wrong sequence number or a wrong time stamp.
+
+        ``age_s`` is the age of the target on the clock of the simulated hand [s].
+        """
         self.number += sequence_number is None
         sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
         values = np.full(target_space, target_value)
@@ -117,7 +122,7 @@ class MisbehavingClient:
         )
 
     def send_good_targets(self, duration_s: float) -> None:
-        """Stream targets of the correct motion for a time [s]."""
+        """Send the targets of the correct motion for a time [s]."""
         for _ in self.periods(duration_s):
             self.send(sine_angle_deg(self.t_s + self.stream.horizon_s))
 
@@ -135,7 +140,7 @@ def stream_while_paused(client: MisbehavingClient) -> None:
 
 
 def flood_with_targets(client: MisbehavingClient) -> None:
-    """Send 10,000 targets of the correct motion a second."""
+    """Send the correct motion, but with 10,000 targets per second."""
     end = client.t_s + MISBEHAVIOUR_DURATION_S
     while client.t_s < end:
         start_time_ns = time.monotonic_ns()
@@ -145,7 +150,7 @@ def flood_with_targets(client: MisbehavingClient) -> None:
 
 
 def send_constant(target_value: float) -> Any:
-    """Return a misbehaviour that replaces every target by the same value."""
+    """Return a function that replaces every target by the same value."""
 
     def misbehave(client: MisbehavingClient) -> None:
         for _ in client.periods(MISBEHAVIOUR_DURATION_S):
@@ -155,7 +160,7 @@ def send_constant(target_value: float) -> Any:
 
 
 def send_late_targets(delay_s: float) -> Any:
-    """Return a misbehaviour that sends each target late.
+    """Return a function that sends each target late.
 
     The time stamp is the time at which the target was due.
     """
@@ -189,7 +194,10 @@ def swap_targets(client: MisbehavingClient) -> None:
 
 
 def jump_randomly(client: MisbehavingClient) -> None:
-    """Send random angles like a faulty policy. Some of them are beyond the range of the joints."""
+    """Send random angles, as a faulty policy may do.
+
+    Some of these angles are beyond the range of the joints.
+    """
     random_source = random.Random(0)
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         client.send(random_source.uniform(-30.0, 130.0))
@@ -217,7 +225,7 @@ CLIENT_BEHAVIOURS: dict[str, tuple[str, Any]] = {
     "killed": ("killed", stream_while_paused),
     "killed-owner": ("killed, had started the controller", stream_while_paused),
 }
-"""For each client, the description of its misbehaviour, and the function that misbehaves.
+"""Description of the misbehaviour of each client, and the function that sends the wrong targets.
 
 If a client is killed, the run ends.
 """
@@ -311,7 +319,7 @@ class HandProcess:
         return handctl.connect("jamia", self.bus, *self.words)
 
     def simulated_time_ns(self, monotonic_ns: int) -> int:
-        """Return the time of the simulated hand that belongs to a recent reading of CLOCK_MONOTONIC [ns].
+        """Convert a recent reading of CLOCK_MONOTONIC to the time of the simulated hand [ns].
 
         The clock of the hand pauses while the machine is too slow.
         """
@@ -357,7 +365,7 @@ def measure_clients(
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
     A client that starts the controller itself gets a separate hand. A run ends when its client is
-    killed. A client that will be killed is therefore the last one of its hand.
+    killed. After a client that is killed, no other client uses the same hand.
     """
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
@@ -454,8 +462,8 @@ def run_start_ns(hand: HandClient | None, hand_process_run: HandProcess) -> int:
     """Return the start time of the run (t = 0) on the clock of the simulated hand [ns].
 
     An observation is published only at the end of a tick. A start time from an observation is
-    therefore too late by the duration of a tick. The function uses the shortest of many ticks,
-    which lasts about 0.1 ms.
+    therefore too late by the duration of a tick. The function therefore uses the shortest of many
+    ticks. This tick lasts about 0.1 ms.
     """
     assert hand is not None
     starts_ns = list[int]()
@@ -629,7 +637,10 @@ def _status_ages_ms(hand: HandClient, duration_s: float) -> list[float]:
 
 
 def _target_delays_ms(hand: HandClient, duration_s: float) -> list[float]:
-    """Measure how long it takes from sending each target until the next tick has sent its frames [ms]."""
+    """Measure the delay of each target [ms].
+
+    The delay ends when the next tick has sent its frames.
+    """
     delays: list[float] = []
     random_source = random.Random(0)
     hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)

@@ -1,11 +1,11 @@
 """Measure the benefit of tuning if the real hand differs from its hand file.
 
 A simulated hand takes the place of the real hand (the true plant). The parameters of this simulated
-hand differ from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
+hand differ from the hand file by up to 30 %. The initial gains are wrong by a factor of 3. One
 search scores gains on an ensemble of hands near the hand file. Another search scores gains on the
 true plant. With ``--fit``, a third search scores gains on a hand with the identified parameters.
-The gains of all searches are then tried on the true plant. The ratio of their costs shows the loss
-that results from not knowing the true parameters.
+The gains of all searches are then tried on the true plant. The ratio of their costs shows how much
+is lost if the true parameters are unknown.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # continues an interrupted run, or adds trials
@@ -42,7 +42,7 @@ TRUE_PLANT_FACTORS = {
     "motor_inertia": 0.7,
     "damping": 1.3,
 }
-"""Factors that multiply parameters of the hand file to give those of the true plant.
+"""Factors from the parameters of the hand file to the parameters of the true plant.
 
 The factors were fixed before anything was tuned.
 """
@@ -234,7 +234,10 @@ def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
 
 def _with_model(hand: Hand, model: HandModel) -> GainScore:
-    """Score a controller that is made for the identified hand on the true plant, and compute its stability margins."""
+    """Score a controller on the true plant, and compute its stability margins.
+
+    The controller is made for the identified hand.
+    """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(
         score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall

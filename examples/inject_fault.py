@@ -1,4 +1,4 @@
-"""Break a tendon of a simulated hand while it moves, and print the reaction of the controller.
+"""Break a tendon of a moving simulated hand, and print the reaction of the controller.
 
 python inject_fault.py runs in lockstep. The command handctl fault inject "snap tendon=index_tendon"
 injects the same fault into a simulated hand that runs in real time.

@@ -26,7 +26,7 @@ LINE_STYLES = ("-", "--", ":", "-.")
 def line_looks(line_names):
     """Return a colour and a line style for each name.
 
-    Digits differ in colour, and parts of a digit in line style.
+    Each digit has its own colour. Each part of a digit has its own line style.
     """
     digits = [name.partition("_")[0] for name in line_names]
     colours = {digit: f"C{number}" for number, digit in enumerate(dict.fromkeys(digits))}

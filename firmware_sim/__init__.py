@@ -1,1 +1,4 @@
-"""The simulator of a tendon-driven hand: drives, sensor node and mechanics, as a host sees them over CAN."""
+"""The simulator of a tendon-driven hand.
+
+It simulates the drives, the sensor node and the mechanics. A host communicates with them over CAN.
+"""

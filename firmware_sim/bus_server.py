@@ -23,7 +23,7 @@ OVERRUN_NS = 5 * MAX_TURN_NS
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
 
-If the delay is larger, the clock slips: the plant never makes up for the lost time.
+If the delay is larger, the clock slips. The plant then skips the lost time.
 """
 MAX_READS_PER_TURN = 64
 """Maximum number of reads of the ports in one turn.
@@ -53,7 +53,10 @@ class ServerClock(Protocol):
         ...
 
     def ticks_sent(self) -> int:
-        """Return the number of ticks for which a controller that uses this clock has sent all frames."""
+        """Return the number of ticks whose frames were all sent by the controller.
+
+        The controller uses the same clock.
+        """
         ...
 
     def publish_answered_ticks(self, ticks: int) -> None:
@@ -105,7 +108,10 @@ class ServedNodes(Protocol):
 
 
 class BusServer:
-    """The loop that advances simulated nodes by a clock, and exchanges frames through the ports of the buses.
+    """The main loop of the simulator.
+
+    The loop advances the simulated nodes to the time of a clock. It exchanges frames through the
+    ports of the buses.
 
     Attributes:
         pace: measured pace of the simulation.
@@ -231,9 +237,9 @@ class BusServer:
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
-        """Give up the time during which this process did not run: the plant does not catch up.
+        """Skip the time in which this process did not run.
 
-        The plant and the watchdogs of the drives stood still during this time.
+        The plant and the watchdogs of the drives do not advance by this time.
         """
         self._world.slip_ns += behind_ns
         self.slips += 1
@@ -255,7 +261,10 @@ class BusServer:
                 port.send(batch)
 
     def summary(self) -> dict[str, object]:
-        """Return the counts of a run, for the truth file and for the last line that the program prints."""
+        """Return the counts of a run.
+
+        The truth file and the last line that the program prints contain these counts.
+        """
         return {
             "overruns": self.overruns,
             "slips": self.slips,

@@ -11,10 +11,13 @@ from firmware_sim.hand_description import SimulatorError
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser for command lines whose error messages have a single line."""
+    """A parser for command lines. Each of its error messages has a single line."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise a usage error as a SimulatorError, where argparse would end the program."""
+        """Raise a SimulatorError for a usage error.
+
+        The method of the base class would end the program instead.
+        """
         raise SimulatorError(f"{message}; --help shows how")
 
 

@@ -1,6 +1,6 @@
 """Kernels: plain functions that numba can compile.
 
-The kernels are used by programs that advance a plant without waiting for the time of a clock.
+Some programs advance a plant without waiting for a clock. These programs use the kernels.
 
 ``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
 module. Only the function ``machine_code`` imports numba. The import takes almost a second. This is
@@ -10,7 +10,7 @@ fast math).
 
 For each source file, numba stores the compiled code in a cache. If only another file changes, numba
 does not renew the cache of this file. Therefore kernels that call each other must be in the same
-file, or their names must contain a digest of the other files.
+file. Otherwise, the name of a kernel must contain a digest of the other files.
 """
 
 import ctypes
@@ -71,10 +71,10 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 
 
 def rows_at(address: int, row_count: int, row_type: Any) -> Any:
-    """Return ``row_count`` numbers or rows at an address in memory as an array.
+    """Return an array of the ``row_count`` numbers or rows at an address in memory.
 
-    An array made inside a kernel costs no time. Each array passed to a kernel costs
-    0.2 us per call.
+    If a kernel makes an array itself, the array costs no time. Each array that a caller passes to a
+    kernel costs 0.2 us per call.
 
     Args:
         address: address of the first row.
@@ -129,9 +129,10 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
 
 
 def _source_digest(modules: set[ModuleType]) -> str:
-    """Return a digest of the source code of some modules, and of all modules whose kernels these modules import.
+    """Return a digest of the source code of some modules.
 
-    If no module is given, the digest is an empty text.
+    The digest also includes the modules from which these modules import kernels. If no module is
+    given, the digest is an empty text.
     """
     reached_modules = set(modules)
     new_modules = set(modules)
@@ -234,7 +235,7 @@ def _rows_at() -> Any:
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the address and the length of each array, for ``rows_at``.
+    """Return the address and the length of each array. ``rows_at`` needs these two numbers.
 
     The caller must keep the arrays alive.
     """

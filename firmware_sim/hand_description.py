@@ -1,6 +1,6 @@
-"""The simulator's description of a hand, read from the hand file.
+"""The simulator's description of a hand. It is read from the hand file.
 
-Python's standard library is sufficient for the reading.
+To read the file, the module needs only the standard library of Python.
 """
 
 import importlib.util
@@ -208,8 +208,8 @@ class TendonSpec:
     def antagonist(self) -> "TendonSpec":
         """Return the second tendon of a spool pair.
 
-        The winding and the moment arms of the second tendon have the opposite signs of those of the
-        first tendon.
+        The second tendon is wound in the opposite direction. Its moment arms have the opposite
+        signs.
         """
         arms = {joint: -arm for joint, arm in self.arms.items()}
         curves = {joint: curve.negated for joint, curve in self.curves.items()}
@@ -471,7 +471,7 @@ def _section_with_template(
     """Return an entry of a hand file, with all missing keys filled in.
 
     The template of the entry gives the value of a missing key. If the template lacks the key, the
-    defaults for this kind of entry do.
+    value comes from the defaults for this kind of entry.
     """
     default = file_content.get("default", {}).get(section_kind, {})
     template = (
@@ -533,7 +533,7 @@ def _parse_meshes(file_content: dict[str, Any], folder: Path) -> Iterator[LinkMe
 def _make_mesh(link_name: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh with the given placement.
 
-    An argument that is None stands for no scaling, no shift or no rotation.
+    If an argument is None, the mesh is not scaled, not shifted or not rotated.
     """
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
@@ -591,7 +591,10 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
 
 
 def _are_joints_prismatic(digit_section: dict[str, Any]) -> list[bool]:
-    """Return, for each joint of a digit, True if the joint slides along its axis."""
+    """Return one truth value for each joint of a digit.
+
+    The value is True if the joint slides along its axis.
+    """
     kinds = digit_section.get("joint_type", ["revolute"] * len(digit_section["link_length_m"]))
     return [kind == PRISMATIC for kind in kinds]
 
@@ -601,8 +604,8 @@ def _joint_values(
 ) -> tuple[float, ...]:
     """Return a value for each joint of a digit.
 
-    For a hinge, the value comes from ``key``. For a prismatic joint, the value comes from the
-    corresponding other key. Without a default, a missing key raises KeyError.
+    For a hinge, the value comes from the key ``key``. For a prismatic joint, the value comes from
+    the key ``JOINT_KEYS[key]``. Without a default, a missing key raises KeyError.
     """
     is_prismatic = _are_joints_prismatic(digit_section)
     lists = {}

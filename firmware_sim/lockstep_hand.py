@@ -145,6 +145,9 @@ class LockstepHand:
             self._truth = None
 
     def _loads(self) -> list[float]:
-        """Return, for each wire, the fraction of the simulated time in which frames occupied the wire."""
+        """Return the load of each wire.
+
+        The load is the fraction of the simulated time in which frames occupied the wire.
+        """
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]

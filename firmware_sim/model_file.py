@@ -1,4 +1,4 @@
-"""Reading of the links in a robot description (URDF or MJCF) with MuJoCo.
+"""Read the links in a robot description (URDF or MJCF) with MuJoCo.
 
 The result consists of plain values.
 """
@@ -211,7 +211,7 @@ def _parsed_spec(path: str) -> Any:
 def _remove_meshes(model_spec: Any) -> bool:
     """Remove all shapes with meshes, and all images, from a model.
 
-    If there are none, return False.
+    If the model has no such shapes or images, return False.
     """
     shapes = [geom for geom in model_spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     parts = [*shapes, *model_spec.meshes, *model_spec.textures]
@@ -384,7 +384,10 @@ def _link_inertia(
 def _frame_origins(
     model: Any, model_data: Any, root_body: int, link_origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
-    """Return the origins (3,) of the named bodies and sites of a link, by name, in the frame of the link [m]."""
+    """Return a dictionary with the origins of the named bodies and sites of a link.
+
+    The keys are the names. Each origin (3,) is given in the frame of the link [m].
+    """
     members = _fixed_bodies(model, root_body)
     origin_by_body = {
         model.body(body).name: model_data.xpos[body] for body in members if body != root_body
@@ -407,7 +410,11 @@ def _frame_origins(
 def _shape_corners(
     model: Any, model_data: Any, body_ids: list[int], link_origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
-    """Return the corners (n, 3) of the boxes around the shapes of a link, and half of their width or None [m]."""
+    """Return the corners (n, 3) of the boxes around the shapes of a link, and a radius [m].
+
+    The radius is half of the width of a shape. Without shapes, the corners are empty and the radius
+    is None.
+    """
     corners: list[Any] = []
     radii: dict[int, float] = {}
     for geom in range(model.ngeom):
@@ -437,7 +444,10 @@ def _shape_corners(
 
 
 def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
-    """Return the tendons that have constant moment arms, each with these moment arms and its motor."""
+    """Return the tendons that have constant moment arms.
+
+    The result contains the moment arms and the motor of each tendon.
+    """
     tendon_sections = []
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
@@ -463,7 +473,10 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
 
 
 def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
-    """Return the name of a tendon's only actuator, and the largest tension [N] if it controls tension."""
+    """Return the name of a tendon's only actuator, and the largest tension [N].
+
+    The largest tension is given only if the actuator controls the tension.
+    """
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}
     motor = motors[0]

@@ -36,7 +36,7 @@ class BodyMesh(NamedTuple):
 
 
 def urdf_files(xml_root: ET.Element, folder: Path) -> dict[str, Path]:
-    """Return the path of each mesh file of a URDF, by the name of the mesh file in the URDF."""
+    """Return a dictionary from each name of a mesh file in a URDF to the path of the file."""
     names = {mesh.get("filename", "") for mesh in xml_root.iter("mesh")}
     return {name: _urdf_path(name, folder) for name in names if name}
 

@@ -47,14 +47,16 @@ def restore_priority() -> None:
 
 
 class RealTimePriority:
-    """Real-time priority for a simulator that serves a controller, but leaves the controller enough computing time.
+    """Real-time priority for a simulator that serves a controller.
+
+    The class ensures that the controller still gets enough computing time.
 
     A simulator that is behind the clock is always busy. A controller on the same core has no
     real-time priority as long as it imports modules. A simulator with real-time priority would then
     leave the controller almost no time. The simulator therefore takes the priority only when the
     first frame of a host arrives. If the plant repeatedly falls behind the clock, the simulator
-    gives the priority back for ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the machine, the
-    simulator keeps the priority.
+    gives the priority back for ``ORDINARY_PRIORITY_DURATION_S``. After a single stop of the
+    machine, the simulator keeps the priority.
 
     Attributes:
         active: True while the process has the priority.

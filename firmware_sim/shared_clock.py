@@ -112,8 +112,8 @@ class SharedClock:
     def close(self) -> None:
         """Remove the file of the clock.
 
-        A controller that still maps the file then waits, in the same way as for a stopped
-        simulator.
+        A controller may still have the file in its memory map. This controller then waits, as it
+        does for a stopped simulator.
         """
         if self._path:
             self._path.unlink(missing_ok=True)

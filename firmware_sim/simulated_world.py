@@ -44,10 +44,11 @@ class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
     A world that is not homed starts like a hand at power-up. Each tendon is slack by 1 to 3 mm,
-    because the motors were off. At the spool angle where a tendon is just taut at q = 0, the
-    encoder of its motor reads an angle within 0.5 rad of ``zero_rad``, as after a spool was clamped
-    by hand. The slack and the encoder angle are random numbers that depend on a seed. A homed world
-    starts with taut tendons and with the encoders at ``zero_rad``.
+    because the motors were off. At q = 0, a tendon is just taut at a certain spool angle. At this
+    spool angle, the encoder of the motor reads ``zero_rad`` with an error of at most 0.5 rad. Such
+    an error occurs if a person clamps the spool by hand. The slack and the encoder angle are random
+    numbers that depend on a seed. A homed world starts with taut tendons and with the encoders at
+    ``zero_rad``.
 
     Attributes:
         hand: description of the hand.
@@ -264,13 +265,16 @@ class SimulatedWorld:
         return answer_frames
 
     def has_receiver(self, frame: Frame) -> bool:
-        """Return True if a node may answer the frame. The answer would sample the plant."""
+        """Return True if a node may answer the frame. To answer, the node samples the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
     def _receivers(
         self, bus: int, can_id: int
     ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
-        """Return the nodes that may answer an identifier, each with the present identifiers."""
+        """Return the nodes that may answer frames with an identifier.
+
+        Each node is returned together with all its present identifiers.
+        """
         receivers = [
             (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
         ]
@@ -287,7 +291,7 @@ class SimulatedWorld:
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
         """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
 
-        The next call makes up for the rest of the time.
+        The time that remains is left for the next call.
 
         Args:
             t_ns: time to which the world advances [ns].
@@ -320,10 +324,11 @@ class SimulatedWorld:
         self.t_ns = now_ns
 
     def advance_exactly(self, t_ns: int) -> None:
-        """Advance plant and nodes to exactly ``t_ns``, so that samples belong to their exact time.
+        """Advance plant and nodes to exactly ``t_ns``.
 
-        All other steps begin and end at the usual times. The step that contains ``t_ns`` is
-        divided, and the next call completes this step.
+        The values that a node samples then belong to the exact time of the sample. All other steps
+        begin and end at the usual times. The step that contains ``t_ns`` is divided, and the next
+        call completes this step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns
@@ -380,7 +385,7 @@ class SimulatedWorld:
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames on the bus whose senders are outside of the hand."""
+        """Store frames from senders outside of the hand. The frames will be sent on the bus."""
         self._unsolicited += frames
 
     def take_unsolicited_frames(self) -> list[Frame]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports of slips [s]."""
 SLOW_MACHINE_SLIPS = 3
-"""Number of slips within a report period from which a machine counts as too slow.
+"""With this number of slips within a report period, a machine counts as too slow.
 
 With fewer slips, the process was only stopped for a moment.
 """
@@ -84,9 +84,10 @@ class PaceCounter:
         self._mark = self._start = self._clock_readings(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
-        """Count a slip of the clock, after which the lost time is never made up.
+        """Count a slip of the clock.
 
-        If the last report is at least a second old, report the slip.
+        The simulation never catches up on the time that is lost by a slip. If the last report is at
+        least a second old, report the slip.
 
         Args:
             behind_ns: plant time that was lost by the slip [ns].

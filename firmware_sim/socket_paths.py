@@ -47,9 +47,9 @@ def run_dir() -> Path:
 
 
 def _parent_dir(folder: Path, path_parts: int) -> Path:
-    """Return the directory above the private directories of the run directory.
+    """Return the parent of the private directories in the path of the run directory.
 
-    In the path of this directory, only links of the system are allowed.
+    The path of this parent may contain only symbolic links that belong to root.
 
     Raises:
         SimulatorError: a directory in the path is a link that belongs to a user.

@@ -31,7 +31,9 @@ INITIAL_CAPACITY = 64
 
 
 class TickExchange:
-    """The computation of the answers of a tick, for a world whose node states are in array rows.
+    """Object that computes the answers of the nodes in a tick.
+
+    The states of these nodes are in array rows.
 
     Attributes:
         sends_unsolicited: True if the compiled kernel sends the frames that drives send without a
@@ -76,7 +78,7 @@ class TickExchange:
         self._receivers: Any = None
 
     def refresh_identifiers(self) -> None:
-        """Make the next frame rebuild the table of identifiers."""
+        """Delete the table of identifiers, so that it is built again at the next frame."""
         self._table = None
 
     def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
@@ -142,7 +144,7 @@ class TickExchange:
         return answer_frames
 
     def _build_table(self) -> None:
-        """Build the table that gives the nodes which receive each identifier.
+        """Build the table of identifiers. It contains the nodes that receive each identifier.
 
         If the state of a node is not in an array row, Python handles all frames with identifiers of
         this node.
@@ -198,7 +200,7 @@ class TickExchange:
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts now.
 
-        If the identifiers of a node have changed, the node returns a different object.
+        The object that a node returns is replaced when the identifiers of the node change.
         """
         return [
             getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
@@ -213,11 +215,14 @@ class TickExchange:
 
     @property
     def wake_ns(self) -> int:
-        """Return the earliest wake time of drives in array rows [ns], as of the last ``answer`` or ``send_due``."""
+        """Return the stored value of the earliest wake time of drives in array rows [ns].
+
+        The last call of ``answer`` or ``send_due`` has stored this value.
+        """
         return int(self._progress[WAKE_NS])
 
     def next_wake(self) -> int:
-        """Return the present value of the earliest wake time of drives in array rows [ns]."""
+        """Compute the earliest wake time of drives in array rows from their present states [ns]."""
         if self._table is None:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))

@@ -31,7 +31,10 @@ MIN_FREE_DISK_BYTES = 64 << 20
 The run folder may be in memory, and a simulator may run for days.
 """
 MAX_UNNAMED_FILE_BYTES = 1 << 30
-"""Largest size of a truth file that no user has named [bytes]. It lasts for about 40 minutes."""
+"""Largest size of a truth file that no user has named [bytes].
+
+A file of this size contains about 40 minutes.
+"""
 
 
 class TruthFile(NamedTuple):

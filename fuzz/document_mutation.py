@@ -35,7 +35,7 @@ def paths_of_values(document_node: Any, node_path: KeyPath = ()) -> Iterator[Key
 class ByteSource:
     """Reader of the bytes that a fuzzer has generated.
 
-    Each call consumes bytes from the front. After the last byte, the reader returns zeros.
+    Each call consumes the next bytes. After the last byte, the reader returns zeros.
     """
 
     def __init__(self, data: bytes) -> None:

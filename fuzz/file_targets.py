@@ -1,6 +1,7 @@
-"""Fuzz targets for files that users write: hand, task, trajectory, gains and calibration.
+"""Targets of the fuzzer for files that users write.
 
-Inputs are random bytes, or nearly valid files.
+The files are those for hand, task, trajectory, gains and calibration. Inputs are random bytes, or
+nearly valid files.
 """
 
 import math
@@ -37,7 +38,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_hand_parts(hand: Hand) -> None:
-    """Construct all objects that a run constructs from a hand before it opens a bus."""
+    """Construct all objects that a run needs from a hand before the run opens a bus."""
     for name in hand.digit_names:
         DigitModel.from_hand(hand, name)
     for motor in hand.motor:
@@ -94,9 +95,10 @@ def _is_accepted(load_input: Callable[[], object]) -> bool:
 
 
 DOCUMENTS_PER_TEXT = 32
-"""Number of inputs among which one is random bytes, and one is a changed document that is written as text and parsed.
+"""Number of values of the number that selects the kind of an input.
 
-All other inputs are changed documents that need no parsing, because parsing is slow.
+One value selects random bytes. Another value selects a changed document that is written as text and
+parsed. All other values select changed documents that need no parsing, because parsing is slow.
 """
 
 

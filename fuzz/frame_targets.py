@@ -1,10 +1,12 @@
-"""Fuzz targets for received CAN frames: the decoders of each drive protocol and of the sensor node.
+"""Targets of the fuzzer for received CAN frames.
+
+    The targets are the decoders of each drive protocol and of the sensor node.
 
     state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
 
-The first byte of an input selects the initial state of the drive. The corpus starts with the frames
-that handctl receives from a drive until this drive makes torque. Purely random identifiers would
-hardly ever be identifiers of a node.
+The first byte of an input selects the initial state of the drive. The first inputs of the corpus
+are recorded frames. handctl receives these frames from a drive before the drive makes torque.
+Purely random identifiers would hardly ever be identifiers of a node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -77,7 +79,10 @@ class RecordedState(NamedTuple):
 
 
 def states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
-    """Return a drive of ``FUZZED_DRIVES``, and the states of the drive from the first tick until it makes torque."""
+    """Return a drive of ``FUZZED_DRIVES``, and its recorded states.
+
+    The states are recorded from the first tick until the drive makes torque.
+    """
     fuzzed_drive = FUZZED_DRIVES[drive_name]
     path = hand_file(folder, [fuzzed_drive.protocol], fuzzed_drive.options)
     lines = path.read_text().splitlines(keepends=True)
@@ -103,7 +108,10 @@ def states_until_torque(drive_name: str, folder: Path) -> tuple[Drive, list[Reco
 
 
 def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
-    """Return the frames that were recorded until the drive makes torque, encoded as inputs of the target."""
+    """Return the recorded frames, encoded as inputs of the target.
+
+    The frames were recorded from the first tick until the drive made torque.
+    """
     motor, recorded_states = states_until_torque(drive_name, folder)
     own_identifiers = selectable_identifiers(motor, recorded_states)
     inputs = []
@@ -117,7 +125,7 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
 
 
 def selectable_identifiers(motor: Drive, recorded_states: Sequence[RecordedState]) -> list[int]:
-    """Return at most 256 identifiers, of which one byte of an input selects one.
+    """Return at most 256 identifiers. One byte of an input selects one of these identifiers.
 
     The identifiers of the recorded frames come first.
     """

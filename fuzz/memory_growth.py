@@ -30,8 +30,8 @@ SAMPLE_PERIOD_S = 30.0
 WARM_UP_S = 600.0
 """Warm-up time before the growth is measured [s].
 
-In this time, the buffer that stores how late each tick was becomes full. The full buffer takes 2
-MiB.
+One buffer stores the lateness of each tick. This buffer becomes full during the warm-up, and then
+takes 2 MiB.
 """
 
 

@@ -21,8 +21,8 @@ mutant was not run.
 def main() -> int:
     """Print a table of the scores, and the surviving mutants without a reason.
 
-    Return 1 if the document gives no reason for a surviving mutant, or if the tests ended for none
-    of the mutants.
+    Return 1 if the document gives no reason for a surviving mutant. Also return 1 if the tests of
+    no mutant have ended.
     """
     reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
     unexplained_mutants = list[str]()

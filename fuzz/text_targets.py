@@ -1,4 +1,7 @@
-"""Fuzz targets for texts of one line: requests to a running controller, and descriptions of injected faults."""
+"""Targets of the fuzzer for texts of one line.
+
+The texts are requests to a running controller, and descriptions of injected faults.
+"""
 
 from collections.abc import Callable
 from pathlib import Path

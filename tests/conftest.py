@@ -20,7 +20,7 @@ SLOW_TEST_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S"
 PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """Property tests have no time limit per example.
 
-Property tests check results, not durations. Other processes that share the processor cores can
+Property tests check results and not durations. Other processes that share the processor cores can
 delay an example.
 """
 
@@ -99,13 +99,15 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 class RepeatAfterStall:
-    """Plugin that repeats a failed test on the real clock if the machine stalled during it.
+    """Plugin that repeats a failed test on the real clock.
 
-    A test has at most three tries.
+    The test is repeated only if the machine stalled during the test. A test has at most three
+    tries.
 
-    A test whose simulated time runs slower than the real clock is repeated with even slower time,
-    by the factor of the fixture ``repeat_time_scale``. In slower time, a stall of the machine has
-    less effect, but a defect has the same effect.
+    In some tests, the simulated time runs slower than the real clock. In a repetition, the
+    simulated time of such a test runs even slower. The fixture ``repeat_time_scale`` returns the
+    factor. In slower time, a stall of the machine has less effect, but a defect has the same
+    effect.
 
     Attributes:
         stalls: name of each repeated test, with the longest stall of the machine during the test
@@ -129,7 +131,7 @@ class RepeatAfterStall:
             self._start = time.monotonic()
 
     def is_failure_by_stall(self, error: BaseException | None) -> bool:
-        """Return True if the present try failed and the machine stalled during it.
+        """Return True if the present try failed and the machine stalled during this try.
 
         ``error`` is None if the try passed.
         """

@@ -9,12 +9,12 @@
     python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A test run leaves out the listed tests whose cost is higher than ``HANDCTL_SLOW_S``. `make test`
-sets the value 0. CI sets 3, and a higher value for tests on the real clock. `make nightly` and
-plain pytest run all listed tests. The cost of a test is its processor time. For a test on the real
-clock, the cost is its elapsed time. An incomplete test run still executes the first cases of each
-test function, up to a total cost of ``FUNCTION_BUDGET_S`` or ``REAL_CLOCK_BUDGET_S``. Such a run
-also executes the cheapest test of each file, if that test costs no more than ``FILE_LIMIT_S``. At
-least one test of nearly every file is therefore executed.
+sets the value 0. CI sets the value 3, but a higher value for tests on the real clock. `make
+nightly` and plain pytest run all listed tests. The cost of a test is its processor time. For a test
+on the real clock, the cost is its elapsed time. A run that leaves out tests still executes the
+first cases of each test function. The total cost of these cases is at most ``FUNCTION_BUDGET_S`` or
+``REAL_CLOCK_BUDGET_S``. Such a run also executes the cheapest test of each file, if that test costs
+no more than ``FILE_LIMIT_S``. At least one test of nearly every file is therefore executed.
 """
 
 import json
@@ -54,7 +54,10 @@ def listed_costs() -> dict[str, float]:
 
 
 def processor_time() -> float:
-    """Return the processor time of this process and of those of its children that have ended [s]."""
+    """Return the processor time of this process and of its child processes [s].
+
+    Child processes that still run are not included.
+    """
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in usages)
 

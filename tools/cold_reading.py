@@ -1,11 +1,11 @@
 """Draw random names and sentences for a reader who does not know the repository.
 
 ``python tools/cold_reading.py sample FOLDER --seed 1`` writes three files: ``names.txt`` and
-``sentences.txt`` for the reader, and ``key.json``. Half of the lines come from well-known projects that
-are installed in the environment, and the reader does not know which half. The reader writes down the
-numbers of all lines that must be read twice. ``python tools/cold_reading.py score FOLDER names
-3,17,42`` counts these numbers for both halves. Only the comparison of the two counts says
-something, because readers are not equally strict.
+``sentences.txt`` for the reader, and ``key.json``. Half of the lines come from well-known projects
+that are installed in the environment. The reader does not know which lines these are. The reader
+writes down the numbers of all lines that must be read twice. ``python tools/cold_reading.py score
+FOLDER names 3,17,42`` counts these numbers for both halves. Readers are not equally strict.
+Therefore compare the two counts with each other, and ignore their absolute values.
 """
 
 import argparse

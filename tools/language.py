@@ -3,8 +3,8 @@
 ``python tools/language.py`` is a part of ``make lint``. The program prints a line for each count
 above its limit and exits 1. ``--table`` prints all counts. ``--places COUNT FOLDER`` prints each
 place that contributes to a count. ``--tighten`` lowers the limits in ``language_limits.toml`` to
-the current counts. No option raises a limit. A private word is one that only this project uses. The
-word list is an indicator. A reader must judge whether a sentence is plain.
+the current counts. No option raises a limit. A private word is one that only this project uses. A
+count of words is only a hint. A reader must judge whether a sentence is plain.
 """
 
 import argparse
@@ -98,7 +98,7 @@ class FolderTally:
 
 
 def count_prose(tally: FolderTally, text: str, place: str) -> None:
-    """Count all words of a docstring or document, and its matches with the patterns of hard phrases."""
+    """Count the words of a docstring or document, and the hard phrases in it."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
@@ -250,7 +250,10 @@ def count_all_folders(repository_folder: Path) -> dict[str, FolderTally]:
 
 
 def count_ratios(tally: FolderTally) -> dict[str, float]:
-    """Return the ratio of each count whose quantity occurs, rounded up to a multiple of one half."""
+    """Return the ratio of each count, rounded up to a multiple of one half.
+
+    A count is left out if the folder contains nothing of its quantity.
+    """
     measured = [
         count
         for count, (quantity, _) in QUANTITY_PER_COUNT.items()
@@ -284,7 +287,7 @@ def limit_excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[
 
 
 def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
-    """Return new limits. A new limit is the smaller one of the current ratio and the old limit."""
+    """Return new limits. Each of them is the lower value of the current ratio and the old limit."""
     return {
         name: {
             count: min(ratio, limits.get(name, {}).get(count, ratio))

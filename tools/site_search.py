@@ -1,6 +1,6 @@
 """Change the site search through a hook of mkdocs.
 
-The search ranks pages with answers first, and leaves one page out.
+Pages with answers get a higher rank. One page is excluded from the search.
 """
 
 from typing import Any
@@ -17,8 +17,8 @@ EXCLUDED_PAGES = ("evidence/lookups.md",)
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     """Set the rank of a page in the site search.
 
-    Front matter at the start of a page could also set the rank of this page, but GitHub would show
-    it.
+    The front matter of a page could also set the rank. However, GitHub would show the front matter
+    to readers.
     """
     path = page.file.src_uri
     if path in SEARCH_BOOSTS:

@@ -135,7 +135,7 @@ class TMotorClient:
 
 
 class MoteusClient:
-    """Client moteus over python-can in CAN FD.
+    """Client of the package moteus, which sends CAN FD frames over python-can.
 
     The client sends a position command with a feedforward torque, and requests the default values.
     """

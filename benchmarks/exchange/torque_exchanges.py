@@ -45,7 +45,7 @@ RATE_HZ = 200.0
 
 @cache
 def enabled_controller(motor_count):
-    """Return a controller of a packaged hand that has as many MIT motors as ``motor_count``.
+    """Return the controller of a packaged hand with ``motor_count`` MIT motors.
 
     Also return a state in which all motors are enabled.
     """
@@ -115,7 +115,10 @@ class HandctlExchange:
 
 
 class ScalarCodecExchange:
-    """python-can, which sends and receives one message at a time, with typical hand-written encoding and decoding."""
+    """Exchange over python-can that encodes and decodes with typical hand-written code.
+
+    It sends and receives one message at a time.
+    """
 
     reply_of = staticmethod(feedback_frame)
 
@@ -152,7 +155,10 @@ class ScalarCodecExchange:
 
 
 class CantoolsExchange(ScalarCodecExchange):
-    """python-can, which sends and receives one message at a time, with a codec that cantools makes from a DBC file."""
+    """Exchange over python-can with a codec that cantools makes from a DBC file.
+
+    It sends and receives one message at a time.
+    """
 
     def __init__(self, interface, channel, motor_count):
         super().__init__(interface, channel, motor_count)

@@ -43,8 +43,8 @@ def program_of_phases(phases: list[dict[str, Any]]) -> TaskProgram:
 def find_contacts(job: tuple[str, int]) -> list[float]:
     """Measure the delay of each digit's contact event [s], for a hand and a seed.
 
-    The delay is measured from the moment when the true force on the digit reaches 1 N. The delay is
-    negative if the event comes before, and inf if no event comes.
+    The delay is measured from the moment when the true force on the digit reaches 1 N. If the event
+    comes before this moment, the delay is negative. If no event comes, the delay is inf.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")

@@ -35,7 +35,7 @@ PLACEMENT_SHIFT_M = (1e-3, 2e-3)
 
 @dataclass(frozen=True)
 class GraspCase:
-    """An object and how it is grasped.
+    """An object and the kind of its grasp.
 
     The fields are: kind of grasp, shape, full width [m], friction, mass [kg], and x and y of the
     object's centre [m].

@@ -175,7 +175,10 @@ def _is_lost(plant: Plant) -> bool:
 
 
 def stage_motions(run: GraspRun) -> list[float]:
-    """Return how far the object moves at most in each stage from where it was at the start of the stage [m]."""
+    """Return the largest motion of the object in each stage [m].
+
+    The motion is measured from the position at the start of the stage.
+    """
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):
         path = run.object_position[run.stage == stage]

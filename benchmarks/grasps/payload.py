@@ -18,7 +18,7 @@ PAPER_PAYLOAD_KG = 0.915
 Source: section 5 of the paper.
 """
 GRASP_TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
-"""For each hand, the tension of every tendon at which each finger presses with about 6 N [N]."""
+"""Tension of every tendon for each hand [N]. With it, each finger presses with about 6 N."""
 LOAD_DIRECTIONS = {
     "along the hinges": (0.0, 0.0, -1.0),
     "out of the palm": (1.0, 0.0, 0.0),

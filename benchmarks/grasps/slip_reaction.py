@@ -23,9 +23,10 @@ LOST_MOTION_M = 10e-3
 
 
 def measure_slip(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Measure how far the cylinder moves [mm] as the load grows, and the load at which the hand loses it [N].
+    """Measure the motion of the cylinder while the load grows [mm].
 
-    The job consists of the hand, whether it reacts to slip, and the seed.
+    Also measure the load at which the hand loses the cylinder [N]. The job consists of the hand, a
+    flag, and the seed. The flag is True if the hand reacts to slip.
     """
     hand, has_slip_reaction, seed = job
     scene = (

@@ -130,7 +130,7 @@ def run_loop(
 
 
 class TimedTick:
-    """Tick of the controller that measures its own wall time.
+    """A tick of the controller. The tick measures its own wall time.
 
     A measured time is the sum of the wall times of a tick's four steps: begin, decide, command and
     conclude [ns].

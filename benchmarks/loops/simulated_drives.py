@@ -1,7 +1,9 @@
-"""Simulate drives and load cells at rest, with stored replies and without tendons and digits.
+"""Simulate drives and load cells at rest.
 
-``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line when it is
-ready.
+The replies of the nodes are stored. There are no tendons and no digits.
+
+``python benchmarks/loops/simulated_drives.py HAND NAME`` serves ``local:NAME`` and prints a line
+when it is ready.
 """
 
 import select

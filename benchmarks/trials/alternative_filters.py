@@ -32,9 +32,10 @@ def exponential_average(raw_tension: FloatArray, sample_weight: float) -> FloatA
 def cell_only_estimate(
     raw_tension: FloatArray, period_s: float, cell_noise: float, tension_rate_noise: float
 ) -> FloatArray:
-    """Run a Kalman filter of tension and tension rate, whose only measurement is the load cell.
+    """Run a Kalman filter of tension and tension rate. Its only measurement is the load cell.
 
-    Return the prediction of the filter for the present tension, (ticks, N) [N].
+    Return the prediction of the filter for the present tension. The shape is (ticks, N), and the
+    unit is N.
 
     Args:
         raw_tension: (ticks, N) samples, one period old [N].

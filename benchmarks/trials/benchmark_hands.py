@@ -17,8 +17,8 @@ SPREAD_DIGITS_SUFFIX = ".clear"
 FREE_MOTION_SCENE = "no_palm"
 """Scene of the variants.
 
-The palm of the simulator lies behind the mounts of the digits, wherever these are. Digits that are
-farther apart can therefore still touch the palm.
+The simulator places the palm behind the mounts of the digits, at any distance between the mounts.
+Digits that are farther apart can therefore still touch the palm.
 """
 SIDEWAYS_SUFFIX = ".side"
 """Suffix in the names of the variants that also lie on their side.

@@ -94,12 +94,15 @@ def misprinted_torque(
 MOTION_FORCE_WEIGHT_N = 20.0
 """Motor force in the LQR cost [N].
 
-This force costs as much as the position error and the speed error that define the weights.
+In the cost, this force counts as much as each of the two errors that define the weights.
 """
 
 
 def force_scale(rate_hz: float) -> float:
-    """Return the factor that restores the force weight, which the controller reduces at a low control rate."""
+    """Return the factor that restores the full force weight.
+
+    At a low control rate, the controller reduces the force weight.
+    """
     return 1.0 / force_weight_at_period(1.0, 1.0 / rate_hz)
 
 

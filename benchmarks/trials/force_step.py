@@ -65,7 +65,11 @@ These gains were not tuned.
 
 @dataclass(frozen=True)
 class ForceLoop:
-    """Configuration of a force loop: gains that differ from the defaults, and input (raw sensor or estimate)."""
+    """Configuration of a force loop.
+
+    It contains the gains that differ from the defaults. The input of the loop is the raw load cell
+    or the estimate.
+    """
 
     motion_gains: dict[str, float] = field(default_factory=dict)
     tension_gains: dict[str, float] = field(default_factory=dict)
@@ -88,7 +92,11 @@ FORCE_LOOPS = {
 
 
 def force_trial(hand_name: str, loop_name: str, seed: int, plant_name: str) -> LockstepTrial:
-    """Return the force-step trial of a hand, for a force loop, a seed and a set of simulated parameters."""
+    """Return a force-step trial.
+
+    The arguments are the hand, the force loop, the seed, and the name of a set of simulated
+    parameters.
+    """
     loop = FORCE_LOOPS[loop_name]
     fixed_gains = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand_name]),

@@ -122,7 +122,7 @@ def _store_result(run_job: JobFunction, job: Any, result: Any, plan: JobPlan) ->
 def _json_round_trip(result: Any) -> Any:
     """Convert a result to JSON and back.
 
-    This conversion makes lists of the tuples in the result.
+    This conversion replaces the tuples in the result by lists.
     """
     return json.loads(json.dumps(result))
 

@@ -1,6 +1,7 @@
-"""Run trials: the controller and a simulated hand exchange frames over a simulated bus in lockstep.
+"""Run trials in lockstep.
 
-The record of a trial also contains the true values of the simulator.
+In a trial, the controller and a simulated hand exchange frames over a simulated bus. The record of
+a trial also contains the true values of the simulator.
 """
 
 import tempfile
@@ -103,7 +104,7 @@ class TrialRecord:
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> FloatArray:
-        """Return true values (ticks, names) at each tick, or earlier by ``delay_ns`` [ns]."""
+        """Return the true values (ticks, names) at a time ``delay_ns`` [ns] before each tick."""
         return self.truth_record.interpolated_columns(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> FloatArray:

@@ -82,9 +82,9 @@ def _reversal_mask(record: TrialRecord) -> MaskArray:
 
 
 def _widened_mask(signals: MaskArray, times: FloatArray, time_distance: float) -> MaskArray:
-    """Return a mask (ticks, N) of the ticks near a tick whose signal is true.
+    """Return a mask (ticks, N) that is also True near the ticks in which a signal is True.
 
-    The time between the two ticks is at most ``time_distance`` [s].
+    A tick is near another tick if the time between the ticks is at most ``time_distance`` [s].
     """
     tick_distance = round(time_distance / (times[1] - times[0]))
     kernel = np.ones(2 * tick_distance + 1)

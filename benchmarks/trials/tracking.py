@@ -1,6 +1,6 @@
-"""Measure tracking and a force step with parts of the control law.
+"""Measure tracking and a force step with more and more parts of the control law.
 
-Each case has one more part of the control law.
+Each case has one more part of the control law than the case before it.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``.
 The digits move from 0 to 60 degrees. The tracking error is computed from the true mean of the joint
@@ -9,12 +9,12 @@ capstan and motor friction, tendon elasticity and damping, the current loop, enc
 resolution, noise, drift, and one period of bus delay. All control laws run with the same simulated
 effects.
 
-Each control law, PD included, has two LQR weights. For each law, the benchmark selects the pair of
-``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The results use
-other seeds than this selection. ``--tune`` selects the weights again. The selected weights leave
-hardly any stability margin. The control laws are therefore compared a second time, with the best
-weights that keep the stability margins which handctl requires. The required margins are 6 dB and 45
-degrees, on random hands near the hand file.
+Each control law has two LQR weights. This also holds for PD. For each law, the benchmark selects
+the pair of ``WEIGHT_CANDIDATES`` with the smallest error in a fast motion of the nominal hand. The
+results use other seeds than this selection. ``--tune`` selects the weights again. The selected
+weights leave hardly any stability margin. The control laws are therefore compared a second time.
+The second comparison uses the best weights with which the loops have the required stability
+margins. handctl requires 6 dB and 45 degrees, on random hands near the hand file.
 """
 
 import argparse
@@ -49,7 +49,7 @@ RETURN_DURATION_S = 0.5
 REST_DURATION_S = 0.2
 """Time at rest after the motion back to 0 degrees [s]."""
 MOTION_TAIL_S = 0.05
-"""Time after a motion whose errors are counted with the motion [s]."""
+"""Time after a motion [s]. Errors in this time count as errors of the motion."""
 SETTLED_BAND_DEG = 1.0
 """A motion has settled when the tracking error stays below this value [deg]."""
 WEIGHT_CANDIDATES = tuple(
@@ -126,7 +126,7 @@ def tracking_trial(
 
 
 def tracking_figures(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """Return the results of each speed, each for the digit with the worst value.
+    """Return the results of each speed. Each result is that of the digit with the worst value.
 
     The results are RMSE, peak error and steady error of tracking [deg], and settling time [s].
     """

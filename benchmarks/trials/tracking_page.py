@@ -116,7 +116,10 @@ def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
 
 
 def _comparison_of_laws(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
-    """Describe the error of the complete control law, compared with PD, and with springs and gravity alone."""
+    """Compare the error of the complete control law with those of two other laws.
+
+    The two other laws are PD, and the law with springs and gravity only.
+    """
     pd_row, springs_row, best = (laws[name]["fast"] for name in compared_laws[:3])
     ratio = pd_row["rmse_deg"] / best["rmse_deg"]
     gain = springs_row["rmse_deg"] - best["rmse_deg"]
@@ -153,7 +156,7 @@ def _gain_per_spread(accuracy_gain: float, seed_range: float, seeds: int) -> str
 
 
 def _gain_by_law(laws: dict) -> str:
-    """Describe how much each control law is more accurate than the law before it [deg].
+    """Describe the gain in accuracy of each control law over the law before it [deg].
 
     Compare this gain with twice its range over the seeds.
     """

@@ -1,1 +1,1 @@
-"""Log writers that benchmarks/logging.py compares."""
+"""Writers of logs, which benchmarks/logging.py compares."""

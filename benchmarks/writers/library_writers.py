@@ -1,4 +1,4 @@
-"""Log writers of other libraries.
+"""Writers of logs from other libraries.
 
 Each library writes the same decoded messages into a file, and reads the file back.
 """

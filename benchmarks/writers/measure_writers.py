@@ -81,9 +81,9 @@ def measure_all_writers(
 def conversion_cpu_s(log_folder: Path) -> float:
     """Return the mean time to record a tick that the controller has just computed [s].
 
-    The controller executes the run of a log again. Its outputs are still in the caches of the
-    processor when they are recorded, as in a control loop. The run is repeated, and the shortest
-    time of each tick is used.
+    The controller executes the run of a log again. As in a control loop, the outputs of a tick are
+    still in the caches of the processor when they are recorded. The run is repeated, and the
+    shortest time of each tick is used.
     """
     durations = list[list[float]]()
     with RunLog(EXECUTED_LOG_PATH) as log:

@@ -50,7 +50,8 @@ TickInputAndOutput = tuple[TickIn, TickOut]
 def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
     """Run the control loop with the recorder.
 
-    Before and after that, run the loop for half the time without the recorder.
+    Also run the loop without the recorder, before and after the recording. Each of these runs lasts
+    half as long.
 
     Args:
         log_path: path of the new log file.
@@ -107,7 +108,10 @@ def measure_sustained(log_path: Path, duration_s: float) -> dict[str, Any]:
 
 
 def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
-    """Convert a tick as the control loop does: its frames to records, and its telemetry to one array."""
+    """Convert the frames of a tick to records, and its telemetry to one array.
+
+    The control loop converts its ticks in the same way.
+    """
     telemetry_places = TelemetryPlaces()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):
@@ -157,7 +161,7 @@ class _PreparedBus:
 
 @dataclass
 class _PreparedTick:
-    """A tick of the loop whose result was prepared.
+    """A tick of the loop. Its result was computed before the run.
 
     Attributes:
         state: number of ticks so far.

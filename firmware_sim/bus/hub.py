@@ -1,9 +1,11 @@
-"""The hub of a local bus: every client receives the records of all other clients, and no client can block the hub.
+"""The hub of a local bus.
+
+Every client receives the records of all other clients. No client can block the hub.
 
 A record has 72 bytes (``frame.RECORD_SIZE``). One read from a socket may return several records,
 and may end in the middle of a record. If the socket buffer of a client has no room, the hub drops
-the records for this client. In each record for a client, bytes 6 and 7 hold the number of records
-dropped for the client until now, modulo 65536.
+the records for this client. Bytes 6 and 7 of each record for a client contain a counter, modulo
+65536. It counts the records that were dropped for this client.
 """
 
 import contextlib
@@ -243,9 +245,12 @@ class BusHub:
 
 
 def _is_foreign(client_socket: socket.socket) -> bool:
-    """Check whether the process at the other end of a connection belongs neither to this process's user nor to root.
+    """Return True if the process at the other end of a connection belongs to another user.
 
-    Only Linux can tell the user of the other process.
+    Processes of root do not count as processes of another user.
+
+    The hub can find out the user of the other process only on Linux. On other systems, return
+    False.
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -283,7 +288,7 @@ def _listening_socket(path: Path, name: str) -> socket.socket:
 def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a folder.
 
-    Only the hub with the lock may remove and replace an unused socket there.
+    Only the hub that has the lock may remove and replace an unused socket in this folder.
     """
     descriptor = os.open(folder, os.O_RDONLY)
     try:

@@ -11,7 +11,7 @@ from firmware_sim.wire.wire_options import WireSpec
 
 
 class TimedLockstep:
-    """The buses of a hand as simulated wires between the host and the nodes, in virtual time.
+    """The buses of a hand in virtual time. Each bus is a simulated wire between host and nodes.
 
     Attributes:
         wires: one simulated wire for each bus.
@@ -56,7 +56,7 @@ class TimedLockstep:
         return receive
 
     def step(self, t_ns: int, frames: Iterable[Frame], end_ns: int) -> list[Frame]:
-        """Queue the frames of the host for sending, and process all events before the end of the tick.
+        """Put the frames of the host into the queues, and process all events of the tick.
 
         Args:
             t_ns: start of the tick [ns].
@@ -97,7 +97,7 @@ class TimedLockstep:
                 self._queue_node_frame(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _queue_node_frames(self, frames: Sequence[Frame]) -> bool:
-        """Queue frames of nodes for sending.
+        """Put frames of nodes into the queues for sending.
 
         Returns:
             True if there was at least one frame.
@@ -107,7 +107,7 @@ class TimedLockstep:
         return bool(frames)
 
     def _queue_node_frame(self, frame: Frame) -> None:
-        """Queue a frame of a node.
+        """Put a frame of a node into a queue.
 
         Each identifier has a CAN controller, because real nodes send independently.
         """

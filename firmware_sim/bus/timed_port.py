@@ -98,8 +98,8 @@ class TimedPort:
     def lost_frame_count(self) -> int:
         """Return the number of frames that were lost on this bus.
 
-        The number includes frames dropped because a client was slow, frames refused because a
-        node's queue was full, and invalid records.
+        The number includes frames that were dropped for slow clients, frames that were refused by
+        full queues of nodes, and invalid records.
         """
         return self._hub.dropped_record_count + self._unreadable + self._refused
 
@@ -143,9 +143,9 @@ class TimedPort:
         return frames
 
     def _report_queues(self) -> None:
-        """Send each client the level of the client's queue.
+        """Send each client the number of frames in its queue.
 
-        With the level, the client can refuse at once to send into a full queue.
+        A client that knows this number can refuse to send a frame when its queue is full.
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
@@ -195,7 +195,10 @@ class TimedPort:
         self._hub.drop_closed()
 
     def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
-        """Return the function that passes frames from the wire to a client, delayed by the client's CAN adapter."""
+        """Return the function that passes frames from the wire to a client.
+
+        The function delays each frame by the latency of the client's CAN adapter.
+        """
 
         def deliver(frame: Frame, t_ns: int) -> None:
             delivery_time_ns = self._latencies[link].receive(t_ns)
@@ -234,7 +237,7 @@ def timed_port_maker(
     now_ns: Callable[[], int],
     is_node_side: bool = True,
 ) -> Callable[[str, int], TimedPort] | None:
-    """Build the function that opens the ports of a hand's buses with simulated wires.
+    """Return the function that opens the port of a bus with a simulated wire.
 
     Args:
         wire_words: words KEY=VALUE after the option ``--wire``, or None if the option was not given.

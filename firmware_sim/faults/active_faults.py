@@ -64,12 +64,15 @@ class ActiveFaults:
 
     @property
     def t_ns(self) -> int:
-        """Return the present time as in the truth file [ns]: the world's time plus the time lost by slips."""
+        """Return the present time of the truth file [ns].
+
+        This is the time of the simulated world plus the time lost by slips.
+        """
         return int(self._world.t_ns + self._world.slip_ns)
 
     @property
     def slip_ns(self) -> int:
-        """Return the total delay behind the wall clock that the simulation will never make up [ns]."""
+        """Return the total permanent delay of the simulation behind the wall clock [ns]."""
         return int(self._world.slip_ns)
 
     def inject(self, fault_line: str) -> Fault:
@@ -205,7 +208,9 @@ class ActiveFaults:
         ]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
-        """Return the answers of a node to a request, after the faults have acted on the request and on the answers.
+        """Return the answers of a node to a request.
+
+        The faults can change the request and the answers.
 
         Args:
             node: the node.

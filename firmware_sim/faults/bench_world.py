@@ -1,4 +1,4 @@
-"""Drives on a test bench, represented as a hand, so that faults can be injected into them.
+"""Drives on a test bench in the form of a hand. Faults can therefore be injected into the drives.
 
 Each drive is represented as a motor of a hand without digits.
 """
@@ -42,10 +42,10 @@ class BenchInterface(Protocol):
 
 
 class BenchPlant:
-    """The rotors of a test bench by name, with the clock of the bench.
+    """The rotors of a test bench, and the clock of the bench.
 
     Attributes:
-        motors: rotors by the names of their drives.
+        motors: mapping from the name of each drive to its rotor.
         tendons: empty mapping, because a bench has no tendons.
     """
 
@@ -63,12 +63,14 @@ class BenchPlant:
 
     @property
     def part_ns(self) -> int:
-        """Return the completed part of the plant step in progress [ns]."""
+        """Return the part of the present plant step that is already completed [ns]."""
         return self._bench.part_ns
 
 
 class BenchWorld:
-    """A test bench of drives, with the interface of a simulated world, for ``active_faults.ActiveFaults``.
+    """A test bench of drives that has the interface of a simulated world.
+
+    ``active_faults.ActiveFaults`` needs this interface.
 
     Attributes:
         hand: description of a hand whose motors are the drives of the bench.
@@ -111,7 +113,7 @@ class BenchWorld:
         return next(motor for motor in self.hand.motors if motor.name == name)
 
     def host_frame(self, name: str) -> Frame:
-        """Return a frame without effect that only the host of the named drive would send."""
+        """Return a frame that only the host of the named drive would send. It has no effect."""
         spec = self.motor_spec(name)
         can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)

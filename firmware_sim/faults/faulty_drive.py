@@ -27,7 +27,10 @@ TWIN_SERIAL_NUMBER = 0x7714_0000
 
 
 PROTOCOLS_WITHOUT_WATCHDOG = ("cubemars", "robstride_mit")
-"""Protocols whose motors have no watchdog, or one that only another protocol switches on."""
+"""Protocols whose motors have no watchdog.
+
+Some of these motors have a watchdog that only another protocol can switch on.
+"""
 
 
 def check_fault_has_effect(protocol: str, fault: str) -> None:

@@ -77,7 +77,7 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
-    """Build the function by which a fault changes the readings of a sensor.
+    """Return a function that changes the readings of a sensor as a fault does.
 
     Args:
         active: fault, with the count of its effects.
@@ -196,7 +196,8 @@ def _start_blocked_digit(world: Any, active: ActiveFault) -> UndoFunction:
 def _start_tripped_drive(world: Any, active: ActiveFault) -> UndoFunction:
     """Make a drive report an error.
 
-    The error code belongs to the kind of the fault, or is the size of the fault.
+    The size of the fault is the error code. Without a size, the kind of the fault determines the
+    error code.
     """
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
@@ -274,7 +275,9 @@ def _start_motor_overheating(world: Any, active: ActiveFault) -> UndoFunction:
 
 
 class _CrossConnectedMotor:
-    """A motor whose drive has the sensors of one rotor and the power stage of another rotor.
+    """A motor whose drive is connected to two rotors.
+
+    The sensors belong to one rotor, and the power stage belongs to the other rotor.
 
     Attributes:
         servo: setpoints of the rotor driven by the power stage. All other attributes belong to the

@@ -8,7 +8,7 @@ from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
-"""Release time of stored frames [ns], if the fault itself releases them and not the clock."""
+"""Release time of stored frames that the fault itself releases, independently of the clock [ns]."""
 
 
 @dataclass
@@ -200,7 +200,7 @@ def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> l
 def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the frames of an earlier answer in place of the present ones.
 
-    The size of the fault says how many answers earlier.
+    The size of the fault states by how many answers the sent answer is older than the present one.
 
     While the node has sent fewer answers, send the present frames.
     """

@@ -1,4 +1,6 @@
-"""A motor with the firmware of a CubeMars AK drive in MIT mode: no registers, no watchdog, no state in its feedback.
+"""A motor with the firmware of a CubeMars AK drive in MIT mode.
+
+The motor has no registers and no watchdog, and its feedback contains no state.
 
 Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and bit first):
 
@@ -10,9 +12,9 @@ Commands have the layout of ``mit.codec``. Feedback (8 bytes, highest byte and b
 
 Older firmware sends only the first six bytes. Source: fact sheet mit_damiao, section variants.
 
-Choices where the fact sheet is silent: a disabled motor answers commands. An error removes the
-torque. The error ends when its cause ends. Special commands (seven bytes of FF and a code) with an
-unknown code are not answered.
+The fact sheet does not determine the following behaviour. A disabled motor answers commands. An
+error removes the torque. The error ends when its cause ends. Special commands (seven bytes of FF
+and a code) with an unknown code are not answered.
 """
 
 import enum
@@ -162,7 +164,8 @@ class CubemarsNode:
     def _enable_torque(self, is_enabled: bool) -> None:
         """Switch the torque of the motor on or off.
 
-        The servo keeps its setpoint only if the motor was enabled and stays enabled.
+        If the motor was enabled before and stays enabled, the servo keeps its setpoint. In all
+        other cases, the servo is released.
         """
         if not (is_enabled and self.enabled):
             self.motor.servo.release()
@@ -230,7 +233,7 @@ class CubemarsNode:
 def shaft_of_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model.
 
-    The inertia and the stall torque of the shaft are assumed.
+    The inertia and the stall torque of the shaft are assumptions.
     """
     position, velocity, peak = FULL_SCALE_BY_MOTOR_TYPE[motor_type]
     speed_constant, ratio = SPEED_CONSTANT_BY_MOTOR_TYPE[motor_type]

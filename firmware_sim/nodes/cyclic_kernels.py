@@ -75,11 +75,12 @@ FD_FRAME_DURATION_NS = 57_000
 NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
 """Indices into the array ``progress``.
 
-The array holds the index of the next frame, the number of answers, 1 if the times of the answers
-rise, the number of unsolicited frames, and the earliest wake time of all drives [ns].
+The first three numbers of the array are the index of the next frame, the number of answers, and a
+flag. The flag is 1 if the times of the answers rise. The other two numbers are the number of
+unsolicited frames, and the earliest wake time of all drives [ns].
 """
 NEVER_NS = 1 << 62
-"""Wake time if no drive needs to be woken [ns]."""
+"""Time of the next wake-up if no drive needs a wake-up [ns]."""
 _STANDARD_ID_COUNT = 0x800
 """Number of standard identifiers.
 
@@ -290,7 +291,7 @@ def _answer_cia402(
 def _write_sensor_frames(
     words: Any, channels: int, can_id: int, frame: Any, answer_frames: Any, count: int
 ) -> int:
-    """Write payloads of the sensor node into the frames that answer a SYNC frame.
+    """Write the payloads of the sensor node into the frames that answer a SYNC frame.
 
     Args:
         words: payloads as integers. The payloads are written with the low byte first.
@@ -370,7 +371,10 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
 def _assign_bus_times(
     frames: Any, answer_frames: Any, count: int, t_ns: int, last_ns: int, buses: int
 ) -> bool:
-    """Set the times of answers as if each bus carried all frames and answers one after the other.
+    """Set the times of answers.
+
+    The times are those of a bus that first transmits all frames of the host, and then the answers,
+    one after the other.
 
     Args:
         frames: frames of the host.
@@ -495,7 +499,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     bias: Any, noise: Any, noise_bounds: Any, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any,
     dq: Any, cells: Any,
 ) -> None:  # fmt: skip
-    """Answer frames until Python must process a frame.
+    """Answer the frames of the host until Python must process a frame.
 
     After the last frame, set the times of all answers.
 
@@ -600,7 +604,7 @@ ROTOR_DTYPE = np.dtype(RotorStruct)
 def answer(
     frames: Any, answer_frames: Any, at: Any, t_ns: int, last_ns: int, max_answers: int
 ) -> None:
-    """Answer frames, where most arrays are given by their addresses.
+    """Answer the frames of the host. Most of the arrays are given by their addresses.
 
     The kernel ``_answer`` explains the answers.
 
@@ -629,10 +633,10 @@ def answer(
 
 @kernel_helper
 def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
-    """Return True if Python must wake an ODrive, because something else than the two cyclic messages is due.
+    """Return True if an ODrive has due work other than the two cyclic messages.
 
-    Python handles the update of temperatures, the watchdog, the end of a calibration, the modes of
-    ``odrive.motion_modes``, and the messages of firmware 0.5.
+    Python must wake the drive for this work: the update of temperatures, the watchdog, the end of a
+    calibration, the modes of ``odrive.motion_modes``, and the messages of firmware 0.5.
     """
     is_busy = node.busy_until_ns > 0 or node.motion_due_ns > 0
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= THERMAL_PERIOD_NS
@@ -642,7 +646,10 @@ def _must_wake_odrive(node: Any, rotor: Any, now_ns: int) -> bool:
 
 @kernel_helper
 def _must_wake_cia402(node: Any, now_ns: int) -> bool:
-    """Return True if Python must wake a CiA 402 drive, because something else than the heartbeat is due."""
+    """Return True if a CiA 402 drive has due work other than the heartbeat.
+
+    Python must wake the drive for this work.
+    """
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
     if node.motion_due_ns > 0:
         return True
@@ -703,7 +710,7 @@ def send_due(
     sent_frames: Any,
     progress: Any,
 ) -> bool:
-    """Write the unsolicited frames of all drives that are due.
+    """Write all unsolicited frames that are due.
 
     Args:
         drives: drives in the order of sending.

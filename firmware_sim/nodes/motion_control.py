@@ -48,7 +48,7 @@ class LoopGains(NamedTuple):
 
 
 def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
-    """Return gains for a drive whose documentation states none.
+    """Return gains for a drive. The documentation of this drive states no gains.
 
     These assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """

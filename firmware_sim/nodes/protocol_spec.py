@@ -36,7 +36,10 @@ class SimulatedNode(Protocol):
 
     @property
     def malformed_frame_count(self) -> int:
-        """Return the number of frames with an identifier of the node that the node could not decode."""
+        """Return the number of frames that the node could not decode.
+
+        Only frames with an identifier of the node are counted.
+        """
         ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:

@@ -11,10 +11,9 @@ Frame (up to 8 bytes, bits numbered from the lowest bit of byte 0, Intel order):
     tension code     (tension + 6 N) / 0.0625 N, 0 and 4095 mean saturated
     joint code       2048 + angle / (2 pi rad / 4096), or 2048 + position / 50 um
 
-Tension frames have the identifiers from the base identifier on. Joint frames have the identifiers
-from the base identifier + 0x10 on. A frame with fewer than five channels has only as many bytes as
-these channels need.
-Source: DBC of the hand, sensor_node.
+The first tension frame has the base identifier. The first joint frame has the base identifier +
+0x10. Each further frame has the next higher identifier. A frame with fewer than five channels has
+only as many bytes as these channels need. Source: DBC of the hand, sensor_node.
 """
 
 import ctypes
@@ -56,7 +55,7 @@ JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
 
 
 class SensorStruct(ctypes.Structure):
-    """Memory of a ``SensorNode`` for compiled kernels."""
+    """Memory of a ``SensorNode``, which compiled kernels read and write."""
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("tension_noise", "bias_drift")),
@@ -78,7 +77,10 @@ def _encode_value(value: float, low: float, step: float, offset: int) -> int:
 
 @kernel_helper
 def payload_size(channels: int) -> int:
-    """Return the size of a payload [bytes], given the number of channels in this and all following payloads."""
+    """Return the size of a payload [bytes].
+
+    ``channels`` is the number of channels in this payload and all following payloads.
+    """
     return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
 
 
@@ -124,7 +126,9 @@ def encode(
 def read_cells(
     true_tensions: Any, bias: Any, normal_numbers: Any, drift: float, noise: float, readings: Any
 ) -> None:
-    """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
+    """Compute the readings of the load cells.
+
+    A reading is the true tension plus the bias plus noise. The bias is a random walk.
 
     Args:
         true_tensions: true tension of each cell [N].
@@ -335,7 +339,7 @@ class SensorNode:
 
 
 class SensorNodeRow(SensorStruct, SensorNode):
-    """A sensor node whose numbers are kept in a row of an array, for compiled kernels."""
+    """A sensor node that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
     def prepare(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
@@ -350,7 +354,7 @@ class SensorNodeRow(SensorStruct, SensorNode):
 def _readings_with_faults(
     readings: Any, fault_functions: dict[int, Callable[[float], float]]
 ) -> Any:
-    """Let the faults of single channels change the readings."""
+    """Change the readings of single channels by their faults, and return all readings."""
     for i, fault in sorted(fault_functions.items()):
         readings[i] = fault(float(readings[i]))
     return readings

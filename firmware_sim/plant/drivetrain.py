@@ -3,10 +3,10 @@
 In compiled kernels, tendons and rotors are the rows of an array. In interpreted Python, they are
 objects in a list. The rows and the objects have the same attributes.
 
-Tendon damping and Coulomb-like capstan friction rise too steeply with speed for an explicit step of
-the light links. Therefore the engine integrates the slope of both implicitly, as a damping of the
-tendon. The kernels then add the torque of this damping to the links again, so that only the exact
-friction remains.
+Tendon damping and Coulomb-like capstan friction rise steeply with the speed of the tendon. The
+links are light, so an explicit step would be unstable. Therefore the engine integrates the slope of
+both forces implicitly, as a damping of the tendon. The kernels then add the torque of this damping
+to the links again, so that only the exact friction remains.
 """
 
 import math
@@ -33,7 +33,10 @@ DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
 STRAIGHT_OFFSET = 10
-"""Index of the number of a pulley that is 1 at a prismatic joint, see ``tendon.STRAIGHT_OFFSET``."""
+"""Index of a number of each pulley.
+
+The number is 1 at a prismatic joint. See ``tendon.STRAIGHT_OFFSET``.
+"""
 PULLEY_NUMBER_COUNT = 11
 """Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
 
@@ -191,9 +194,10 @@ def _apply_tendon(
 
 @kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
-    """Add to ``torque`` [N m] the torque that MuJoCo will subtract because of the tendon damping.
+    """Compensate the torque of the tendon damping in MuJoCo.
 
-    MuJoCo computes this damping with the mean moment arms.
+    MuJoCo will subtract this torque. Therefore the kernel adds it to ``torque`` [N m]. MuJoCo
+    computes this damping with the mean moment arms.
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
@@ -258,9 +262,10 @@ def limit_torque_by_speed(
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command of the servo from the velocity at the end of the step [N m].
 
-    The control loop of a real drive runs at 10 to 20 kHz. Because the velocity at the end of the
-    step is used, all gains that are stable in the drive are stable here. If the drive itself moves
-    its position setpoint, the setpoint first moves to its value at the end of the step.
+    The control loop of a real drive runs at 10 to 20 kHz. The simulation uses the velocity at the
+    end of the step. All gains that are stable in the drive are therefore stable in the simulation.
+    Some drives move their position setpoint themselves. Such a setpoint is first moved to its value
+    at the end of the step.
     """
     servo = rotor.servo_row
     filter_fraction = rotor.lag
@@ -329,7 +334,7 @@ def integrate_motor(rotor: Any) -> None:
 def tensions(
     tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, tension: Any
 ) -> None:
-    """Write the present tension of each tendon at the load cell of the tendon to ``tension`` [N].
+    """Fill ``tension`` with the present tension of each tendon at its load cell [N].
 
     Args:
         tendons: tendons of the hand.

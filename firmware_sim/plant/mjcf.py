@@ -49,7 +49,10 @@ HIDDEN_GROUP = 3
 MIN_SOLVER_FACTOR = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
 COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
-"""Stiffness of the constraint that keeps the length of a loopback tendon, that of the contacts or higher."""
+"""Stiffness of the constraint that keeps the length of a loopback tendon.
+
+The stiffness is that of the contacts or higher.
+"""
 MAX_CONTACTS = 16
 """Maximum number of measured contacts between a digit and the object.
 
@@ -115,7 +118,10 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
 
 
 def opposed_digits(hand: Hand) -> list[bool]:
-    """Return, for each digit, True if the digit closes against the first closing digit, as the thumb does."""
+    """Return one truth value for each digit.
+
+    The value is True if the digit closes against the first closing digit, as the thumb does.
+    """
     first_closing_direction = _closing_direction(hand, hand.closing_digits[0])
     return [
         float(first_closing_direction @ _closing_direction(hand, digit)) < 0.0
@@ -219,7 +225,10 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
 def _palm_element(
     hand: Hand, carrier: str, is_digit_opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
 ) -> str:
-    """Build the palm, or the box on the last link of a carrying digit, with all attached digits."""
+    """Build the palm with all attached digits.
+
+    If ``carrier`` is not empty, build the box on the last link of this digit instead of the palm.
+    """
     centre, half_sizes = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
@@ -250,10 +259,10 @@ def _group_attribute(has_mesh: bool) -> str:
 
 
 def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
-    """Return, for each link of a digit at rest, True if the link overlaps the palm or the link that carries the digit.
+    """Return one truth value for each link of a digit at rest.
 
-    The hinge of such a link is close to the palm. In the model, these links do not collide with the
-    palm.
+    The value is True if the link overlaps the palm, or the link that carries the digit. The hinge
+    of such a link is close to the palm. In the model, these links do not collide with the palm.
     """
     centre, half_sizes = palm_box(hand, digit.carrier)
     carrier = [

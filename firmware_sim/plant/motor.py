@@ -26,9 +26,10 @@ VELOCITY_LAG_S = 1e-3
 
 
 def step_factors(step_s: float) -> tuple[float, float, float]:
-    """Compute the step [s], the lag of the current and the lag of the velocity of a motor for a given time step [s].
+    """Compute three numbers of a motor for a given time step.
 
-    A lag is the fraction by which a first-order filter approaches its input in one step.
+    The numbers are the time step [s], the lag of the current, and the lag of the velocity. A lag is
+    the fraction by which a first-order filter approaches its input in one step.
     """
     return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
 
@@ -147,7 +148,7 @@ class Motor:
 
 
 class MotorRow(RotorStruct, Motor):
-    """A motor whose numbers are kept in a row of an array, for compiled kernels."""
+    """A motor that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
 
 def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:

@@ -180,7 +180,7 @@ class Plant:
         return SupportTable(support, opposed, indices, machine_code(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
-        """Unwind each spool by a random length of slack tendon."""
+        """Unwind a random length of tendon from each spool, so that each tendon is slack."""
         rng = random.Random(f"slack {seed}")
         for i, (spec, (tendon, motor)) in enumerate(
             zip(self.hand.tendons, self.tendons, strict=False)
@@ -269,14 +269,17 @@ class Plant:
             rotors[name] = value
 
     def _steps_until_table_update(self) -> int:
-        """Count the steps that can run before the table, the load or the stages of the scene act again."""
+        """Return the number of steps until the scene acts again.
+
+        The scene acts with its table, its load and its stages.
+        """
         if self.load:
             return 1
         table_active = self.table and self._can_table_act(self.table)
         return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
 
     def _can_table_act(self, table: SupportTable) -> bool:
-        """Return True if the plant can still be changed by the table, or by a stage after the table has sunk."""
+        """Return True if the table still moves, or if the scene has stages."""
         return bool(self.stages) or not table.settled
 
     def _run_steps(self, count: int) -> None:
@@ -331,7 +334,11 @@ class Plant:
         engine.step()
 
     def _joint_lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Return lists of joint angles and velocities, and lists for torques and damping, for interpreted kernels."""
+        """Return the four lists that interpreted kernels need.
+
+        The first two contain the joint angles and velocities. The other two contain zeros, which
+        the kernels replace by torques and damping.
+        """
         q = self.engine.q.tolist()
         dq = self.engine.dq.tolist()
         return q, dq, [0.0] * len(q), [0.0] * len(self.tendons)
@@ -367,7 +374,7 @@ class Plant:
     def measured_grip_forces(self) -> list[float]:
         """Return the load on the object, and the sum of the normal forces of each digit on the object [N].
 
-        If the scene has no load, the list is empty.
+        If the scene has no load, the returned list is empty.
         """
         return [self.load.force_at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 

@@ -1,4 +1,4 @@
-"""C structures with the numbers of tendons and rotors, for compiled kernels.
+"""C structures with the numbers of tendons and rotors. Compiled kernels read and write them.
 
 Kernels that run as interpreted Python accept any object with the same attributes.
 """

@@ -110,7 +110,10 @@ class RigidBodyEngine:
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
-        """Build a function that returns, for each digit, the sum of the normal forces between digit and object [N]."""
+        """Build a function that returns the normal force between each digit and the object [N].
+
+        The value of a digit is the sum over its contacts with the object.
+        """
         first_sensor_indices = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
             [
@@ -130,7 +133,7 @@ class RigidBodyEngine:
         self._model.opt.timestep = step_s
 
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
-        """Brake joints by a high damping [N m s/rad].
+        """Set a high damping in some joints, to brake them [N m s/rad].
 
         Returns:
             Function that restores the former damping of the joints.
@@ -144,9 +147,10 @@ class RigidBodyEngine:
         return release
 
     def overlaps(self) -> dict[str, float]:
-        """Return how deep the object overlaps each body that it touches [m], by the name of the body.
+        """Return the depth by which the object overlaps each body that it touches [m].
 
-        The overlap with the table is not included.
+        The keys of the returned dictionary are the names of the bodies. The overlap with the table
+        is not included.
         """
         model = self._model
         depths: dict[str, float] = {}
@@ -196,7 +200,7 @@ def _native_step(model: Any, data: Any) -> tuple[int, int, int] | None:
     """Return the addresses of MuJoCo's function ``mj_step``, of the model, and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.
-    MuJoCo reports few errors, and none if the plant diverges.
+    MuJoCo reports few errors. It reports no error if the plant diverges.
     """
     library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
     if library is None:

@@ -98,7 +98,7 @@ class Tendon:
 
 
 class TendonRow(TendonStruct, Tendon):
-    """A tendon whose numbers are kept in a row of an array, for compiled kernels."""
+    """A tendon that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
 
 class TendonRouting:

@@ -135,14 +135,14 @@ class SimulatedDriveBench:
                 self.queue_frames(self.faults.advance(self.t_ns))
 
     def queue_frames(self, frames: list[Frame]) -> None:
-        """Queue frames that are sent without a request."""
+        """Store frames that the simulator will send without a request."""
         self._unsolicited += frames
 
     def advance_exactly(self, t_ns: int) -> None:
         """Advance the drives exactly to the time ``t_ns``.
 
-        For this, a time step may have to be divided. The next call then first completes the divided
-        step.
+        If this time is within a time step, the step is divided. The next call first completes the
+        divided step.
         """
         self.advance(t_ns)
         rest_ns = t_ns - self.t_ns

@@ -1,4 +1,7 @@
-"""Drives as delivered: with the identifiers, ranges and timing of the manufacturer, and with a free shaft."""
+"""Drives as the manufacturer delivers them.
+
+Identifiers, ranges and timing are those of the manufacturer. The shaft of each drive is free.
+"""
 
 from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars

@@ -82,8 +82,8 @@ class GrowingLoad:
 class Scene:
     """The surroundings of a hand: an object, its support, a load on the object, and the stages after the grasp.
 
-    The scene of a hand without an object has none of these. If ``palm_contact`` is False, the digits
-    pass through the palm.
+    In a scene without an object, the support, the load and the stages are also missing. If
+    ``palm_contact`` is False, the digits pass through the palm.
     """
 
     name: str
@@ -186,7 +186,7 @@ def _read_scene(path: Any, location: str) -> Scene:
 
 
 def _parse_palm_contact(value: object) -> bool:
-    """Check the key that says whether the palm can be touched."""
+    """Check the value of the key ``palm_contact``. It is true if the digits can touch the palm."""
     if not isinstance(value, bool):
         raise ValueError(f"palm_contact {value!r}: expected true or false")
     return value

@@ -121,9 +121,10 @@ class StageSequence:
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
     def state_at(self, time: float) -> SceneState:
-        """Return the state of the scene at a time that is counted from the start of the table's sinking [s].
+        """Return the state of the scene at a given time.
 
-        After the last stage, the state no longer changes.
+        The time begins when the table starts to sink [s]. After the last stage, the state no longer
+        changes.
         """
         start = 0.0
         gravity = self._gravity

@@ -18,7 +18,9 @@ def is_object_grasped(
     digits: int,
     both_sides: bool,
 ) -> bool:
-    """Check whether enough digits press on the object and, if required, from both sides.
+    """Return True if enough digits press on the object.
+
+    If ``both_sides`` is True, digits must press from both sides.
 
     Args:
         contact_forces: array that contains x, y, z of the contact force on each digit [N], among other
@@ -113,7 +115,10 @@ class SupportTable:
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
-        """Start to sink the table after the digits have held the object for the time ``drop_hold`` without a break."""
+        """Start to sink the table when the digits have held the object long enough.
+
+        They must hold the object for the time ``drop_hold`` without a break.
+        """
         if self._support.drop_when != "grasped" or not self._grasped(
             forces, *self._digits, *self._criteria
         ):

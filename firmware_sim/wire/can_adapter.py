@@ -74,14 +74,20 @@ class AdapterLatency:
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:
-        """Return the time when a frame that the host sends now arrives at the controller [ns]."""
+        """Return the time when a frame of the host arrives at the controller [ns].
+
+        ``t_ns`` is the time when the host sends the frame.
+        """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.send_period_ns)
         self._sent_ns = max(start_ns, self._sent_ns) + adapter.frame_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
-        """Return the time when a frame that the controller receives now arrives at the host [ns]."""
+        """Return the time when a frame from the wire arrives at the host [ns].
+
+        ``t_ns`` is the time when the controller receives the frame.
+        """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.receive_ns)
         self._received_ns = max(start_ns, self._received_ns) + adapter.frame_ns

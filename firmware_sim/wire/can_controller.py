@@ -107,7 +107,7 @@ class CanController:
 
     @property
     def is_on_bus(self) -> bool:
-        """Return True if the controller takes part in the bus, which means that it is not in the state bus-off."""
+        """Return True if the controller takes part in the bus, and False in the state bus-off."""
         return self.state != CanErrorState.BUS_OFF
 
     def queue_frame(self, frame: Frame, t_ns: int) -> bool:

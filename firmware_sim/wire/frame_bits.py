@@ -2,10 +2,10 @@
 
 Source: ISO 11898-1:2015, frame formats and bit stuffing.
 
-In a classical frame, stuff bits are inserted from the start of frame to the CRC (start of frame,
-identifier, RTR, IDE, reserved bit, DLC, data, CRC), but not after the CRC. In an FD frame, stuff
-bits are inserted in the same way from the start of frame to the end of the data. In an FD frame,
-the stuff count and the CRC have fixed stuff bits instead: one before every four bits.
+In a classical frame, stuff bits are inserted into these fields: start of frame, identifier, RTR,
+IDE, reserved bit, DLC, data, and CRC. No stuff bits are inserted after the CRC. In an FD frame,
+stuff bits are inserted in the same way from the start of frame to the end of the data. The stuff
+count and the CRC of an FD frame have fixed stuff bits instead, one before every four bits.
 """
 
 from dataclasses import dataclass
@@ -137,7 +137,7 @@ def _fd_frame_bits(
 
 
 def _identifier_bits(can_id: int) -> str:
-    """Return the bits of a frame from the start of frame to IDE.
+    """Return the first bits of a frame: all bits from the start of frame to IDE.
 
     For a 29-bit identifier, return the bits up to RTR.
     """

@@ -1,8 +1,8 @@
 """A simulated wire.
 
 A wire carries one frame at a time. If several frames wait, the frame with the lowest identifier is
-sent first. A frame on the wire is never interrupted. The caller advances the wire with ``advance``.
-All times come from the caller, and may be real or virtual.
+sent first. A frame on the wire is never interrupted. The caller calls ``advance`` to advance the
+time of the wire. All times come from the caller, and may be real or virtual.
 """
 
 import random
@@ -95,7 +95,7 @@ class SimulatedWire:
         return controller
 
     def remove(self, controller: CanController) -> None:
-        """Disconnect a controller. A frame on the wire is completed."""
+        """Disconnect a controller. A frame that is already on the wire is still completed."""
         self._controllers.remove(controller)
         controller.queue.clear()
         self._senders = [

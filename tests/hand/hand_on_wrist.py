@@ -1,4 +1,4 @@
-"""Build packaged hands on a wrist. The digits' tendons pass the axis of this wrist at a distance."""
+"""Build packaged hands on a wrist. The tendons of the digits have moment arms about this wrist."""
 
 import json
 from typing import Any

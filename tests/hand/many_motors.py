@@ -9,9 +9,10 @@ from handctl.hand.hand_loading import hand_content
 
 
 def fifteen_motor_hand() -> dict[str, Any]:
-    """Return the description of a hand with five fingers of three joints, with a motor per joint.
+    """Return the description of a hand with five fingers.
 
-    The hand is jamia11 without its thumb and with two more fingers.
+    Each finger has three joints, and each joint has its own motor. The hand is jamia11 without its
+    thumb and with two more fingers.
     """
     raw = hand_content("jamia11")
     parts = {

@@ -53,7 +53,10 @@ def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes
 
 
 def write_meshes(mesh_folder: Path) -> None:
-    """Write the tetrahedron as ``m.stl`` in metres, and in millimetres as ``sub/mm.stl`` and ``sub/mm.obj``."""
+    """Write three mesh files of the tetrahedron.
+
+    The file ``m.stl`` is in metres. The files ``sub/mm.stl`` and ``sub/mm.obj`` are in millimetres.
+    """
     (mesh_folder / "sub").mkdir()
     (mesh_folder / "m.stl").write_bytes(stl(tetrahedron_triangles()))
     (mesh_folder / "sub" / "mm.stl").write_bytes(stl(1e3 * tetrahedron_triangles()))

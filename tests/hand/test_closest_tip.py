@@ -1,4 +1,7 @@
-"""Test postures that bring a fingertip as close as possible to a point, within the joint limits."""
+"""Test the postures that bring a fingertip as close as possible to a point.
+
+All postures are within the joint limits.
+"""
 
 import time
 
@@ -27,7 +30,10 @@ def palm_digits(hand_name: str) -> list[DigitModel]:
 
 
 def tip_position(digit: DigitModel, joint_angles: np.ndarray) -> np.ndarray:
-    """Return the position of the tip of a digit at the joint coordinates ``joint_angles`` [m]."""
+    """Return the position of the tip of a digit [m].
+
+    The digit is at the joint coordinates ``joint_angles``.
+    """
     return joint_points(digit, digit.coupling @ joint_angles)[-1]
 
 

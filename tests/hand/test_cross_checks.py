@@ -63,7 +63,10 @@ def test_the_message_about_a_wrong_unit_suggests_a_unit(
 
 
 def test_entries_that_are_refused_cause_no_further_message():
-    """Reproduce a defect: besides two messages about wrong values, a third message demanded at least 1 value."""
+    """Reproduce a defect: two wrong values in a list caused three messages.
+
+    The third message demanded at least 1 value.
+    """
     content = copy.deepcopy(JAMIA_CONTENT)
     content["digit"][0]["link_length_m"] = [50, 40]
     lines = [str(mistake.error("x")) for mistake in inspect_content(content).mistakes]

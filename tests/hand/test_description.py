@@ -1,4 +1,4 @@
-"""Test hands from valid files, and the error lines for invalid files."""
+"""Test the hands that are read from valid files, and the error lines for invalid files."""
 
 import copy
 import re

@@ -1,4 +1,4 @@
-"""Test documents such as hand files with mistakes.
+"""Test the errors for documents with mistakes, such as hand files.
 
 For each kind of mistake, the test compares the complete error line.
 """
@@ -21,7 +21,7 @@ class ExampleMoveStep(Document):
 
 
 class ExampleHoldStep(Document):
-    """Step of a plan with a tension and an optional step."""
+    """Step of a plan that has a tension. It may also contain a further step."""
 
     kind: Literal["hold"]
     tension_N: float

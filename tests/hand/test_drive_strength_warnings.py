@@ -26,7 +26,7 @@ def hand_with_ratings(
 ) -> Hand:
     """Return a hand whose joints all have the rating ``rated_torque`` [N m].
 
-    All its motors have the torque ``peak_torque`` [N m], and all its tendons the breaking force
+    All its motors have the torque ``peak_torque`` [N m]. All its tendons have the breaking force
     ``breaking_strength`` [N].
     """
     digits, motors, tendons = hand.digit, hand.motor, hand.tendon

@@ -173,7 +173,10 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 
 
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
-    """The matrix M' - 2 C is skew-symmetric, so q'. C q' = q'. M' q' / 2."""
+    """The matrix M' - 2 C is skew-symmetric.
+
+    The power q'^T C q' therefore equals q'^T M' q' / 2.
+    """
     for digit in digits:
         for q, dq, _ in random_motions(rng, digit.joint_count, 200):
             step = 1e-6 * dq / np.linalg.norm(dq)
@@ -280,7 +283,10 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
 
 
 def test_known_numbers_of_the_paper_s_finger():
-    """For a straight finger, weight torque and inertia at joint 1 equal separately computed values."""
+    """The weight torque and the inertia at joint 1 equal separately computed values.
+
+    The weight torque is that of a straight finger. The inertia is that of a bent finger.
+    """
     digit = DigitModel.from_hand(load_hand("jamia"), "index").with_gravity(
         (0.0, 9.81, 0.0)
     )  # gravity along -y of the digit

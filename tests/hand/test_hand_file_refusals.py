@@ -81,9 +81,10 @@ HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "o
 
 
 def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
-    """Return one of the cases for each key, from any hand and from any entry of a list.
+    """Return one case for each key.
 
-    In a nightly test run, return all cases.
+    The case may belong to any hand, and to any entry of a list. In a nightly test run, return all
+    cases.
     """
     case_by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
     return cases if NIGHTLY else list(case_by_key.values())
@@ -192,7 +193,10 @@ def test_random_change_is_read_or_refused_in_one_line():
 
 
 def is_usable_or_refused(content):
-    """Return True if a hand can be built from a content and used, or if one error line refuses it."""
+    """Return True if a usable hand can be built from a content.
+
+    Also return True if the content is refused with a single error line.
+    """
     try:
         hand = hand_from_content(content, "f")
     except ConfigError as error:

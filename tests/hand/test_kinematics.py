@@ -32,7 +32,7 @@ from tests.hand.random_chains import random_hand
 
 
 def planar_tip(digit, q):
-    """Return the position of the tip in the plane of a planar digit, and the direction of its last link."""
+    """Return the tip position (x, y) of a planar digit, and the direction of the last link."""
     x, y, _ = from_palm_frame(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
 

@@ -1,6 +1,7 @@
-"""Test meshes of links and palm: valid and refused files, the pose of a mesh on its link, and the export.
+"""Test the meshes of links and palm.
 
-Meshes have no effect on the dynamics.
+The tests cover valid and refused files, the pose of a mesh on its link, and the export. Meshes have
+no effect on the dynamics.
 """
 
 import re

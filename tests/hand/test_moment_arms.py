@@ -1,4 +1,4 @@
-"""Test moment arms that depend on the joint angle.
+"""Test the moment arms that depend on the joint angle.
 
 The excursion of a tendon is the integral of its moment arms over the joint angles. Mistakes in a
 hand file are reported.

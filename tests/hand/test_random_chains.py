@@ -331,7 +331,10 @@ def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
-    """A digit needs the same static torque in the hand and alone, if the digits that carry it are at angle zero."""
+    """A digit in the hand needs the same static torque as the digit alone.
+
+    The digits that carry this digit are at angle zero.
+    """
     hand, whole = random_hand_tree
     for digit in whole.digits:
         if digit.name in hand.carrier_digits:
@@ -344,7 +347,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
 
 def test_each_number_of_a_table_matters(rng):
-    """These tests would notice a change of any number of the middle link by a thousandth."""
+    """These tests would detect a change of 0.1 % in any number of the middle link."""
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))

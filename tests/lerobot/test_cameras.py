@@ -1,4 +1,4 @@
-"""Test camera videos in an exported dataset.
+"""Test the camera videos in an exported dataset.
 
 LeRobot's loader reads the exported videos. The tests are skipped if LeRobot is not installed.
 """

@@ -1,4 +1,7 @@
-"""Log files that an attacker could make: decompression bombs, wrong lengths, and a million records of one kind."""
+"""Files of logs that an attacker could make.
+
+Examples are decompression bombs, wrong lengths, and a million records of one kind.
+"""
 
 import struct
 import zlib

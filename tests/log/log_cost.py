@@ -38,7 +38,10 @@ def _write_log(
 
 
 def main() -> None:
-    """Measure how long a tick takes to be packed, written, passed through the pipe in lockstep, and read."""
+    """Measure the time per tick of four steps of recording.
+
+    The steps are packing, writing, the pipe to the recorder in lockstep, and reading.
+    """
     for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
         run = synthetic_run.synthetic_header(hand, rate_hz)
         ticks = list(synthetic_run.SyntheticRunTicks(run, 10.0))

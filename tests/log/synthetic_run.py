@@ -118,7 +118,10 @@ class SyntheticRunTicks:
             )
 
     def _closing_fraction(self, run_fraction: float) -> float:
-        """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
+        """Return how far the hand is closed: 0 is open, and 1 is closed.
+
+        ``run_fraction`` is the elapsed fraction of the run.
+        """
         up = float(np.clip((run_fraction - 0.08) / 0.32, 0, 1))
         down = float(np.clip((run_fraction - 0.85) / 0.13, 0, 1))
         return (up * up * (3 - 2 * up)) * (1 - down * down * (3 - 2 * down))

@@ -1,4 +1,4 @@
-"""Test meshes in a log.
+"""Test the meshes in a log.
 
 A log contains the meshes of its hand, up to a maximum total size. A program that shows these meshes
 needs only the log, and no hand file. Meshes that are missing in the log are named.

@@ -1,4 +1,4 @@
-"""Test exports of a log.
+"""Test the exports of a log.
 
 Readers of other projects must find the values of the log in the exported files.
 """

@@ -1,4 +1,4 @@
-"""Test exports of tables and datasets.
+"""Test the exports of tables and datasets.
 
 Polars, Rerun and Rerun's reader of LeRobot datasets read the exported files.
 """

@@ -1,6 +1,7 @@
-"""Test logs from an unknown source, whose headers may contain wrong values.
+"""Test how handctl reads logs from an unknown source.
 
-Every command checks the type and the range of each header value that it uses in a computation.
+The headers of such logs may contain wrong values. Every command checks the type and the range of
+each header value that it uses in a computation.
 """
 
 import json

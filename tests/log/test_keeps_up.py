@@ -1,4 +1,7 @@
-"""On one processor core, the recorder records a run with eleven motors and raw frames at 1 kHz in real time."""
+"""Test that one processor core can record a run in real time.
+
+The run has eleven motors, a control rate of 1 kHz, and raw frames.
+"""
 
 import multiprocessing
 import os

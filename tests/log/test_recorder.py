@@ -316,7 +316,7 @@ def test_a_file_that_cannot_be_created_is_refused(
 
 
 LIMIT_BYTES = 800_000
-"""Largest permitted size of a file, which simulates a full disk [bytes].
+"""Largest permitted size of a file [bytes]. This limit simulates a full disk.
 
 A file of this size can contain only a part of the run.
 """

@@ -1,4 +1,4 @@
-"""From a log that was cut at any byte, exactly the complete chunks are recovered."""
+"""A log may be cut at any byte. Exactly its complete chunks are then recovered."""
 
 import random
 from collections.abc import Iterable
@@ -71,7 +71,7 @@ def _recover_bytes(log_bytes: bytes, work_folder: Path) -> tuple[RecoveryReport,
 
 
 def _chunk_starts(path: Path) -> dict[int, int]:
-    """Return, for every n, the number of /tick messages in the first n chunks of a log."""
+    """Return a dictionary from n to the number of /tick messages in the first n chunks of a log."""
     scan, ticks = _scan_log(path), {0: 0}
     with RunLog(path) as log:
         for n in range(1, len(scan.chunks) + 1):

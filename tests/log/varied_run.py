@@ -37,7 +37,7 @@ def varied_ticks(run_header: RunHeader, tick_count: int = 120) -> Iterator[tuple
     """Yield ticks with every kind of content.
 
     Some ticks are missed. The other ticks contain frames of all kinds on all buses, NaN,
-    infinities, odd texts, all modes and all actions.
+    infinities, unusual texts, all modes and all actions.
     """
     random, k = np.random.default_rng(1), 0
     for index in range(tick_count):

@@ -17,7 +17,10 @@ from handctl.paper.figures.gallery import draw_all_figures
 
 @pytest.fixture(scope="session")
 def measured_results() -> dict[str, Any]:
-    """Return generated results: two tendons with noise, and one test of a load for each diameter and axis."""
+    """Return generated results of tendon tests and load tests.
+
+    There are two tendons with noise, and one load test for each combination of diameter and axis.
+    """
     chance = np.random.default_rng(11)
     ropes = []
     for knee in map(float, src.KNEE_TENSIONS_N):

@@ -1,7 +1,9 @@
-"""A pytest plugin that puts Eq. 10 of the paper into the dynamics of handctl, either with its misprints or corrected.
+"""Pytest plugin that uses Eq. 10 of the paper in the dynamics of handctl.
+
+The equation has its misprints, or it is corrected.
 
 ``test_literal.py`` runs the tests of the model with this plugin. The environment variable
-HANDCTL_EQ10 selects either version of the equation.
+HANDCTL_EQ10 selects one of the two versions of the equation.
 """
 
 import os

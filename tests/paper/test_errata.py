@@ -88,7 +88,10 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
-    """With m3 = I3 = 0, the equations describe two links, like the links of the thumb in this project."""
+    """With m3 = I3 = 0, the equations describe two links.
+
+    The thumb of this project also has two links.
+    """
     thumb = DigitModel.from_hand(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {

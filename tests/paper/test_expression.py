@@ -1,4 +1,7 @@
-"""Test formulas that are written as text: the value, the physical dimension and the typesetting of each formula."""
+"""Test the formulas that are written as text.
+
+The tests check the value, the physical dimension and the typesetting of each formula.
+"""
 
 import numpy as np
 import pytest

@@ -31,7 +31,7 @@ def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArra
 def mean_held_tensions(
     original_log: RunLog, repeated_log: RunLog
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean tensions of both runs, (tendons,) each, while the grasp is at rest [N]."""
+    """Return the mean tensions of each run (tendons,) while the grasp is at rest [N]."""
     starts = {change.name: change.t_ns * 1e-9 for change in original_log.phases}
     start, _ = active_interval(original_log)
     at_rest = starts["hold"] + SETTLED_S - start, starts["release"] - start

@@ -75,7 +75,7 @@ sink_speed_m_s = 0.2
 class PeerWithLostReplies:
     """Wrapper of a lockstep simulator.
 
-    From a given time on, the wrapper drops the replies with one identifier.
+    From a given time on, the wrapper drops all replies with the identifier ``can_id``.
 
     Attributes:
         simulator: the wrapped simulator, which sends all replies.
@@ -181,7 +181,8 @@ def record_lockstep_run(
 def peer_with_silent_index(peer: LockstepSimulator) -> LockstepSimulator:
     """Wrap a simulator.
 
-    From 2.2 s on, which is in the hold phase, the replies of the index motor are dropped.
+    From 2.2 s on, the replies of the index motor are dropped. At this time, the run is in the hold
+    phase.
     """
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

@@ -1,4 +1,4 @@
-"""If a byte in a log has changed, this is reported, with the first tick that contains a wrong byte.
+"""A changed byte in a log is reported, together with the first tick that has a wrong byte.
 
 A changed byte is also reported if all checksums were adjusted.
 """
@@ -74,7 +74,7 @@ def _put_chunk(
     new_content: bytes,
     with_fitting_checksum: bool,
 ) -> None:
-    """Write a log in which one chunk has other bytes.
+    """Write a log in which the content of one chunk is replaced.
 
     The file then ends before its last checksum.
     """

@@ -1,4 +1,4 @@
-"""Test programs that are made from episodes of a LeRobot dataset.
+"""Test the programs that are made from episodes of a LeRobot dataset.
 
 A hand follows an episode in lockstep. An episode that does not suit the hand is refused.
 """

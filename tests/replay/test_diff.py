@@ -101,7 +101,8 @@ def test_unknown_values_have_no_difference_and_no_delay() -> None:
 def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     """If a joint is at rest, its signal is only noise in both runs.
 
-    Some time shift always fits this noise best, but it is no delay.
+    The noise of the two runs always agrees best at some time shift. This time shift is not a delay
+    of the joint.
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))

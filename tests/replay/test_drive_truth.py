@@ -42,7 +42,10 @@ class RunAndRepeat:
         return self.folder / f"again-{self.raw}.mcap"
 
     def true_values(self, *truth_columns: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return times since the start of the interval [s], and true values of both runs (times, names)."""
+        """Return the times since the start of the interval, and the true values of both runs.
+
+        The times are in seconds. The values of each run have the shape (times, names).
+        """
         with (
             RunLog(self.folder / "first.mcap") as original_log,
             RunLog(self.repeat) as replayed_log,
@@ -71,7 +74,10 @@ class RunAndRepeat:
         return starts["hold"] + SETTLED_S - start, starts["release"] - start
 
     def mean_at_rest(self, *truth_columns: str) -> tuple[FloatArray, FloatArray]:
-        """Return, for both runs, the means of the named columns (names,) while the grasp is at rest."""
+        """Return the mean values of both runs while the grasp is at rest.
+
+        The result of each run has one mean for each named column (names,).
+        """
         times, before, after = self.true_values(*truth_columns)
         start, end = self.at_rest()
         inside = (times >= start) & (times <= end)

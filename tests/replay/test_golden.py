@@ -1,6 +1,6 @@
 """Re-execute all golden logs.
 
-Code that was changed for other hands changes no bit in the telemetry of these hands.
+A change of the code for other hands must not change any bit in the telemetry of these hands.
 
 Earlier defects: with the matrix kernels for AVX-512, the last bits differed from those of other
 processors. A sum of products was computed in another order, which changed the last bits of ``q_sigma`` in

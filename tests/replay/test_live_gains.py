@@ -74,8 +74,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
 ) -> None:
     """In this test, the drives make 0.8 of each commanded torque.
 
-    The identified parameters contain this factor, so the controller commands a torque that is
-    larger by a quarter.
+    The identified parameters contain this factor. The controller therefore commands 1.25 times the
+    torque.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
     plan = RunPlan(hand, Gains(), 500.0, ())

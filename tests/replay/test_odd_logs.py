@@ -1,4 +1,8 @@
-"""Test the re-execution of unusual logs: with gaps, with values that handctl refuses, and of runs that ended early."""
+"""Test the re-execution of unusual logs.
+
+Some of the logs have gaps, or values that handctl refuses. Other logs come from runs that ended
+early.
+"""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Test the check whether a recorded run would have violated other safety limits."""
+"""Test the check of a recorded run against other safety limits."""
 
 from pathlib import Path
 

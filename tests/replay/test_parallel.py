@@ -1,4 +1,4 @@
-"""Test snapshots of the state in a log.
+"""Test the snapshots of the state in a log.
 
 Several processes can execute parts of a log again, and each process starts at a snapshot. The parts together
 give the same outputs as one execution of the whole log.
@@ -35,8 +35,8 @@ ExecuteBothWays = Callable[..., tuple[LogExecution, LogExecution]]
 def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch) -> ExecuteBothWays:
     """Return a function that executes a log with one process and with three processes.
 
-    The argument of the returned function is another function, which makes a number in the
-    controller's state wrong.
+    The returned function has one argument. This argument is a function that makes a number in the
+    state of the controller wrong.
     """
 
     def run(change: StateChange | None = None) -> tuple[LogExecution, LogExecution]:
@@ -65,7 +65,10 @@ def execution_findings(execution: LogExecution) -> dict[str, Any]:
 
 
 def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
-    """Return a function that makes a field of the second tendon wrong before tick ``first_wrong_tick``."""
+    """Return a function that changes the controller state before tick ``first_wrong_tick``.
+
+    The function changes the field ``field_name`` of the second tendon.
+    """
 
     def change(before: ControllerState, entry: TickIn) -> None:
         if entry.k == first_wrong_tick:
@@ -132,7 +135,10 @@ def test_three_processes_find_no_difference_where_one_finds_none(
 def test_three_processes_find_the_first_difference_wherever_it_is(
     execute_both_ways: ExecuteBothWays, first_wrong_tick: int
 ) -> None:
-    """The test changes the field in the part of each process in turn, and at a border between two parts."""
+    """The test changes the field in the part of each process.
+
+    Some cases are at the border between two parts.
+    """
     one, three_processes = execute_both_ways(change_state_at_tick("travel", first_wrong_tick))
     assert one.first_difference is not None
     assert execution_findings(three_processes) == execution_findings(one)

@@ -1,4 +1,7 @@
-"""Tests of the choice of the BLAS kernels, on which the last bits of a run depend."""
+"""Test the choice of the BLAS kernels.
+
+The last bits of the results of a run depend on these kernels.
+"""
 
 import os
 import subprocess
@@ -71,7 +74,7 @@ def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
 )
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
 def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:
-    """A process that does not inherit the choice of the tests makes the same choice."""
+    """A new process chooses the same kernels as the tests, without inheriting their choice."""
     environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
     log = Path(__file__).parents[2] / "logs" / "golden" / f"{log_name}.mcap"
     result = subprocess.run(

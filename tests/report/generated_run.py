@@ -61,7 +61,10 @@ class GeneratedRunLog:
 
 
 def zero_truth(hand: Hand, tick_count: int, offset_ns: int = 0) -> TruthRecord:
-    """Create a truth record with one row of zeros for each tick, and two further rows before and after the run."""
+    """Create a truth record of zeros with one row for each tick.
+
+    The record also has two rows before the run, and two rows after the run.
+    """
     columns = [f"tension/{name}" for name in hand.tendon_names]
     columns += [f"q/{name}" for name in hand.joints]
     columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]

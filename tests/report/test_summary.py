@@ -129,7 +129,8 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
 def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     """The estimate of a tick is compared with the true tension at the time of this tick.
 
-    The load-cell reading is compared with the true tension one period earlier, when it was taken.
+    A load-cell reading is taken one period earlier. It is compared with the true tension at that
+    time.
     """
     log, truth = log_without_faults(), zero_truth(JAMIA_HAND, 200)
     real = 20.0 + np.arange(200) * 0.1

@@ -53,7 +53,7 @@ class BusUnderTest:
 
 
 def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
-    """Read frames from a bus until at least ``frame_count`` frames have arrived or a timeout is over."""
+    """Read frames from a bus until ``frame_count`` frames have arrived, or until a timeout."""
     frames = list(bus.drain())
     end = time.monotonic() + RECEIVE_TIMEOUT_S
     while len(frames) < frame_count and time.monotonic() < end:

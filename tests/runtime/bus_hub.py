@@ -1,4 +1,8 @@
-"""Hubs that serve the local bus in tests: the simulator's hub as a process, and a hub whose bytes a test writes."""
+"""Hubs that serve the local bus in tests.
+
+One hub is that of the simulator, in a separate process. The other hub sends bytes that a test
+writes.
+"""
 
 import os
 import signal
@@ -31,7 +35,7 @@ def hub_process(bus_name: str, socket_folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """A hub of a local bus with one client. The test itself exchanges bytes with this client."""
+    """Hub of a local bus for one client. The test itself exchanges bytes with this client."""
 
     def __init__(self, socket_folder: Path, bus_name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -168,7 +168,7 @@ class KillTestHand:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(time_scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """Return the time of the simulator, and how long the simulator has not run up to now [ns]."""
+        """Return the time of the simulator, and the total time in which it did not run [ns]."""
         reply_path = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
             link.bind(str(reply_path))
@@ -249,7 +249,7 @@ class SyncListener:
     """
 
     def __init__(self) -> None:
-        """Join the bus. The list of SYNC frames is empty."""
+        """Join the bus, with an empty list of SYNC frames."""
         self.syncs = bytearray()
         self._partial = b""
 

@@ -33,7 +33,7 @@ SERIAL_BASE = 0x4000
 The serial number of a drive is this base plus its node number.
 """
 HOMED_OPTIONS = ("--homed", "--serial", f"{SERIAL_BASE:#x}")
-"""Options of a simulated hand for which the calibration of ``write_homed_calibration`` is right."""
+"""Options of a simulated hand that match the calibration of ``write_homed_calibration``."""
 TASK_HEAD = 'schema = 1\nname = "short"\n'
 MOVE_PHASE = (
     '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'

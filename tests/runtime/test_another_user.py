@@ -161,7 +161,7 @@ def test_a_folder_that_others_can_write_in_is_refused(shared_tmp, at_run_folder)
 
 @pytest.mark.parametrize("make_folder", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared_tmp, make_folder):
-    """handctl also makes a parent folder private that has the mode 0755.
+    """If the parent folder has the mode 0755, handctl also makes this folder private.
 
     Earlier versions of handctl created the parent folder with this mode.
     """
@@ -247,7 +247,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
 def test_requests_and_status_lines_of_another_user_are_ignored(shared_tmp):
     """Requests of other users are ignored even in an open folder.
 
-    Linux tells the receiver the user of each sender.
+    With each datagram, Linux gives the receiver the user id of the sender.
     """
     box = Mailbox("local:x")
     watcher = StatusWatcher("local:x")
@@ -299,7 +299,7 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 
 
 class AnsweringController:
-    """A thread that serves the mailbox of a bus like a controller.
+    """Thread that serves the mailbox of a bus in place of a controller.
 
     The thread sends the same event texts as a controller.
     """

@@ -57,8 +57,8 @@ async def use_hand_as_client(*connect_options):
 async def observe_hand(hand):
     """Observe a hand 200 times.
 
-    Return the ticks of the observations, and the difference between the largest and the smallest
-    first joint angle [deg].
+    Return the ticks of the observations, and the range of the first joint angle [deg]. The range is
+    the largest angle minus the smallest.
     """
     ticks, angles = [], []
     async for observation in hand.observations():

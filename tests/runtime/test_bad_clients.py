@@ -1,4 +1,4 @@
-"""Test clients that misbehave, in real time.
+"""Test the effects of clients that misbehave. The tests run in real time.
 
 The tests check the effects of these clients with the true values of the simulator.
 

@@ -1,4 +1,4 @@
-"""Test unusual batches of frames on all kinds of buses.
+"""Test how all kinds of buses treat unusual batches of frames.
 
 Some batches contain frames of mixed kinds with 0 to 64 bytes. Others contain more frames than a
 buffer can store, or error frames.

@@ -1,4 +1,7 @@
-"""Test edge cases of the local bus: partial records, a slow or lost hub, dropped frames, error frames."""
+"""Test the edge cases of the local bus.
+
+They are partial records, a slow or lost hub, dropped frames, and error frames.
+"""
 
 import socket
 import time

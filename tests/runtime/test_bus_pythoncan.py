@@ -21,7 +21,10 @@ from tests.runtime.bus_hub import RUN_DIR_VARIABLE, ScriptedHub, frame_record, h
 
 
 class BrokenCanBus(can.BusABC):
-    """A python-can interface whose calls fail with a given error, either always or the first few times."""
+    """Interface of python-can that raises a given error.
+
+    The first ``failure_count`` calls raise the error.
+    """
 
     def __init__(self, error: Exception, failure_count: int = 1_000_000) -> None:
         super().__init__("broken")

@@ -57,8 +57,8 @@ def test_every_numeric_type_is_accepted(unserved_client, angle, monkeypatch):
 def test_an_invalid_angle_is_refused_before_it_is_sent(unserved_client, invalid_angle):
     """The client refuses an invalid angle before it sends a request.
 
-    Without this check in the client, the controller would refuse the request, and relax the hand
-    after three refused requests within a second.
+    Without this check, the controller would refuse the request. After three refused requests within
+    a second, the controller would relax the hand.
     """
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         unserved_client.move(index=invalid_angle)
@@ -121,8 +121,8 @@ def test_a_hold_without_a_tension_brings_the_hand_to_rest(unserved_client, monke
 def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
     """Reproduce a defect.
 
-    If the first argument was a mapping, the client took the mapping for the duration, and raised
-    the error "no digit".
+    The first argument of a call was a mapping. The client used this mapping as the duration, and
+    raised the error "no digit".
     """
     requests = []
     monkeypatch.setattr(unserved_client, "_set_goal", requests.append)

@@ -43,7 +43,10 @@ def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
 
 
 def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
-    """Run the checks three times on a drive, which is silent for two seconds after each run."""
+    """Run the checks of a drive three times.
+
+    After each run, two seconds pass without frames from the host.
+    """
     for _ in range(3):
         rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
         checks = checks_of(rig)
@@ -92,9 +95,10 @@ def test_a_good_drive_passes_every_conformance_check(protocol):
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypatch):
-    """In this test, the host misses up to six ticks in a row, on average at every 40th tick.
+    """In this test, the host stalls and misses up to six ticks in a row.
 
-    Such a stall is shorter than the watchdog time of the drive.
+    On average, one of 40 ticks is followed by a stall. Such a stall is shorter than the watchdog
+    time of the drive.
     """
     source = random.Random(seed)
     wait = VirtualBench.wait
@@ -158,7 +162,8 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
     """Reproduce three defects.
 
     A CubeMars drive that ignores commands passed all checks. An ODrive without endpoint options
-    passed although its settings read back wrong, and failed although its watchdog worked.
+    passed although the read-back of its settings was wrong. Such an ODrive failed although its
+    watchdog worked.
     """
     protocol = protocol_column.split()[0]
     options = OPTIONS_WITHOUT_ENDPOINTS if "without" in protocol_column else None
@@ -193,7 +198,7 @@ def test_the_documentation_has_each_defect_of_each_protocol():
     ("protocol", "expected_identifier"), [("cubemars", "0x021"), ("robstride_mit", "0x000")]
 )
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
-    """Reproduce a defect: the reason was "stays in SILENT", which does not say what handctl waited for."""
+    """Reproduce a defect: the reason "stays in SILENT" did not name the expected frames."""
     found, _, _ = check_results(protocol, "mute")
     check = found[FAILED_CHECK["mute"]]
     assert check.reason == f"no reply; expected frames with the identifier {expected_identifier}"

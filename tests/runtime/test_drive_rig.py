@@ -50,7 +50,10 @@ def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_t
 
 @pytest.mark.parametrize("protocol", OPTIONS_BY_PROTOCOL)
 def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> None:
-    """Reproduce a defect: a drive that another host had enabled, and whose replies are lost, counted as off."""
+    """Reproduce a defect: a drive counted as off although none of its replies had arrived.
+
+    Another host may have enabled this drive.
+    """
     place = VirtualBench(protocol, "mute")
     rig = drive_rig_on(place, protocol, 0.1)
     rig.run_for(DriveTarget.POLL, 0.5)

@@ -1,4 +1,4 @@
-"""Test starts of a run that fail.
+"""Test runs that fail when they start.
 
 The recorder and the buses that are already open must be closed again.
 """

@@ -1,4 +1,4 @@
-"""Test findings about a CAN interface from the output of ``ip``.
+"""Test the findings about a CAN interface. They are derived from the output of ``ip``.
 
 The outputs of ``ip`` were written for these tests, in the format of iproute2.
 """

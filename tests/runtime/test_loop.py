@@ -28,7 +28,7 @@ TORQUE_CUT_FRAMES = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 class ScriptedClock:
     """A clock that records all waits.
 
-    The first waits end late by the given times [ns], and all later waits end in time.
+    ``late`` contains the delays of the first waits [ns]. All later waits end in time.
     """
 
     late: list[int] = field(default_factory=list)
@@ -309,9 +309,10 @@ def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> No
 
 
 def times_of_polls(recorded_loop: RecordedLoop, motors_by_poll: list[tuple[str, ...]]) -> list[int]:
-    """Let a loop fail in its third tick, and return the times at which it then polled the drives [ns].
+    """Return the times at which a loop polls the drives after a failure [ns].
 
-    ``motors_by_poll`` lists, for each poll, the drives that have not confirmed that they are disabled.
+    The loop fails in its third tick. ``motors_by_poll`` lists, for each poll, the drives that have
+    not confirmed that they are disabled.
     """
     times: list[int] = []
 
@@ -337,8 +338,8 @@ def test_an_error_after_the_commands_disables_from_the_state_with_these_commands
 ) -> None:
     """Reproduce a defect.
 
-    After an error, the loop disabled the drives from the state before the tick. In this state, a
-    drive that was enabled in this tick counted as disabled.
+    After an error, the loop used the state before the tick to disable the drives. If a drive was
+    enabled in this tick, it counted as disabled in this state.
     """
     bus = FakeBus()
     run = RecordedLoop(5, buses=[bus], frames=(Frame(9, b"enable"),))
@@ -447,7 +448,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 def test_a_bus_that_refuses_every_cut_delays_no_other(
     refusing_bus: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A bus that refuses the disabling frames is tried again for a limited time.
+    """If a bus refuses the disabling frames, the loop sends them again for a limited time.
 
     The other bus gets its disabling frames before the first of these retries.
     """

@@ -58,7 +58,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
-    """Return telemetry in which each number depends on the tick and on its own index."""
+    """Return telemetry in which each number is computed from the tick and from its index."""
     places, first = TelemetryPlaces(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
@@ -250,7 +250,7 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
 
 
 def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
-    """If targets flood the stream socket, the tick gets the newest targets.
+    """If too many targets arrive at the stream socket, the tick gets the newest targets.
 
     Requests such as a stop use another socket and are not delayed.
     """

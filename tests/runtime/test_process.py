@@ -1,4 +1,4 @@
-"""Test handctl in a process with the simulated hand in another process, on the real clock.
+"""Test handctl and the simulated hand in two processes on the real clock.
 
 The tests cover the start and the end of runs. Simulated time is slower than real time, because a
 stall of the machine would otherwise end a run.

@@ -1,4 +1,7 @@
-"""The Python program in the README works without changes with the simulated hand in the README."""
+"""Test that the Python program in the README works without changes.
+
+The program uses the simulated hand that the README starts.
+"""
 
 import re
 import select
@@ -16,7 +19,10 @@ CPU_LOAD_PROGRAM = "import os\nparent = os.getppid()\nwhile os.getppid() == pare
 
 
 def readme_blocks(language: str, *required_texts: str) -> list[str]:
-    """Return the code blocks of the README in the language ``language`` that contain all given texts."""
+    """Return the code blocks of the README that contain all given texts.
+
+    Only code blocks in the language ``language`` are returned.
+    """
     texts = re.findall(rf"^```{language}\n(.*?)^```$", README_TEXT, re.MULTILINE | re.DOTALL)
     return [block for block in texts if all(text in block for text in required_texts)]
 

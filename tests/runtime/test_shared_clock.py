@@ -24,7 +24,7 @@ NS_PER_MS = 1_000_000
 
 
 class SharedClockPair:
-    """A simulator and a controller, with a simulated CLOCK_MONOTONIC.
+    """The clocks of a simulator and of a controller. Both use a simulated CLOCK_MONOTONIC.
 
     Attributes:
         now: time of the simulated CLOCK_MONOTONIC [ns].

@@ -1,4 +1,7 @@
-"""Test programs that use a hand in real time: streams, observations, several clients, and clients that fail."""
+"""Test how programs use a hand in real time.
+
+The tests cover streams, observations, several clients, and clients that fail.
+"""
 
 import re
 import select
@@ -100,7 +103,10 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
 
 @REALTIME_MARK
 def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
-    """Reproduce a defect: if another client stopped a move, the call of the move returned as if it were complete."""
+    """Reproduce a defect: a move that another client had stopped counted as complete.
+
+    The call of this move returned without an error.
+    """
     ended = []
 
     def move():
@@ -227,10 +233,10 @@ def test_values_are_checked_before_they_are_sent(fake_stream):
 
 
 def test_a_program_may_reuse_the_array_of_a_target(fake_stream):
-    """Reproduce a defect: a joint that a call left out got a value that the program had never sent.
+    """Reproduce a defect: a joint got a target that the program had never sent.
 
-    The stream had stored the program's array without a copy, and the program later changed this
-    array.
+    The last call contained no target for this joint. The stream had stored the program's array
+    without a copy, and the program later changed this array.
     """
     stream, sent = fake_stream
     angles = np.array([0.1, 0.2])

@@ -1,7 +1,7 @@
 """Test cases for each fault.
 
-A case has an input with the fault, an input just below the limit, the required action, and whether
-only an operator may clear the fault.
+A case has two inputs: one with the fault, and one just below the limit. It also has the required
+action, and a flag that is True if only an operator may clear the fault.
 """
 
 from collections.abc import Mapping
@@ -48,8 +48,8 @@ LOAD_CELLS_NODE = TENDON_COUNT
 class TickInput(NamedTuple):
     """Input of the safety monitor for one tick.
 
-    The input contains, by field and index, the values of the state that differ from a hand at rest.
-    The input also contains events of the buses and of the host.
+    ``state_rows`` contains the values of the state that differ from a hand at rest. Its keys are
+    the name of a field and an index. The input also contains events of the buses and of the host.
     """
 
     state_rows: Mapping[str, dict[object, float]] = MappingProxyType({})
@@ -83,8 +83,8 @@ class FaultCase(NamedTuple):
 def state_rows(**values_by_field: object) -> TickInput:
     """Return an input with values of the state.
 
-    For a field of the whole run, the value is one number. For other fields, the value has one
-    number by index.
+    If a field applies to the whole run, its value is a single number. The value of any other field
+    is a dictionary from an index to a number.
     """
     return TickInput(
         {name: c if isinstance(c, dict) else {...: c} for name, c in values_by_field.items()}
@@ -94,8 +94,9 @@ def state_rows(**values_by_field: object) -> TickInput:
 def frame_ages(field: str, **age_by_node: int) -> TickInput:
     """Return an input with old frames.
 
-    Each keyword names a node, and its value is the age [ticks] of the latest frame of this node:
-    motor 1 (m1=...), load cell 1 (t1=...) or joint encoder 1 (j1=...).
+    Each keyword is the name of a node. Its value is the age of the latest frame of this node
+    [ticks]. Examples are m1=... for motor 1, t1=... for load cell 1, and j1=... for joint encoder
+    1.
     """
     first = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
     return state_rows(
@@ -119,8 +120,8 @@ def late_sensor_frames(**age_by_sensor: int) -> TickInput:
 def lost_frames(**lost_frames_by_node: int) -> TickInput:
     """Return an input in which nodes have lost frames in the ticks before the present tick.
 
-    Each keyword names a node, and its value is the number of frames that this node has lost: motor
-    1 (m1=...) or the load cells (cells=...).
+    Each keyword is the name of a node. Its value is the number of frames that this node has lost.
+    Examples are m1=... for motor 1, and cells=... for the load cells.
     """
     return state_rows(
         lost={
@@ -131,9 +132,9 @@ def lost_frames(**lost_frames_by_node: int) -> TickInput:
 
 
 def malformed_frames(node_index: int, earlier_frames: int) -> TickInput:
-    """Return an input with one frame of a wrong length from a node now.
+    """Return an input in which a frame of a node has a wrong length.
 
-    In earlier ticks, ``earlier_frames`` such frames have arrived.
+    ``earlier_frames`` such frames have arrived in earlier ticks.
     """
     return state_rows(
         misread_now={node_index: 1}, misshapen={node_index: (1 << earlier_frames) - 1}
@@ -188,14 +189,17 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
 
 
 def input_without_torque(tick_input: TickInput) -> TickInput:
-    """Return a copy of an input in the mode of a hand that is ready to be armed."""
+    """Return a copy of an input with the mode READY. In this mode, the hand can be armed."""
     return TickInput(
         {**tick_input.state_rows, "mode": {...: int(HandMode.READY)}}, tick_input.reports
     )
 
 
 def slack_tendon(earlier_slack_ticks: int, tendon_index: int = 3) -> TickInput:
-    """Return an input with a tendon that is slack now, and was slack in the last ``earlier_slack_ticks`` ticks."""
+    """Return an input with a slack tendon.
+
+    The tendon was also slack in the last ``earlier_slack_ticks`` ticks.
+    """
     return state_rows(
         slack_ticks={tendon_index: earlier_slack_ticks},
         taut_ago={tendon_index: 5},
@@ -239,7 +243,10 @@ def stuck_joint(joint_index: int, spool_turn_deg: float) -> TickInput:
 
 
 def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
-    """Return an input in which the last ``repeated_readings`` load-cell readings repeat those of 16 ticks earlier."""
+    """Return an input with repeated load-cell readings.
+
+    Each of the last ``repeated_readings`` readings equals the reading of 16 ticks earlier.
+    """
     past_readings = {(age, tendon_index): 20.0 + (age - 15) / 16.0 for age in range(64)}
     return state_rows(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
 
@@ -273,7 +280,10 @@ def swinging_tension(tendon_index: int, before: float) -> TickInput:
 
 
 def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickInput:
-    """Return an input with a motor that reports only a fraction ``reported_fraction`` of the changes in its command."""
+    """Return an input with a motor whose torque reports change too little.
+
+    After a change of the command, the report changes only by the fraction ``reported_fraction``.
+    """
     return state_rows(
         report_moments={
             (row, motor_index): value

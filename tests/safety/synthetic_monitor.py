@@ -163,7 +163,7 @@ class SyntheticMonitor:
     def reset_to_rest(self) -> None:
         """Reset all values to those of a hand at rest.
 
-        Keep only the time for which each fault has been present.
+        Only one value is kept: for how many ticks each fault has been present.
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
@@ -216,7 +216,7 @@ class SyntheticMonitor:
         )
 
     def store_commands(self, value_by_field: StateRows | None = None) -> None:
-        """Store the commands of this tick, as the end of a tick does."""
+        """Store the commands of this tick. In a run, this happens at the end of each tick."""
         self.set_rows(value_by_field or {})
         tick_stages.store_commands(
             self.block,
@@ -243,7 +243,7 @@ class SyntheticMonitor:
         return verdict
 
     def clear_latched(self) -> None:
-        """Clear the latched faults, as a request of the operator does."""
+        """Clear the latched faults. In a run, a request of the operator has this effect."""
         decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)

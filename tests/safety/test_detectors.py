@@ -1,4 +1,8 @@
-"""Test fault detectors: causes of drive errors, thresholds of a hand, newly declared faults, and generated pages."""
+"""Test the fault detectors.
+
+The tests cover causes of drive errors, thresholds of a hand, newly declared faults, and generated
+pages.
+"""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""Test every fault just below and just above its limit, its action, and whether only an operator may clear it."""
+"""Test every fault just below and just above its limit.
+
+The tests also check the action of each fault, and whether only an operator may clear the fault.
+"""
 
 import math
 import re
@@ -61,10 +64,10 @@ def check_ticks(
 def check_fault_alone(
     fault_id: str, *tick_inputs: TickInput, monitor: SyntheticMonitor | None = None
 ) -> tuple[SyntheticMonitor, list[SafetyAction], list[tuple[str, str]]]:
-    """Judge several ticks with regard to one fault.
+    """Judge several ticks, and evaluate only one fault.
 
-    Return the monitor after these ticks, the action that it demands in each tick, and the findings that
-    it reports.
+    Return the monitor after these ticks, the action that the monitor demands in each tick, and the
+    findings that the monitor reports.
     """
     monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
@@ -276,7 +279,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
 
 
 def test_a_fault_is_either_found_or_reported() -> None:
-    """Either a detector finds a fault, or a bus or the host reports it.
+    """Each fault is either found by a detector, or reported by a bus or the host.
 
     For each kind of part, a detector has one row in the fault table.
     """
@@ -357,7 +360,7 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("fault_id", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
-    """If the declaration of a fault is changed by one step in one place, the test cases of this fault fail.
+    """If any value in the declaration of a fault is changed by one step, its test cases fail.
 
     The failure shows that the test cases notice wrong declarations.
     """

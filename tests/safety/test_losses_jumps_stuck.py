@@ -29,7 +29,7 @@ NAN = np.nan
 
 
 def loss_bits(bits_text: str) -> int:
-    """Return the number whose bits a text of 0 and 1 describes.
+    """Convert a text of the characters 0 and 1 to a number. Each character becomes one bit.
 
     The last character of the text stands for the newest tick.
     """
@@ -162,9 +162,10 @@ def test_the_count_of_unknown_frames_decays_in_a_second():
 
 
 def refusal_counter(control_rate_hz: float) -> Any:
-    """Return a function that is told how many targets were refused in tick k.
+    """Return a function that counts refused targets.
 
-    The function returns the ticks of all refusals that are recent enough to count.
+    Its arguments are the number of targets that were refused in a tick, and the number of this
+    tick. The function returns the ticks of all refusals that are recent enough to count.
     """
     window = LossWindows()
     state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
@@ -322,8 +323,8 @@ def add_reading(
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
-    Return for how many ticks the reading has not changed, and how far target and tension have moved
-    in this time.
+    Return three values. The first is the number of ticks in which the reading has not changed. The
+    other two are the changes of the target and of the tension in these ticks.
     """
     rows: StateRows = {
         "measured_position": motor_position,

@@ -64,9 +64,10 @@ FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "po
 
 
 def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
-    """Return the measurements of two tendons that rest under 20 N, with some changes.
+    """Return the measurements of two tendons that rest under 20 N.
 
-    A single number applies to both tendons.
+    ``changed_measurements`` replaces some of these measurements. A single number applies to both
+    tendons.
     """
     resting_measurements = {
         "tension": 20.0,
@@ -89,7 +90,7 @@ def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
 def monitor_at_20_newton(
     monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> SyntheticMonitor:
-    """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
+    """Return the monitor of a hand at rest. Its commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | changed_measurements)
     return monitor
@@ -126,8 +127,8 @@ def test_at_rest_nothing_is_reported():
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     """When a hand is armed, its filters start at the present values of tension and force.
 
-    In this test, neither of the two changes afterwards. Constant readings are therefore no sign of
-    a stuck sensor.
+    In this test, both values then stay constant. Constant readings are therefore no sign of a stuck
+    sensor.
     """
     _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert found == {}
@@ -189,8 +190,8 @@ def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
 def test_lasting_residual_is_a_fault(tension, expected_residual):
     """The residual is the measured tension minus the tension that the model explains.
 
-    In this test, friction may cause 3 N of the residual, and the tolerance of the torque constant a
-    tenth of 20 N.
+    In this test, friction may cause a residual of 3 N. The tolerance of the torque constant may
+    cause a tenth of 20 N.
     """
     monitor, found = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
@@ -404,7 +405,10 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
 def monitor_after_motion(
     monitor: SyntheticMonitor | None = None, **changed_measurements: Any
 ) -> SyntheticMonitor:
-    """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
+    """Return the monitor of a hand whose motors moved in the last tick.
+
+    Before this tick, the filters of the hand have settled.
+    """
     return run_ticks(
         1,
         run_ticks(150, monitor_at_20_newton(monitor), **changed_measurements)[0],
@@ -478,7 +482,7 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
-    """A slack tendon a does not change the check of joint b, which tendon b moves."""
+    """Tendon b moves joint b. If tendon a is slack, the check of joint b does not change."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]

@@ -113,8 +113,8 @@ def stuck_names(
 ) -> dict[str, list[str]]:
     """Return the names of the sensors that count as stuck after one more equal reading.
 
-    ``changed_state`` states how far other signals have moved that should move together with these
-    readings.
+    ``changed_state`` contains the changes of other signals. These signals should change together
+    with the readings.
     """
     zero = [0.0, 0.0]
     findings = monitor.tick(
@@ -175,10 +175,12 @@ def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
 
 
 def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> None:
-    """The motor force changes by 4 N in both directions, and at the end hardly differs from its start.
+    """The motor force rises by 4 N, and then falls to 4 N below its first value.
 
-    Reproduce a defect: only the difference from the motor force at the start counted. On
-    ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
+    At the end, the motor force has its first value again.
+
+    Reproduce a defect: the detector used only the difference between the present motor force and
+    its start value. On ``n_plus_1``, a stuck load cell of an extensor was reported only after 5 s.
     """
     monitor = make_monitor(SOFT_STIFFNESS)
     monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
@@ -198,9 +200,9 @@ def test_a_motor_force_that_rises_and_then_falls_shows_a_stuck_load_cell() -> No
 def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
     monitor: SyntheticMonitor, cell_group: list[int], pulley_limit: float
 ) -> None:
-    """The test calls interpreted code with excursions that are within four bits of the limit.
+    """The test uses excursions that differ from the limit only in the last four bits.
 
-    A tendon without a load cell has a smaller limit.
+    The test calls interpreted code. A tendon without a load cell has a smaller limit.
     """
     monitor.set_constants(cell_group=cell_group)
 
@@ -238,8 +240,8 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
 ) -> None:
     """Reproduce a defect: a commissioning without springs and load cells ended with T08 (a tendon left its pulley).
 
-    The rotor of a released tendon turned back by 1.6 mm, while the friction of the motor still
-    looked like tension.
+    The rotor of a released tendon turned back by 1.6 mm. At that time, the detector still
+    interpreted the friction of the motor as tension.
     """
     monitor.set_constants(cell_group=cell_group)
     monitor.set_rows(measurements_at_rest(**JOINTS_READ | {"tension": 0.0, "excursion": -0.02}))

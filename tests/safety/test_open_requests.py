@@ -1,4 +1,4 @@
-"""Test requests to drives that have no reply yet.
+"""Test the requests to drives that have no reply yet.
 
 A reply to such a request may be late. A reply without any request is a duplicate.
 """
@@ -29,7 +29,7 @@ class OpenRequests(SyntheticMonitor):
 
     @property
     def outstanding(self) -> RequestTicks:
-        """Return, for each motor, the ticks of the requests that have no reply yet."""
+        """Return the ticks of the requests to each motor that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
             self.view("question").reshape(MAX_REQUESTS, -1),
@@ -125,7 +125,7 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
 ) -> None:
     """After some ticks without a reply, all missing replies may arrive at once.
 
-    One reply more than the missing ones is a duplicate.
+    A further reply after these replies is a duplicate.
     """
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):

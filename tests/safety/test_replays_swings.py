@@ -92,9 +92,10 @@ def test_a_missing_reading_is_no_repetition() -> None:
 
 
 def first_oscillation(tension_deviation: np.ndarray, period_s: float) -> tuple[float, float]:
-    """Return the time [s] at which a tension deviation first counts as oscillation, and its RMS [N].
+    """Return the time of the first reported oscillation [s], and the RMS of the oscillation [N].
 
-    If the deviation never counts as an oscillation, the time is -1.
+    ``tension_deviation`` is the signal that is checked. If no oscillation is reported, the time is
+    -1.
     """
     monitor = SyntheticMonitor(synthetic_limits(2), period=period_s)
     for k, value in enumerate(tension_deviation):

@@ -1,4 +1,4 @@
-"""Test several faults at once.
+"""Test the reactions to several faults at once.
 
 The most severe action is executed, latched faults stay, and further faults never make the action
 weaker.

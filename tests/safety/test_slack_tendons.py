@@ -38,8 +38,8 @@ class FilteredTendons(SyntheticMonitor):
     ) -> list[tuple[int, int]]:
         """Run a tick with given tensions and commands.
 
-        Return, for each tendon, the number of ticks since it was taut, and the number of ticks in
-        which it was slack.
+        Return two numbers for each tendon. The first is the number of ticks since the tendon was
+        taut. The second is the number of ticks in which the tendon was slack.
         """
         self.reported = self.tick(
             residual={TENSION: tension}, wanted=commanded_tension, **value_by_field
@@ -155,8 +155,8 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
 ):
     """The extensor of a grasp has a small commanded tension.
 
-    Reproduce a defect: the tension loop of such a tendon damped its spool to less than 0.03 m/s, so
-    T01 was not reported for it.
+    Reproduce a defect: when such a tendon snapped, its tension loop kept the spool slower than 0.03
+    m/s. The fault T01 was therefore not reported.
     """
 
     def is_snapped(spool_speed):
@@ -255,9 +255,10 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(
 def test_a_spool_that_has_paid_out_is_released(paid_out_m, is_detected):
     """Reproduce two defects.
 
-    On jamia11, a healthy end of a run reported the fault N16: the springs of a digit kept a released
-    tendon at 10 N while they accelerated its rotor. In the first correction, the estimated speed of the
-    spool decided. On t42 with ODrive drives, this estimate hid a motor that did not release.
+    On jamia11, the fault N16 was reported at the end of a run without a defect. The springs of a
+    digit accelerated the rotor of a released tendon, and the tension stayed at 10 N in this time.
+    The first correction used the estimated speed of the spool. On t42 with ODrive drives, this
+    estimate hid a motor that did not release.
     """
     position = 1.0 - paid_out_m / SPOOL_RADIUS_M
     tendons = FilteredTendons(
@@ -302,7 +303,7 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 def test_a_drive_that_still_reports_torque_after_a_cut_is_detected(
     cell_group, force_before_cut, present_force, is_detected
 ):
-    """A drive that keeps its torque after it was disabled is detected by the torque that it reports.
+    """If a disabled drive keeps its torque, the drive is detected from the torque in its reports.
 
     Earlier defect: without load cells, such a drive did not cause the fault N16 (a drive does not
     release). With a load cell, a drive that kept 9 N did not cause this fault either.

@@ -60,7 +60,7 @@ class MotorWithTendon(SyntheticMonitor):
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
 
     def filtered_residual(self, residual_row: int) -> float:
-        """Return one kind of filtered residual by its row."""
+        """Return the filtered residual in one row of the field ``residual``."""
         return float(self.view("residual")[residual_row, 0])
 
     @property
@@ -72,7 +72,10 @@ class MotorWithTendon(SyntheticMonitor):
 
     @property
     def excess_tension(self) -> float:
-        """Return by how much the tension exceeds the tension that the motor can explain [N], filtered with 20 ms."""
+        """Return the measured tension minus the largest tension that the motor can explain [N].
+
+        The value is filtered with a time constant of 20 ms.
+        """
         return float(
             call_interpreted(residuals.excess_tension, self.state_tables, self.hand_tables, 0)
         )
@@ -88,7 +91,7 @@ def residuals_after(
     commanded_force: TimeFunction | None = None,
     noise_N: float = 0.5,
 ) -> MotorWithTendon:  # fmt: skip
-    """Return a motor and its tendon after ``duration_s`` have passed.
+    """Return a motor and its tendon after a simulation of ``duration_s`` seconds.
 
     The tension, the force and the speed are functions of time.
     """
@@ -127,9 +130,9 @@ def test_inertia_friction_and_damping_are_explained():
 
 
 def test_acceleration_torque_is_no_residual():
-    """In this test, a rotor accelerates with 10 m/s2 for 0.1 s, for which it needs 52 N of the motor force.
+    """In this test, a rotor accelerates with 10 m/s2 for 0.1 s.
 
-    This force must not appear in the residual.
+    The acceleration needs 52 N of the motor force. This force must not appear in the residual.
     """
 
     def force(t):
@@ -152,9 +155,10 @@ def test_a_load_cell_that_is_wrong_is_seen_within_a_second(cell_drift_N):
 def test_a_tendon_pulled_much_harder_than_commanded_is_found_within_20_ms(
     excess: float, found: bool
 ) -> None:
-    """After 20 ms, the filter has 63 % of a step. Friction explains 3 N, and the motor's tolerance 1.5 N.
+    """After 20 ms, the output of the filter is 63 % of a step.
 
-    A tension that is too small is no excess.
+    Friction explains 3 N, and the tolerance of the motor explains 1.5 N. A tension that is too
+    small does not count as excess.
     """
     state = residuals_after(0.02, lambda t: 24.0 + excess, lambda t: 24.0, noise_N=0.0)
     assert (state.excess_tension > EXCESS_TENSION_TRIP_N) == found

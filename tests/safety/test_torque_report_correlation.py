@@ -42,7 +42,10 @@ class ReportingMotors(SyntheticMonitor):
 
     @property
     def reported_fractions(self) -> list[float]:
-        """Return, for each motor, which fraction of a command change appears in the torque reports."""
+        """Return one fraction for each motor.
+
+        It is the fraction of a command change that appears in the torque reports.
+        """
         return [
             call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
         ]
@@ -171,7 +174,10 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
-    """Return, for each of two motors, True if any tick reports that the motor does not follow its commands."""
+    """Return one truth value for each of two motors.
+
+    The value is True if, in any tick, the reports of the motor do not follow its commands.
+    """
     return motors_after(commanded, reported).ever_unfollowed
 
 
@@ -187,7 +193,7 @@ def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
 
 
 def diverging_commands() -> np.ndarray:
-    """Return commands (20, 2) [N] of two position loops that drive each other.
+    """Return commands (20, 2) [N] of two position loops that amplify each other.
 
     The commands grow from 1 N by a factor e every 8 ms, as they did in a run of the hand orca_like.
     """

@@ -29,7 +29,10 @@ THUMB_MOUNT_LINE = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
 def with_near_thumb(hand_name: str, thumb_mm: int, hand_folder: Path) -> str:
-    """Write a copy of a packaged hand file with the thumb nearer to the middle finger, and return its path."""
+    """Write a copy of a packaged hand file, and return the path of the copy.
+
+    In the copy, the thumb is nearer to the middle finger.
+    """
     text = load_hand(hand_name).to_toml()
     assert THUMB_MOUNT_LINE in text
     path = hand_folder / f"{hand_name}-{thumb_mm}.toml"

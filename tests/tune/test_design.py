@@ -1,6 +1,7 @@
-"""Test designs of gains.
+"""Test the design of gains.
 
-Designed gains keep their stability margins for all hands of an ensemble, whose parameters differ.
+The hands of an ensemble have different parameters. Designed gains have the required stability
+margins for all these hands.
 """
 
 import math
@@ -93,7 +94,10 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
 
 
 def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
-    """Return the stiffness of the motion loop of the second tendon, in a model with the given gains [1/s^2]."""
+    """Return the stiffness of the motion loop of the second tendon [1/s^2].
+
+    The model of the hand has the given gains.
+    """
     return float(model_with_gains(model, gains).motion.stiffness[1])
 
 

@@ -1,7 +1,7 @@
 """Test the identification of digits without springs.
 
-Such a digit has n + 1 tendons for n joints, or pairs of tendons that share one motor and have no
-load cells.
+Some of these digits have n + 1 tendons for n joints. Other digits have pairs of tendons. The two
+tendons of a pair share one motor and have no load cells.
 """
 
 from pathlib import Path
@@ -119,7 +119,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
 
 
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
-    """While a tendon is stretched, more torque opens each joint of its digit than closes the joint."""
+    """While a tendon is stretched, the net torque at each joint of its digit opens the joint."""
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":

@@ -52,7 +52,8 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
 ) -> None:
     """Compare the impulse responses of the open loop and of a simulation.
 
-    The simulation advances plant and controller in the order in which the bus connects them.
+    On the bus, a tick of the controller gets the samples of the tick before. The simulation
+    advances plant and controller in the same order.
     """
     P, K, L = (
         plant_system(jamia, 0, loop_kind),
@@ -118,7 +119,7 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:
-    """After a step of the force by 1 N, the controller returns a held tension to its goal.
+    """After a step of the force by 1 N, the controller brings the tension back to its goal.
 
     Without a controller, the tension would stay 1 N away from its goal.
     """

@@ -57,7 +57,10 @@ def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
 def test_digits_that_touch_each_other_are_not_scored(
     tmp_path: Path, link_lengths_mm: str, seed: int
 ) -> None:
-    """Reproduce a defect: digits that blocked each other were scored with a tracking error of 6 to 8 deg."""
+    """Reproduce a defect: two digits blocked each other, but the score was a tracking error.
+
+    The tracking error was 6 to 8 deg.
+    """
     file = tmp_path / "mine.toml"
     words = ["--fingers", "1", "--opposed", "1", "--links", link_lengths_mm, "--tendons", "each"]
     assert main(["config", "init", "--yes", *words, "--output", str(file)]) == 0

@@ -79,9 +79,9 @@ def test_search_result_does_not_depend_on_the_processes(
 def test_the_sampler_knows_which_trials_keep_their_margins(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
-    """The sampler of Optuna uses the stability margins of all trials as constraints, also those of random trials.
+    """The sampler of Optuna uses the stability margins of all trials as constraints.
 
-    Optuna prints no warnings.
+    The random trials are included. Optuna prints no warnings.
     """
     run_search(search_plan, tmp_path / "study", RecordedWorkers(search_result), _ignore_result)
     finished_trials = [
@@ -178,9 +178,10 @@ class FakeWorkers:
 def long_search(
     search_plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[SearchPlan, SearchResult, bytes]:
-    """Run a search in which batches of chosen trials follow the random trials.
+    """Run a search that begins with random trials.
 
-    Return the plan, the result, and the bytes of the search's journal.
+    After these trials, the sampler chooses the trials of each batch. Return the plan, the result,
+    and the bytes of the search's journal.
     """
     longer_plan = replace(
         search_plan,

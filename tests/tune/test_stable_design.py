@@ -96,7 +96,7 @@ def random_gains(seed: int, gain_range: float = 10.0) -> Gains:
 
 @cache
 def model_of(hand_name: str, seed: int, gain_range: float = 10.0) -> HandModel:
-    """Return the model of a packaged hand with random gains."""
+    """Return the model of a packaged hand. The gains of the model are random."""
     return HandModel.from_hand(
         load_hand(hand_name), random_gains(seed, gain_range), RATE_BY_HAND_HZ.get(hand_name, 200.0)
     )
@@ -229,9 +229,10 @@ def test_design_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand_name", TESTED_HANDS)
 def test_written_design_is_stable(hand_name: str, seed: int) -> None:
-    """With a written design, all eigenvalues are inside the unit circle.
+    """If a design is written, all its eigenvalues are inside the unit circle.
 
-    The simulated hand comes to rest, even with a seed that the design has not used.
+    With this design, the simulated hand comes to rest, even with a seed that the design has not
+    used.
     """
     model, factors = model_of(hand_name, seed, 3.0), sample_ensemble(2, seed)
     plants = tuple(linear_factors(factor) for factor in factors)
@@ -274,7 +275,7 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
 
 
 def rest_test_of(model: HandModel, friction_fraction: float = 1.0) -> RestTest:
-    """Return a test whether simulated hands come to rest.
+    """Return a `RestTest`, which checks whether simulated hands come to rest.
 
     The test uses the nominal hand, and an ensemble of hands with changed parameters.
     """
@@ -316,9 +317,9 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     chatter_N: float,
     is_accepted: bool,
 ) -> None:
-    """Gains are refused if the tension oscillates with the least friction of the ensemble.
+    """Gains are refused if the tension oscillates in the hand with the lowest friction.
 
-    With all other parameters in the ensemble, this hand comes to rest.
+    All other hands of the ensemble come to rest.
     """
     model = HandModel.from_hand(
         load_hand(hand_name), Gains(), RATE_BY_HAND_HZ.get(hand_name, 200.0)
@@ -340,10 +341,10 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 def test_one_peak_in_five_runs_does_not_decide_about_gains(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """Reproduce a defect: the same gains passed or failed with the seed of the noise.
+    """Reproduce a defect: the seed of the noise decided whether the same gains passed or failed.
 
-    The links of a pressed digit slip at random times. A run with a slip has a peak of several
-    newtons, and a design was judged by one run of each plant.
+    The links of a pressed digit slip at random times. A slip causes a peak of several newtons. In
+    this defect, only one run of each plant decided about a design.
     """
     runs = [5.0, 0.9, 1.0, 0.9, 1.1]
 
@@ -358,7 +359,10 @@ def test_one_peak_in_five_runs_does_not_decide_about_gains(
 def test_a_design_keeps_a_distance_from_the_limits(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """An oscillation of 1.6 N is at rest, but other noise could exceed the limit of 2 N."""
+    """A hand with an oscillation of 1.6 N counts as at rest.
+
+    With other noise, the oscillation could exceed the limit of 2 N.
+    """
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
         lambda hand, tried, factors, seed: StepOscillation(
@@ -375,7 +379,7 @@ def rest_test_with(
     chatter_by_plant: tuple[float, ...],
     oscillation_by_plant: tuple[float, ...],
 ) -> RestTest:
-    """Return a test whether hands come to rest, with given oscillations of each tendon [N].
+    """Return a `RestTest` in which each tendon has a given oscillation [N].
 
     ``chatter_by_plant`` is the oscillation without feedback, and ``oscillation_by_plant`` is the oscillation with the
     gains.
@@ -399,8 +403,8 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
 ) -> None:
     """With little friction, two digits of jamia oscillate even without feedback.
 
-    The tensions of index and ring finger oscillate by 2 to 5 N, and those of middle finger and
-    thumb by less than 0.1 N.
+    The tensions of index and ring finger oscillate by 2 to 5 N. The tensions of middle finger and
+    thumb oscillate by less than 0.1 N.
     """
     chatter_N = (4.1, 0.0, 3.9, 0.0)
     assert rest_test_with(monkeypatch, jamia, chatter_N, (5.0, 0.1, 4.4, 0.1))(jamia)

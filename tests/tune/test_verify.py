@@ -1,7 +1,7 @@
 """Test the verification of gains.
 
-A run whose control loops oscillate with new gains returns to the old gains. The log contains this
-return.
+If the control loops of a run oscillate with new gains, the run uses the old gains again. The log
+contains this change.
 """
 
 import argparse
@@ -91,7 +91,10 @@ OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", 
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(
     tmp_path: Path, finger_count: str, link_lengths_mm: str, tendon_choice: str
 ) -> None:
-    """Reproduce a defect: digits that blocked each other near 17 deg were reported as a tracking error of 20 deg."""
+    """Reproduce a defect: two digits blocked each other, but a tracking error was reported.
+
+    The digits met near 17 deg, and the reported tracking error was 20 deg.
+    """
     file = tmp_path / "mine.toml"
     words = [
         "--fingers",
@@ -140,7 +143,10 @@ GRIPPER_FOLDER = Path(__file__).parents[1] / "hand"
 def test_the_tracking_limit_holds_for_prismatic_joints(
     hand_file: str, joint_index: int, lag_rad_or_m: float, expected_reason: str
 ) -> None:
-    """Reproduce a defect: the lag of a prismatic joint in m was compared with 0.35 rad, so no lag was too large."""
+    """Reproduce a defect: no lag of a prismatic joint was too large.
+
+    The lag is a length in metres, but it was compared with 0.35 rad.
+    """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
     numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
@@ -169,7 +175,10 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
 def test_a_lag_of_a_prismatic_joint_counts_like_an_angle(
     hand_file: str, lag_by_joint: list[float], tracking_deg: float
 ) -> None:
-    """Reproduce a defect: the score took metres for rad, so that 1 mm counted 0.06 deg. 1 mm counts 0.1 rad."""
+    """Reproduce a defect: the score used metres as if they were rad.
+
+    A lag of 1 mm therefore counted as 0.06 deg. It must count as 0.1 rad.
+    """
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     goal = np.zeros((2, len(hand.joints)))
     reached = goal - np.array(lag_by_joint)

@@ -78,7 +78,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
-    """Run tests, each in the guest that runs its file, and return their reports."""
+    """Run each test in the guest for its test file, and return the reports of all tests."""
     kind, reason = uml_guest.vcan_access()
     if not kind:
         return {

@@ -1,7 +1,7 @@
 """Test the program that runs guest systems.
 
-The program returns the exit status of a command, however the command ends, and leaves no process
-behind.
+The program always returns the exit status of the command. After the end of the program, none of its
+processes still runs.
 """
 
 import contextlib

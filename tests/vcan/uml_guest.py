@@ -40,7 +40,10 @@ ip link set lo up
 
 
 def vcan_access() -> tuple[str, str]:
-    """Return how this machine provides vcan: "native", "uml", or "" with the reason why it does not."""
+    """Return the way in which this machine provides vcan: "native" or "uml".
+
+    If the machine does not provide vcan, return an empty text and the reason.
+    """
     if shutil.which("unshare") is not None:
         trial = subprocess.run(
             [*_namespace_command(), "bash", "-c", MAKE_INTERFACES_SCRIPT],
@@ -67,7 +70,9 @@ def run_with_vcan(
     timeout_s: float = 300.0,
     report_line: Callable[[str], None] = print,
 ) -> int:
-    """Run a command with the interfaces vcan0 and vcan1, in this folder and with this environment.
+    """Run a command with the interfaces vcan0 and vcan1.
+
+    The command runs in the present folder, and with the environment variables of this process.
 
     Args:
         command: program and its arguments.
@@ -201,9 +206,10 @@ def _guest_command(job: Path) -> list[str]:
 
 
 def _command_prefix_for_amx(job: Path) -> list[str]:
-    """Return the prefix of the command of the guest.
+    """Return the words that precede the command of the guest.
 
-    On a processor with AMX, a prefix is needed, because the guest does not save the AMX registers.
+    These words are needed on a processor with AMX, because the guest does not save the AMX
+    registers. On other processors, the list is empty.
     """
     if "amx_tile" not in Path("/proc/cpuinfo").read_text(
         encoding="utf-8"

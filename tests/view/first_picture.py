@@ -1,8 +1,8 @@
 """Measure the time that `handctl view LOG` needs for its first picture: `python tests/view/first_picture.py LOG`.
 
 The measurement begins with the start of the process, and ends when a viewer without a screen has
-drawn a picture with data. The program prints JSON with the measured time, and with the CPU times of
-handctl and of the viewer in this time.
+drawn a picture with data. The program prints the measured time as JSON. The JSON also contains the
+CPU times that handctl and the viewer have used in this time.
 """
 
 import json

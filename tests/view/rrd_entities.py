@@ -27,7 +27,7 @@ class RecordingEntity(NamedTuple):
     static_values: dict[str, Any]
 
     def table(self, component_name: str) -> NDArray[np.float64]:
-        """Return the values of a component in all rows, (rows, instances)."""
+        """Return the values of a component in all rows. The shape is (rows, instances)."""
         return np.array(self.rows[component_name], float)
 
 

@@ -1,4 +1,4 @@
-"""Test pictures that the viewer Rerun draws without a screen."""
+"""Test the pictures that the viewer Rerun draws without a screen."""
 
 import io
 import json
@@ -106,10 +106,12 @@ def test_the_viewer_listens_on_this_machine_only(
 def test_viewer_ignores_streams_of_other_programs(
     bare_viewer: "tuple[Viewer, ViewerClient]",
 ) -> None:
-    """A viewer does not show data that another program still sends to an earlier viewer.
+    """Another program may still send data to an earlier viewer.
 
-    Earlier defect: a viewer that was started later showed the data of the other program, and not the
-    views that were sent to it.
+    A new viewer must not show these data.
+
+    Earlier defect: the new viewer showed the data of the other program. It did not show its own
+    views.
     """
     running, client = bare_viewer
     assert not running.url.endswith(":9876/proxy"), (

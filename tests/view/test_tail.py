@@ -1,4 +1,7 @@
-"""A growing log is read to its end without lost or duplicate messages, with growth steps of any size."""
+"""A growing log is read to its end without lost or duplicate messages.
+
+The log may grow in steps of any size.
+"""
 
 import random
 from pathlib import Path

@@ -43,7 +43,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
 
 
 def draw_paper() -> None:
-    """Draw the figures that correspond to figures of the source paper.
+    """Draw the figures that repeat figures of the source paper with data of handctl.
 
     The data are the experiments in docs/evidence.
     """

@@ -1,6 +1,6 @@
 """Draw the animated picture of a grasp.
 
-MuJoCo renders, without a screen, the true poses of a run of `handctl demo`.
+MuJoCo renders the true poses of a run of `handctl demo`. This needs no screen.
 """
 
 import os
@@ -50,7 +50,10 @@ def write_gif(folder: Path, path: Path) -> None:
 
 
 def picture_sheet(pictures: list[Any]) -> Any:
-    """Join all pictures, one below the other, to compute one palette with the colours of all pictures."""
+    """Join all pictures, one below the other.
+
+    The palette of the joined picture has the colours of all pictures.
+    """
     from PIL import Image
 
     made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))

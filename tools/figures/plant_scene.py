@@ -1,4 +1,4 @@
-"""Painted MuJoCo model of a simulated hand for pictures, and true poses of a run."""
+"""Coloured MuJoCo model of a simulated hand for pictures, and the true poses of a run."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -1,4 +1,8 @@
-"""Plot simulated runs: the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a tick."""
+"""Draw the plots of simulated runs.
+
+The plots show the tension estimate, a snapped tendon, tip forces, a replay, and the frames of a
+tick.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -22,17 +26,26 @@ from tools.figures.style import (
 )
 
 POINTS_LIMIT = 1500
-"""Maximum number of points of a curve in an SVG."""
+"""Number of points to which a long curve in an SVG is reduced.
+
+A curve may have up to twice this number of points.
+"""
 
 
 def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
-    """Return every n-th point of curves, with n so large that a curve has at most POINTS_LIMIT points."""
+    """Return every n-th point of each curve.
+
+    A long curve keeps at least POINTS_LIMIT points, but fewer than twice as many.
+    """
     step = max(1, len(t) // POINTS_LIMIT)
     return tuple(values[::step] for values in (t, *curves))
 
 
 def estimate_plot(folder: Path) -> Any:
-    """Plot raw load cell, estimated tension with its uncertainty, and true tension, in motion and at contact."""
+    """Plot three tensions: raw load cell, estimate with its uncertainty, and true tension.
+
+    The two panels show a motion and a contact.
+    """
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.interpolated_column("tension/index_tendon", log.t_ns + offset)
@@ -61,7 +74,7 @@ def estimate_plot(folder: Path) -> Any:
 
 
 def snapped_tendon(folder: Path) -> Any:
-    """Plot tension, torque and mode before and after a tendon snaps."""
+    """Draw the tension, the torque and the mode before and after a tendon snaps."""
     del folder
     run = runs.snap_run()
     ms = run.t * 1e3
@@ -119,7 +132,10 @@ def snapped_tendon(folder: Path) -> Any:
 
 
 def tip_force(folder: Path) -> Any:
-    """Plot the commanded, the estimated and the true tip force of each digit, on a wall and in a grasp."""
+    """Plot the commanded, the estimated and the true tip force of each digit.
+
+    One row shows forces on a wall, and the other row shows forces in a grasp.
+    """
     del folder
     figure = new_figure(8.6, 5.8)
     grid = figure.subplots(2, 4, sharey="row")
@@ -173,7 +189,10 @@ def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: 
 
 
 def replay_plot(folder: Path) -> Any:
-    """Plot angles and tensions of a grasp, and of the replay of this grasp on a hand with other noise."""
+    """Plot the angles and tensions of a grasp and of its replay.
+
+    In the replay, the hand has other noise.
+    """
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
     start, end = runs.recording_interval(log)

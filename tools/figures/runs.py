@@ -118,7 +118,7 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
 def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
     """Return the log, the true values and the printed result of `handctl demo`.
 
-    The function executes the command only if its files do not exist yet.
+    If the files of an earlier execution exist, the function does not execute the command again.
     """
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"

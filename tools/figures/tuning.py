@@ -1,6 +1,6 @@
 """Make the pictures of tuning and of a report.
 
-Commands of handctl draw these pictures, and pages of the site show the same commands.
+Commands of handctl draw these pictures. Pages of the site show the same commands.
 """
 
 import contextlib
@@ -82,7 +82,7 @@ def identify_picture(folder: Path) -> Path:
 
 
 def design_picture(folder: Path) -> Path:
-    """Design gains with stability margins, starting from gains without stability margins.
+    """Design gains that have stability margins. The initial gains have no stability margins.
 
     Return the path of the picture of the design.
     """

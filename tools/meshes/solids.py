@@ -50,7 +50,10 @@ def prism_triangles(
 
 
 def along_x(triangles: Array) -> Array:
-    """Rotate triangles: the z axis becomes the x axis, the x axis the y axis, and the y axis the z axis."""
+    """Rotate triangles so that their z axis becomes the x axis.
+
+    The x axis becomes the y axis, and the y axis becomes the z axis.
+    """
     return triangles[..., [2, 0, 1]]
 
 

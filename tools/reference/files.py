@@ -148,7 +148,10 @@ def _list_text(arguments: list[Any]) -> str:
 
 
 def _expected_text(annotation: Any) -> str:
-    """Return the description of valid values that the validator of a type prints in an error message."""
+    """Return the description of the valid values of a type.
+
+    The description comes from the error message that the validator of the type returns.
+    """
     try:
         TypeAdapter(annotation).validate_python(object())
     except ValidationError as error:

@@ -24,7 +24,7 @@ def table_cell(text: object) -> str:
 
 
 def _code_with_bars(match: re.Match[str]) -> str:
-    """Return quoted code as HTML, in which character references stand for vertical bars."""
+    """Return quoted code as HTML. A character reference replaces each vertical bar."""
     return "<code>" + html.escape(match[1], quote=False).replace("|", "&#124;") + "</code>"
 
 
@@ -44,7 +44,7 @@ def markdown_table(column_titles: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def prose_markdown(text: str | None) -> str:
-    """Return a docstring as Markdown prose. Single backquotes replace the double ones."""
+    """Return a docstring as Markdown prose. Each double backquote becomes a single backquote."""
     return inspect.cleandoc(text or "").replace("``", "`")
 
 
@@ -71,7 +71,10 @@ def docstring_markdown(value: object) -> str:
 
 
 def attribute_docstrings(class_type: type) -> dict[str, str]:
-    """Return the docstring below each attribute of a class as Markdown prose, by the name of the attribute."""
+    """Return a dictionary from each attribute of a class to the docstring below it.
+
+    The docstrings are converted to Markdown prose.
+    """
     body = ast.parse(textwrap.dedent(inspect.getsource(class_type))).body[0]
     assert isinstance(body, ast.ClassDef)
     texts: dict[str, str] = {}

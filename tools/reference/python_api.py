@@ -76,7 +76,7 @@ def _signature_block(function: object) -> str:
 
 
 def _rejoin_brackets(text: str) -> str:
-    """Join each line of a signature that ends inside brackets with the next line."""
+    """Join the lines of a signature that were divided inside brackets."""
     lines: list[str] = []
     for line in text.split(",\n    "):
         if lines and lines[-1].count("[") > lines[-1].count("]"):

@@ -1,4 +1,7 @@
-"""Generate the blocks about the topics of a log from the topics that runs of packaged hands register."""
+"""Generate the blocks about the topics of a log.
+
+The runs of the packaged hands register these topics.
+"""
 
 import re
 
@@ -93,7 +96,10 @@ def _topic_with_placeholder(topic: str, header: RunHeader) -> str:
 
 
 def topic_table() -> str:
-    """Return a table of all topics with message type, rate, and content with units."""
+    """Return a table of all topics. Its columns are the topic, message type, rate and content.
+
+    The column with the content also contains the units.
+    """
     topic_types = sorted(packaged_hand_topics().items())
     rows = (
         (quoted_code(topic), _linked_type(kind), *topic_content(topic, note))

@@ -1,6 +1,6 @@
 """CiA 402 drives on a bench, with the settings as delivered.
 
-The data of the free shaft are assumed.
+The data of the free shaft are assumptions.
 """
 
 from firmware_sim.bus.frame import Frame

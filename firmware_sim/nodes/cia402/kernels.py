@@ -49,7 +49,7 @@ _MAX_INT32 = (1 << 31) - 1
 
 
 class Cia402Struct(ctypes.Structure):
-    """Memory of a simulated drive, for compiled kernels.
+    """Memory of a simulated drive, which compiled kernels read and write.
 
     The class ``node.Cia402Node`` explains the fields.
 
@@ -168,7 +168,9 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @kernel_helper
 def schedule_wake(node: Any, t_ns: int, has_frame_to_send: bool) -> None:
-    """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
+    """Set the time at which a drive must wake next.
+
+    The drive wakes for the temperatures, the heartbeat, the timeout of the master, or a motion.
 
     Args:
         node: simulated drive, as an array row or as a Python object.

@@ -241,7 +241,10 @@ class Cia402Node:
             self._send_event_pdos()
 
     def _connection_lost(self, error_code: int) -> None:
-        """React to a lost connection as object 0x6007 (abort connection option) demands."""
+        """React to a lost connection.
+
+        Object 0x6007 (abort connection option) selects the reaction.
+        """
         option = self.objects[0x6007, 0]
         if option == 1:
             self.trip(error_code)
@@ -474,7 +477,7 @@ class Cia402Node:
 
 
 class Cia402NodeRow(Cia402Struct, Cia402Node):
-    """A drive whose numbers are kept in a row of an array, for compiled kernels."""
+    """A drive that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
     layout = Cia402Struct
 

@@ -1,6 +1,6 @@
-"""Process data of the simulated CiA 402 drive: four RPDOs and four TPDOs, mapped over SDO.
+"""The process data objects (PDOs) of the simulated CiA 402 drive.
 
-Source: fact sheet cia402.
+The drive has four RPDOs and four TPDOs, which are mapped over SDO. Source: fact sheet cia402.
 
 Objects of PDO i:
 
@@ -69,7 +69,7 @@ class NodePdos:
             raise SdoAbort(ABORT_PDO_TOO_LONG)
 
     def _mapped_objects(self, mapping_index: int) -> Iterator[tuple[ObjectKey, int]]:
-        """Iterate over the objects in a mapping, with sizes [bytes]."""
+        """Yield each object in a mapping, together with its size [bytes]."""
         for i in range(self._objects[mapping_index, 0]):
             entry = self._objects[mapping_index, i + 1]
             yield (entry >> 16, entry >> 8 & 0xFF), (entry & 0xFF) // 8
@@ -140,9 +140,10 @@ class NodePdos:
         return [self._objects[0x1400 + i, 1] for i in range(4)]
 
     def standard_rpdo(self) -> int:
-        """Return the identifier of the RPDO that compiled kernels can handle, or -1.
+        """Return the identifier of the RPDO that compiled kernels can handle.
 
-        The RPDO contains the control word and the target torque, and is written at once.
+        If there is no such RPDO, return -1. The RPDO contains the control word and the target
+        torque, and is written at once.
         """
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
@@ -159,8 +160,8 @@ class NodePdos:
         """Return the identifier and the transmission type of the TPDO that compiled kernels can handle.
 
         The TPDO contains status word, position and torque. The TPDO is sent after SYNC, and is the
-        only active TPDO. With any other arrangement of PDOs, or if an RPDO depends on SYNC, the
-        identifier is -1.
+        only active TPDO. If the PDOs are arranged in another way, or if an RPDO depends on SYNC,
+        the identifier is -1.
         """
         active = self._active_tpdos()
         waits_for_sync = any(

@@ -5,9 +5,10 @@ The inputs of the state machine are control words. Source: fact sheet cia402.
 Bits of the control word: 0 switch on, 1 enable voltage, 2 quick stop (the value 0 stops), 3 enable
 operation, 7 fault reset (on its rising edge).
 
-Choices of this simulation: in the state *ready to switch on*, the control word 0x0F executes the
-transitions 3 and 4 together. After a quick stop, the state becomes *switch on disabled* without a
-further command. The state *fault reaction active* is left within one step.
+The fact sheet does not determine the following behaviour. In the state *ready to switch on*, the
+control word 0x0F executes the transitions 3 and 4 together. After a quick stop, the state becomes
+*switch on disabled* without a further command. The state *fault reaction active* is left within one
+step.
 """
 
 import ctypes
@@ -18,7 +19,7 @@ from firmware_sim.compiled import kernel_helper
 OFF_STATE, READY_STATE, ON_STATE, ENABLED_STATE, FAULT_STATE = range(5)
 """States of the power stage: switch on disabled, ready to switch on, switched on, operation enabled, fault."""
 _STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
-"""Bits of the status word that tell the state, by state."""
+"""Bits of the status word that encode each state."""
 
 
 @kernel_helper
@@ -74,6 +75,6 @@ class PowerStage:
 
 
 class PowerStruct(ctypes.Structure, PowerStage):
-    """The state machine of a power stage, whose numbers are in the array row of a drive."""
+    """The state machine of a power stage. Its numbers are in the array row of a drive."""
 
     _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

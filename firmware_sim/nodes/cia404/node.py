@@ -9,10 +9,10 @@ Frames (COB-ID, payload little-endian):
     0x600+n       SDO request  u8 specifier, u16 index, u8 sub-index, u32 value
     0x700+n       heartbeat    u8 NMT state, 0 once after a restart
 
-Choices where the fact sheet is not definite: the node ignores a SYNC frame with a payload, because
-object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent only once, when
-the node becomes operational. The host can write communication objects only while the node is
-pre-operational. The settings are lost at a restart.
+The fact sheet does not determine the following behaviour. The node ignores a SYNC frame with a
+payload, because object 0x1019 does not exist. TPDOs of the types 254 and 255 (on a change) are sent
+only once, when the node becomes operational. The host can write communication objects only while
+the node is pre-operational. The settings are lost at a restart.
 """
 
 import math
@@ -46,7 +46,9 @@ _NEVER_NS = 1 << 62
 
 
 class LoadCellAmplifiers:
-    """The load cells of a hand with amplifiers, and the noise, the bias and the faults of these load cells.
+    """The load cells of a hand that has amplifiers.
+
+    The class simulates the noise, the bias and the faults of these load cells.
 
     Attributes:
         nodes: the amplifiers of the hand.
@@ -225,7 +227,10 @@ class AmplifierNode:
             )
 
     def _send_tpdos(self, is_due: Callable[[int], bool]) -> None:
-        """Send the TPDOs for whose transmission type the function ``is_due`` returns True."""
+        """Send all TPDOs that are due.
+
+        The function ``is_due`` returns True if the transmission type of a TPDO is due.
+        """
         self._sample_load_cells()
         for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]

@@ -1,6 +1,6 @@
 """Damiao motors as delivered.
 
-The data of the free shaft are assumed. Source of the ranges: fact sheet mit_damiao.
+The data of the free shaft are assumptions. Source of the ranges: fact sheet mit_damiao.
 """
 
 import math
@@ -98,9 +98,9 @@ GEAR_RATIOS = {
 }
 """Value of the register gear ratio of each motor type.
 
-The client i2rt 1.3.6 refuses a motor whose register differs from its own table, which has DM3507,
-DM4310, DM4310V, DM4340, DM6248 and DM8009. The other values are assumptions: the last two digits of
-the type, and 1 for motors without a gear.
+The client i2rt 1.3.6 has a table of this value for DM3507, DM4310, DM4310V, DM4340, DM6248 and
+DM8009. It refuses a motor whose register differs from this table. The values of all other types are
+assumptions: the last two digits of the type, and 1 for motors without a gear.
 """
 STALL_FACTOR = 2.0
 """Stall torque divided by TMAX, for motor types without a published rating.

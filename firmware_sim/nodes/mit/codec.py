@@ -57,7 +57,7 @@ class FrameRanges(NamedTuple):
 
 
 class MitStruct(ctypes.Structure):
-    """Memory of a simulated drive for compiled kernels, see ``node.MitNode``.
+    """Memory of a simulated drive, which compiled kernels read and write. See ``node.MitNode``.
 
     ``motor_number`` is the row of the drive's rotor.
     """

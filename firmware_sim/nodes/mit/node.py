@@ -20,8 +20,8 @@ Register request to 0x7FF (8 bytes):
     byte 3     register
     byte 4..7  value, uint32 or float32, low byte first
 
-The reply from MST_ID has the same layout. A special command has seven bytes FF, followed by FC
-(enable), FD (disable), FE (set zero) or FB (clear error).
+The reply has the identifier MST_ID and the same layout. A special command has seven bytes FF,
+followed by FC (enable), FD (disable), FE (set zero) or FB (clear error).
 """
 
 import enum
@@ -394,7 +394,7 @@ class MitNode:
 
 
 class MitNodeRow(MitStruct, MitNode):
-    """A node whose numbers are kept in a row of an array, for compiled kernels."""
+    """A node that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
     layout = MitStruct
 

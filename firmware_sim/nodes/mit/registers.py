@@ -48,7 +48,10 @@ OUTPUT_POSITION = 81
 """Register: measured angle of the output shaft [rad]."""
 
 DM4310_GEAR_RATIO = 10.0
-"""Gear ratio of a DM-J4310: the motors of a hand, whose hand file does not name their type."""
+"""Gear ratio of a DM-J4310.
+
+The motors of a hand have this gear ratio, because the hand file does not name their type.
+"""
 _UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All other registers are float32."""
 _READ_ONLY_REGISTERS = {

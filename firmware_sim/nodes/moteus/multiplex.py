@@ -1,4 +1,4 @@
-"""Subframes of the register protocol of moteus, from the side of the drive.
+"""Subframes of the register protocol of moteus, as the drive reads and writes them.
 
 Source: docs/facts/moteus.md.
 
@@ -46,7 +46,7 @@ FRACTION_STEPS = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class MalformedPayload(Exception):  # noqa: N818 - never leaves the node
-    """An error: a payload ends within a subframe, or contains an unknown subframe."""
+    """Error for a payload that ends within a subframe, or that contains an unknown subframe."""
 
 
 class PayloadReader:

@@ -1,9 +1,9 @@
 """A motor with a moteus controller. Source: docs/facts/moteus.md.
 
 The drive executes a frame subframe by subframe. If the frame writes the mode, all written registers
-take effect at the end of the frame. The drive builds the reply before that. Therefore the reply
-contains the mode that the drive had before the frame. If a subframe is unknown, the drive ignores
-the rest of the frame.
+take effect at the end of the frame. The drive builds the reply before these registers take effect.
+Therefore the reply contains the mode that the drive had before the frame. If a subframe is unknown,
+the drive ignores the rest of the frame.
 
 In position mode, the drive moves the commanded position with the commanded velocity until the next
 command. A command without a position keeps the present target.
@@ -220,7 +220,7 @@ class MoteusNode:
         ) + error
 
     def _write_register(self, register: int, value_type: int, register_bytes: bytes) -> int:
-        """Write a register, and return an error number, 0 without an error."""
+        """Write a register, and return an error number. The number 0 means no error."""
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register == reg.MODE:
             mode = mp.decode_register(register_bytes, value_type, mp.UNSCALED_STEPS)
@@ -246,7 +246,11 @@ class MoteusNode:
         return 0
 
     def _set_position(self, turns: float, to_nearest_turn: bool) -> None:
-        """Shift the reported position to a value, or as near as possible to the value by whole turns."""
+        """Shift the reported position to a value.
+
+        If ``to_nearest_turn`` is True, the shift is a whole number of turns. The reported position
+        is then as near as possible to the value.
+        """
         if math.isfinite(turns):
             shift = turns - self._position
             self.offset += TURN_RAD * (round(shift) if to_nearest_turn else shift)
@@ -311,8 +315,8 @@ class MoteusNode:
     def _fault_code(self) -> int:
         """Return the fault code of the drive.
 
-        In position mode, it may be the code of a limit that reduces the torque of the position
-        loop.
+        In the modes position and *stay within*, a limit may reduce the torque of the position loop.
+        The code of this limit is then returned.
         """
         motor = self.motor
         servo = motor.servo
@@ -413,9 +417,9 @@ class MoteusNode:
         self._has_target = self.mode == POSITION
 
     def _violated_bound(self) -> float | None:
-        """Return the bound of the mode *stay within* that the position violates [turn].
+        """Return the violated bound of the mode *stay within* [turn].
 
-        Return None if it violates none.
+        If the position is within both bounds, return None.
         """
         lower = self.command[reg.LOWER_BOUND]
         upper = self.command[reg.UPPER_BOUND]
@@ -473,7 +477,10 @@ class MoteusNode:
 
     @property
     def _timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
+        """Return the timeout of the watchdog [ns], or 0 if the watchdog is off.
+
+        If no command arrives within this time, the watchdog fires.
+        """
         seconds = self.command[reg.TIMEOUT]
         if seconds == 0.0:
             seconds = self._configuration_item("servo.default_timeout_s")
@@ -526,7 +533,7 @@ class MoteusNode:
     def _enter_timeout_mode(self) -> None:
         """Enter the mode *timeout*.
 
-        An item of the configuration selects the effect of this mode.
+        The configuration item ``servo.timeout_mode`` selects the effect of this mode.
         """
         effect = int(self._configuration_item("servo.timeout_mode"))
         self.mode = effect if effect in (POSITION, ZERO_VELOCITY, BRAKE) else STOPPED

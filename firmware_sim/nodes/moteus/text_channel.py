@@ -74,7 +74,10 @@ class TextChannel:
         return part
 
     def restore_saved(self) -> None:
-        """Load the stored configuration, and empty the channel, as a restart does."""
+        """Load the stored configuration, and delete all text in the channel.
+
+        A restart does the same.
+        """
         self.items = dict(self.saved)
         self.out = self._line = b""
 

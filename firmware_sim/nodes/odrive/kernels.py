@@ -26,7 +26,7 @@ TURN_RAD = 2.0 * math.pi
 
 
 class OdriveStruct(ctypes.Structure):
-    """Memory of a simulated axis, for compiled kernels.
+    """Memory of a simulated axis, which compiled kernels read and write.
 
     The class ``node.OdriveNode`` explains the fields.
 
@@ -77,7 +77,7 @@ class OdriveStruct(ctypes.Structure):
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     """Set a torque setpoint [N m at the shaft].
 
-    In torque control without a ramp, follow it at once.
+    In torque control without a ramp, the drive follows the setpoint at once.
 
     The setpoint restarts the watchdog in every control mode.
     """
@@ -146,7 +146,11 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 @kernel_helper
 def schedule_wake(node: Any) -> None:
-    """Schedule the next wake of a drive, for temperatures, cyclic messages, watchdog, calibration or motion."""
+    """Set the time at which a drive must wake next.
+
+    The drive wakes for the temperatures, the cyclic messages, the watchdog, the calibration, or a
+    motion.
+    """
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
     if node.state == CLOSED_LOOP and node.timeout_ns > 0:
         wake_ns = min(wake_ns, node.watchdog_fed_ns + node.timeout_ns)
@@ -159,7 +163,7 @@ def schedule_wake(node: Any) -> None:
 
 @kernel_helper
 def next_period_ns(due_ns: int, t_ns: int, period_ns: int) -> int:
-    """Return the next due time of a cyclic message after it was sent [ns].
+    """Return the time at which a cyclic message is due again [ns]. It has just been sent.
 
     Args:
         due_ns: time when the sent message was due [ns].

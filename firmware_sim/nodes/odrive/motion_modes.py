@@ -5,13 +5,14 @@
 
 The inputs are the values of Set_Input_Pos, Set_Input_Vel and Set_Input_Torque. Each of these
 messages sets its inputs in every mode. A mode uses only the inputs that it needs. Gains, filter,
-ramps and integrator are as in the ODrive firmware (MIT licence), controller.cpp. While the torque
-is limited, the integrator decays. In each step, the rest of the trapezoid is planned again. The
-result differs from trapTraj.cpp only if the target changes during the motion.
+ramps and integrator are those of the ODrive firmware (MIT licence), controller.cpp. While the
+torque is limited, the integrator decays. In each step, the rest of the trapezoid is planned again.
+The result differs from trapTraj.cpp only if the target changes during the motion.
 
-Differences from the firmware: a speed above the limit is not an error, because the position
-controller limits the velocity demand. Input mode 0 (inactive) keeps the last setpoint. The firmware
-refuses modes without an entry above, and the simulation ignores them.
+The simulation differs from the firmware in the following points. A speed above the limit is not an
+error, because the position controller limits the velocity demand. Input mode 0 (inactive) keeps the
+last setpoint. The list above contains all simulated modes. The firmware refuses other modes, but
+the simulation ignores them.
 """
 
 import math
@@ -48,10 +49,10 @@ MOTION_ENDPOINTS = {
     206: ("torque_ramp_rate", 0.01),
     207: ("input_filter_bandwidth", 2.0),
 }
-"""Name and vendor's default of settings that no message can set, by endpoint number [turn/s2], [N m/s], [1/s].
+"""Name and vendor's default of each setting that no message can set, by its endpoint number.
 
-The endpoint numbers are assumed, like those in ``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive
-firmware 0.5.6.
+The units are turn/s2, N m/s and 1/s. The endpoint numbers are assumptions, as in
+``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive firmware 0.5.6.
 """
 VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
 

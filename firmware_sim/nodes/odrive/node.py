@@ -417,7 +417,10 @@ class OdriveNode:
         self.motion.advance(t_ns, forces_update=True)
 
     def _endpoint_limit(self, name: str, default: float) -> float:
-        """Return the float of a named endpoint, or the default if the hand file does not give its number."""
+        """Return the float of a named endpoint.
+
+        If the hand file does not give the number of this endpoint, return ``default``.
+        """
         raw_limit = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw_limit)[0]) if raw_limit else default
 
@@ -455,7 +458,10 @@ class OdriveNode:
         ]
 
     def _set_position(self, data: bytes) -> None:
-        """Shift the zero until the present position has the given value, in turns or (firmware 0.5) in counts."""
+        """Shift the zero until the present position has the given value.
+
+        The value is given in turns, or in counts with firmware 0.5.
+        """
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
         if math.isfinite(position):
@@ -567,7 +573,7 @@ class OdriveNode:
 
 
 class OdriveNodeRow(OdriveStruct, OdriveNode):
-    """An axis whose numbers are kept in a row of an array, for compiled kernels."""
+    """An axis that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
     layout = OdriveStruct
 

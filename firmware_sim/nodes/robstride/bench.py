@@ -1,6 +1,6 @@
 """RobStride motors as delivered.
 
-The data of the free shaft are assumed. Source of the ranges: docs/facts/robstride.md.
+The data of the free shaft are assumptions. Source of the ranges: docs/facts/robstride.md.
 """
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
@@ -30,7 +30,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a control command with zero torque, which leaves the motor enabled."""
+    """Replace a stop command by a control command with zero torque. The motor stays enabled."""
     number = frame.can_id & ~EXTENDED_FLAG
     if number >> 24 != 4 or frame.data[:1] != b"\0":
         return frame

@@ -138,7 +138,7 @@ class RobstrideMitNode(RobstrideNode):
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _change_configuration(self, data_area: int, command_code: int) -> list[Frame]:
-        """Change the protocol, or the number of the motor or of the host.
+        """Change the protocol, the number of the motor, or the number of the host.
 
         The motor replies with its identity.
         """
@@ -202,7 +202,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 
 def _corrupt_command(frame: Frame) -> Frame:
-    """Replace a stop command by a command with zero torque, which leaves the motor enabled."""
+    """Replace a stop command by a command with zero torque. The motor stays enabled."""
     stop = frame.can_id < 0x80 and frame.data == b"\xff" * 7 + b"\xfd"
     return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if stop else frame
 

@@ -165,7 +165,10 @@ class RobstrideNode:
 
     @property
     def timeout_ns(self) -> int:
-        """Return the time without a command after which the watchdog fires [ns], or 0 if the watchdog is off."""
+        """Return the timeout of the watchdog [ns], or 0 if the watchdog is off.
+
+        If no command arrives within this time, the watchdog fires.
+        """
         return int.from_bytes(self.parameters[0x7028], "little") * TIMEOUT_UNIT_NS
 
     @property

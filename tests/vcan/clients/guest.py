@@ -1,7 +1,8 @@
-"""Run simulated drives on vcan0, and beside them a client program in its own Python environment.
+"""Run a client program in its own Python environment, with simulated drives on vcan0.
 
-The command is ``python -m tests.vcan.clients.guest PYTHON MODULE DRIVE_WORDS...``. It returns the exit status
-of the client. A test runs it in a virtual machine that has the interface vcan0.
+The command is ``python -m tests.vcan.clients.guest PYTHON MODULE DRIVE_WORDS...``. The exit status
+of this command is that of the client. A test runs the command in a virtual machine that has the
+interface vcan0.
 """
 
 import subprocess

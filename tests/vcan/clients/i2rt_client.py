@@ -1,4 +1,4 @@
-"""Use of the motor chain of i2rt with four simulated DM4310 motors on vcan0.
+"""Test the motor chain of i2rt with four simulated DM4310 motors on vcan0.
 
 The program needs an environment with the package ``dreamscale-i2rt``, which installs i2rt.
 """
@@ -89,7 +89,7 @@ def close_chain(chain: Any) -> None:
 
 
 def check_velocity_mode(checks: CheckList) -> None:
-    """Let a chain in velocity mode, as in i2rt's Flow Base, turn all motors."""
+    """Let a chain in velocity mode turn all motors. The Flow Base of i2rt uses this mode."""
     chain = open_chain(ControlMode.VEL)
 
     def speeds() -> list[float]:
@@ -107,7 +107,10 @@ def check_velocity_mode(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Command torques and then positions to a chain of motors in MIT mode, as in the arm YAM of i2rt."""
+    """Send torques and then positions to a chain of motors in MIT mode.
+
+    The arm YAM of i2rt uses its motors in this mode.
+    """
     chain = open_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
 
@@ -141,7 +144,10 @@ def check_mit_mode(checks: CheckList) -> None:
 
 
 def check_watchdog(checks: CheckList) -> None:
-    """Set the watchdog of a motor, let it fire, and let i2rt clear and enable the motor again."""
+    """Set the watchdog of a motor, and wait until it fires. Let i2rt enable the motor again.
+
+    i2rt must first clear the error of the motor.
+    """
     motor = MOTOR_IDS[0]
     bus = RawCanInterface(channel=CHANNEL, bustype="socketcan")
     try:

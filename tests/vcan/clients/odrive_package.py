@@ -1,4 +1,4 @@
-"""Use of the vendor's package ``odrive`` with two simulated drives on vcan0.
+"""Test the vendor's package ``odrive`` with two simulated drives on vcan0.
 
 The package finds drives on SocketCAN by their serial numbers. It connects only to drives with
 firmware 0.6.11 or later, over a protocol that is not published. The simulated drives have firmware
@@ -24,7 +24,7 @@ FIND_TIMEOUT_S = 20.0
 
 
 class FoundDevices(DeviceManagerDelegate):  # type: ignore[misc,unused-ignore]
-    """Devices that the package has found, as node number by serial number."""
+    """Devices that the package has found. ``nodes`` maps each serial number to a node number."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, int] = {}
@@ -35,7 +35,7 @@ class FoundDevices(DeviceManagerDelegate):  # type: ignore[misc,unused-ignore]
 
 
 async def find_devices() -> dict[str, int]:
-    """Return the node number of each device on the bus by its serial number."""
+    """Return a dictionary from the serial number of each device on the bus to its node number."""
     manager = get_device_manager()
     found_devices = FoundDevices()
     subscription = manager.subscribe(

@@ -1,7 +1,7 @@
-"""Use of openarm_can, the C++ library of the arm OpenArm, with three simulated DM4310 motors on vcan0.
+"""Test openarm_can, the C++ library of the arm OpenArm.
 
-The program needs an environment with the package ``openarm_can``. The motors answer in CAN FD, as
-those of an OpenArm do.
+The test uses three simulated DM4310 motors on vcan0. The program needs an environment with the
+package ``openarm_can``. The motors answer in CAN FD, as those of an OpenArm do.
 """
 
 from typing import Any
@@ -73,7 +73,7 @@ def check_registers(checks: CheckList) -> None:
 
 
 def check_mit_mode(checks: CheckList) -> None:
-    """Pull with a torque, and then hold positions."""
+    """Turn the motors by a torque, and then hold positions."""
     arm = open_arm(openarm_can.ControlMode.MIT)
     checks.check_until(
         "three motors are enabled",

@@ -1,8 +1,10 @@
-"""Use of can-motor-control, a client in Rust for arms of Damiao motors, with three simulated DM4340 motors on vcan0.
+"""Test can-motor-control, a client in Rust for arms of Damiao motors.
+
+The test uses three simulated DM4340 motors on vcan0.
 
 The program needs an environment with the package ``can-motor-control``. The motors use CAN FD. The
-client 0.0.8 decodes the feedback of each motor type with the ranges of a DM4340, so that torque and
-velocity of other types are wrong by a constant factor.
+client 0.0.8 decodes the feedback of each motor type with the ranges of a DM4340. Torque and
+velocity of other motor types are therefore wrong by a constant factor.
 """
 
 from collections.abc import Callable
@@ -34,7 +36,10 @@ def make_robot() -> Any:
 
 
 def command_rows(*columns: Any) -> Any:
-    """Return one row of a command for each motor, from a number or one number per motor for each column."""
+    """Return the command of all motors, with one row for each motor.
+
+    Each column is given as one number for all motors, or as one number for each motor.
+    """
     return np.column_stack([np.broadcast_to(column, MOTOR_COUNT) for column in columns]).astype(
         float
     )
@@ -67,7 +72,7 @@ def check_mode(
 
 
 def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
-    """Pull with a torque, and then hold positions."""
+    """Turn the motors by a torque, and then hold positions."""
     start = np.array(read_feedback("positions"))
 
     def command_torque_and_read(quantity: str) -> Any:

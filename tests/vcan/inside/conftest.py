@@ -21,7 +21,7 @@ system call.
 """
 READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
-"""Faults that are right if the host or the simulator does not run for a while.
+"""Faults that are correctly reported if the host or the simulator does not run for a while.
 
 Each of these faults ends the run.
 """
@@ -34,9 +34,9 @@ runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 """
 """Program that runs the simulator with another clock for MuJoCo's profile.
 
-MuJoCo reads the clock about forty times in a simulation step, which takes 1 ms in the guest system.
-With a C function that needs no system call as the clock, a step is a hundred times faster. MuJoCo
-uses this clock only for its profile.
+In each simulation step, MuJoCo reads the clock about forty times. In the guest system, these forty
+readings take 1 ms. The other clock is a C function that needs no system call. With this clock, a
+step is a hundred times faster. MuJoCo uses this clock only for its profile.
 """
 
 

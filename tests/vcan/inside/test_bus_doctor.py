@@ -1,4 +1,4 @@
-"""``handctl bus doctor`` and ``scan`` report the state of a real SocketCAN interface as Linux gives it."""
+"""Test that ``handctl bus doctor`` and ``scan`` report the real state of a SocketCAN interface."""
 
 import json
 import subprocess

@@ -1,7 +1,7 @@
-"""Test faults of the host that only root can cause.
+"""Test the faults of the host that only root can cause.
 
-In these tests, the wall clock of the guest system is set, or a CAN interface of the guest is taken
-down, during a run.
+During the runs of these tests, the wall clock of the guest system is set, or one of its CAN
+interfaces is taken down.
 """
 
 import fcntl

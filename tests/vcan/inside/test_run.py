@@ -58,7 +58,7 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
 
 
 def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """Return the first run that the load of the machine did not end early, and the folder of this run."""
+    """Return the first run that was not stopped by the load of the machine, and its folder."""
     for number, time_scale in enumerate(TIME_SCALES):
         place = work_folder / str(number)
         place.mkdir()
