@@ -566,9 +566,9 @@ class Cia402Drive:
         When the node enters the NMT state pre-operational, object 0x6007 makes the drive go into
         fault.
 
-        DISABLE_VOLTAGE must be sent before NMT pre-operational. One reason is that a node reads
-        PDOs only in the NMT state operational. Another reason is that CiA 402-2 does not require
-        that a drive loses its torque in the NMT state pre-operational.
+        CiA 402-2 does not require that a drive loses its torque in the NMT state pre-operational.
+        DISABLE_VOLTAGE is therefore necessary. It must be sent first, because a node reads PDOs
+        only in the NMT state operational.
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),

@@ -2,9 +2,8 @@
 
 A motor sends frames only as answers. The host therefore sends a request in each tick, and waits for
 one register reply at a time. Position, velocity, and torque are NaN until the full scale of the
-motor is known. An angle beyond PMAX wraps around in feedback. The driver does not unwrap angles,
-because the travel of a hand is far smaller than PMAX. A motor is proven to be disabled only by
-feedback with state 0 or with an error.
+motor is known. The host does not unwrap angles beyond PMAX, because the travel of a hand is far
+smaller. A motor is proven to be disabled only by feedback with state 0 or with an error.
 """
 
 import math
