@@ -109,7 +109,7 @@ def pdo_steps(
 def is_next_request_write(cursor: ReadbackCursor, step: SetupStep) -> bool:
     """Return True if the next request must write the object.
 
-    The rule of the object requires the write, or the value of the object was wrong.
+    A write is required by the rule of the object, or because the value of the object was wrong.
     """
     return cursor.writing or (step.is_written_before_read and not cursor.written)
 
