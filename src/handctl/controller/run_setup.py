@@ -262,10 +262,11 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
     """Return the drives after one CiA 402 drive of each bus was selected for SYNC and heartbeat.
 
-    The host sends SYNC and its heartbeat after the command of the selected drive. All CiA 402
-    drives on a bus receive the same heartbeat and the same SYNC frames. The last of these drives is
-    selected, so that the SYNC frame comes after all commands. The heartbeat has the shortest period
-    that any drive on the bus needs.
+    The host sends its heartbeat after the command of the selected drive. If the bus has no other
+    SYNC frames, the host also sends SYNC after this command. All CiA 402 drives on a bus receive
+    the same heartbeat and the same SYNC frames. The last of these drives is selected, so that the
+    SYNC frame comes after all commands. The heartbeat has the shortest period that any drive on the
+    bus needs.
 
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
     sets the option ``sync`` for a drive.

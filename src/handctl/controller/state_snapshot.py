@@ -1,8 +1,8 @@
 """Conversion of the controller's state to bytes and back.
 
-With such a snapshot, a log can be executed again from the middle of the run. A snapshot consists of
-the identity of the state block's layout (8 bytes), the state block, and the decisions as JSON. Only
-code whose state block has the same schema can read the snapshot.
+The bytes are called a snapshot. With a snapshot, a log can be executed again from the middle of the
+run. A snapshot consists of the identity of the state block's layout (8 bytes), the state block, and
+the decisions as JSON. Only code whose state block has the same schema can read the snapshot.
 """
 
 import json

@@ -299,8 +299,8 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the assumed probability of each place of contact for each joint of a digit (places, n).
 
-    The assumed contacts are at the middle of each link, at the tip, and an equal torque on all
-    joints, see ``posture``.
+    The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
+    torque on all joints, see ``posture``.
     """
     n = digit.joint_count
     weight = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))

@@ -293,7 +293,8 @@ class Drive(Protocol):
         """Return the status that the feedback has while the state machine has nothing to do.
 
         If the state machine must process every frame, return NO_STEADY_STATUS. As long as the
-        feedback has this status, only its measured values change, and torque commands may continue.
+        feedback has the steady status, only the measured values change, and torque commands may
+        continue.
         """
         ...
 
@@ -368,8 +369,8 @@ class Drive(Protocol):
     def identity(self, state: DriveState) -> str:
         """Return the serial number of the drive in the form that ``scan`` prints.
 
-        If the drive has no serial number, return ``node N``. If a drive has no serial number, it
-        cannot be distinguished from a drive of another hand with the same node number.
+        If the drive has no serial number, return ``node N``. Such a drive cannot be distinguished
+        from a drive of another hand with the same node number.
         """
         ...
 

@@ -66,8 +66,8 @@ def is_number_used_by_two_drives(
 ) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
-    A faulty bus may deliver a single frame twice. It does not deliver the answers to two different
-    requests twice.
+    A bus may deliver a single frame twice by mistake. No bus delivers the answers to two different
+    requests twice by mistake.
 
     Args:
         payloads_by_command: received answers to each request of the scan, by request, for example by register

@@ -65,8 +65,9 @@ class BlendTrajectory:
 class MinimumJerk:
     """Minimum-jerk move of a digit on a straight line in its coordinates.
 
-    The move ends at rest. Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5,
-    where s is the fraction
+    The move ends at rest.
+
+    Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
         of the duration.
 
     Attributes:

@@ -60,10 +60,9 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
 def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the tension history after the motor torque was cut.
 
-    The tension at the cut is the load-cell reading of the tick in which the torque is cut. The
-    reading of this tick is often missing, because faults that require a cut also prevent readings.
-    Then the last reading before the cut is used. If there is no reading before the cut, the first
-    reading after the cut is used.
+    The tension at the cut is the load-cell reading of the tick in which the torque is cut. In a
+    tick in which a cut is necessary, this reading is often missing. Then the last reading before
+    the cut is used. If there is no reading before the cut, the first reading after the cut is used.
 
     Args:
         x: state tables.

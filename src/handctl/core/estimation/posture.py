@@ -6,9 +6,9 @@ of its coupling, q = B theta. If the digit touches an object, the object turns t
 digit against each other. The turn of the joints is the torque of the contact times the compliance
 of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact follows from the
 unexplained tension. The place of the contact is unknown. The estimate is therefore the mean over
-several assumed contacts: at the middle of each link, at the tip, and an equal torque on all joints.
-The standard deviation of an angle has several parts: the differences between the assumed places of
-contact,
+several assumed contacts: a force at the middle of each link, a force at the tip, and an equal
+torque on all joints. The standard deviation of an angle has several parts: the differences between
+the assumed places of contact,
 
 - the error of the modelled tension, at each of these places,
 - capstan friction, whose sign depends on the direction of motion,

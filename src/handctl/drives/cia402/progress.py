@@ -71,7 +71,7 @@ class Cia402Progress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the state of the CiA 402 state machine from the state of a drive."""
+    """Return the ``Cia402Progress`` in the state of a drive."""
     return cast(Cia402Progress, state.private)
 
 

@@ -12,8 +12,8 @@ Feedback has the identifier of the command and 8 bytes, big-endian. Older firmwa
 
 The motor has no registers and no watchdog. The feedback does not show if the motor is enabled. The
 motor therefore counts as enabled after several answers to the enable command. The motor counts as
-disabled after several answers to the disable command that report no torque. The host also uses the
-disable command to request feedback, because every other command may make torque.
+disabled after several answers to the disable command, if these answers report no torque. The host
+also uses the disable command to request feedback, because every other command may make torque.
 ``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
 Series Actuator Driver Manual V1.0.8, section 5.3.
 """
@@ -131,7 +131,7 @@ class CubemarsProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> CubemarsProgress:
-    """Return the state of the CubeMars state machine from the state of a drive."""
+    """Return the ``CubemarsProgress`` in the state of a drive."""
     progress: CubemarsProgress = state.private
     return progress
 

@@ -73,7 +73,7 @@ class MitProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the state of the MIT state machine from the state of a drive."""
+    """Return the ``MitProgress`` in the state of a drive."""
     progress: MitProgress = state.private
     return progress
 

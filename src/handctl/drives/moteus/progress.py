@@ -69,7 +69,7 @@ class MoteusProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the state of the moteus state machine from the state of a drive."""
+    """Return the ``MoteusProgress`` in the state of a drive."""
     progress: MoteusProgress = state.private
     return progress
 

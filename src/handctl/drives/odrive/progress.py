@@ -95,7 +95,7 @@ class OdriveProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> OdriveProgress:
-    """Return the state of the ODrive state machine from the state of a drive."""
+    """Return the ``OdriveProgress`` in the state of a drive."""
     return cast(OdriveProgress, state.private)
 
 

@@ -72,7 +72,7 @@ class RobstrideProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the state of the RobStride state machine from the state of a drive."""
+    """Return the ``RobstrideProgress`` in the state of a drive."""
     progress: RobstrideProgress = state.private
     return progress
 
