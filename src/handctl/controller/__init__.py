@@ -1,1 +1,5 @@
-"""The controller of a hand, as pure functions: tick, modes, state, requests, change of gains, shutdown."""
+"""Controller of a hand, written as pure functions.
+
+The modules compute the tick, the modes of the hand, the state of the controller, the effect of
+requests, the change of gains, and the shutdown.
+"""

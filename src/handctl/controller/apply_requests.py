@@ -62,9 +62,9 @@ MODES_BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 def apply_requests(
     model: HandModel, program: Program, state: ControllerState, request_texts: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
-    """Apply the requests of one tick except targets, in the order of their arrival.
+    """Apply the requests of one tick in the order of their arrival.
 
-    A text that is not a request causes a warning event.
+    Targets of streams are not applied here. A text that is not a request causes a warning event.
 
     Args:
         model: model of the hand.
@@ -101,7 +101,10 @@ def apply_requests(
 def _apply_other_request(
     model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
-    """Apply one request: a change of gains, a sign of life from a client, or a motion command."""
+    """Apply one request.
+
+    The request is a change of gains, a sign of life from a client, or a motion command.
+    """
     if isinstance(request, SetGainsRequest):
         return _set_gains(model, program, state, request)
     if isinstance(request, AliveRequest):
@@ -157,7 +160,7 @@ def _apply_command(
 def _apply_grasp(
     model: HandModel, state: ControllerState, request: GraspRequest | ReleaseGraspRequest
 ) -> tuple[TickEvent, ...]:
-    """Begin a grasp task, or end the hold of the running grasp task."""
+    """Begin a grasp task, or let the running grasp task release the object."""
     if isinstance(request, ReleaseGraspRequest):
         progress, events = release_task(state.progress)
     else:
@@ -172,12 +175,12 @@ def _apply_grasp(
 def _refusal_reason(
     program: Program, state: ControllerState, request: CommandBase
 ) -> TickEvent | None:
-    """Return an event with the reason why a command is refused.
+    """Return an event that contains the reason why a command is refused.
 
     Return None if the command is accepted.
 
-    A hand that relaxes or is being commissioned must not pull, and only one client may send
-    commands.
+    A hand must not pull while it relaxes or while it is being commissioned. Only one client may
+    send commands to a hand.
     """
     if state.mode in SHUTDOWN_MODES:
         return TickEvent("info", "request", "", "refused: the hand is letting go")
@@ -195,7 +198,7 @@ def _refusal_reason(
 def _set_goal(
     model: HandModel, state: ControllerState, request: MoveDigitsRequest | HoldTensionRequest
 ) -> tuple[TickEvent, ...]:
-    """Set the goal of a request for the digits that the request names.
+    """Give a new goal to the digits that a request names.
 
     If a stream moves one of these digits, end the stream.
     """

@@ -1,4 +1,4 @@
-"""Load of each bus of a hand, if every frame takes the longest time that it can take."""
+"""Load of each bus of a hand, computed for frames of the longest possible duration."""
 
 from dataclasses import dataclass, replace
 
@@ -55,7 +55,10 @@ class BusLoad:
 
     @property
     def periodic_load_fraction(self) -> float:
-        """Return the fraction of time that is taken by frames whose rate does not depend on the control rate."""
+        """Return the part of the bus load that does not depend on the control rate, as a fraction.
+
+        This part is caused by frames with a rate of their own, such as heartbeats.
+        """
         return sum(row.frames_per_second * row.frame_s for row in self.rows)
 
     def load_at(self, rate_hz: float) -> float:
@@ -110,7 +113,10 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
-    """Return the rows of the bus-load table for the frames of the sensor node and for SYNC frames."""
+    """Return the rows of the bus-load table for the sensor node.
+
+    The rows contain the frames of the node and the SYNC frames.
+    """
     node = make_sensors(hand)
     if not node.ids:
         return ()
@@ -146,7 +152,7 @@ def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]
 
 
 def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Distribute the motors over as few buses as possible at a control rate [Hz].
+    """Distribute the motors over the smallest number of buses that allows a control rate [Hz].
 
     All buses have the bit rates of the first bus in the hand file. The load cells stay on the first
     bus of the hand.
@@ -184,10 +190,11 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
 
 
 def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
-    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] requires.
+    """Return a copy of a hand with the smallest number of buses that allows a control rate [Hz].
 
-    The load cells stay on the first bus of the hand. All buses have the bit rates of the first bus.
-    If a single motor already overloads a bus, the hand is returned unchanged.
+    The motors are distributed over these buses. The load cells stay on the first bus of the hand.
+    All buses have the bit rates of the first bus. If a single motor already overloads a bus, the
+    hand is returned unchanged.
     """
     groups = split_motors_over_buses(hand, rate_hz)
     if not groups:

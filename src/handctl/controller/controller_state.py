@@ -1,4 +1,7 @@
-"""State of a controller: a block of numbers, and decisions that are not numbers."""
+"""State of a controller.
+
+The state consists of a block of numbers, and of decisions that are not numbers.
+"""
 
 from typing import Any, NamedTuple
 
@@ -25,7 +28,9 @@ from handctl.safety.tick_verdict import CountedFault, LatchedFault
 
 
 class ClientLease(NamedTuple):
-    """Lease of the client that commands the hand: the time for which the client may be silent.
+    """Lease of the client that commands the hand.
+
+    The lease limits the time for which the client may be silent.
 
     Attributes:
         client: client that commands the hand.
@@ -43,7 +48,9 @@ class ClientLease(NamedTuple):
 
 
 class ControllerDecisions(NamedTuple):
-    """Part of the controller's state that only events change, and that is therefore not in the state block.
+    """Part of the controller's state that changes only at events.
+
+    This part is not in the state block.
 
     Attributes:
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
@@ -85,7 +92,8 @@ class ControllerDecisions(NamedTuple):
 def _part_bytes(state_part: object) -> bytes:
     """Return the serialized form of a part of the decisions.
 
-    While a digit closes, the progress changes in every tick, but its goals stay the same objects.
+    While a digit closes, the progress of the program changes in every tick. The goals in the
+    progress stay the same objects, so their bytes are cached.
     """
     if isinstance(state_part, ProgramProgress):
         return join_field_bytes(state_part, _field_bytes_cache)
@@ -142,7 +150,10 @@ def layout_of_state(model: HandModel, group_count: int) -> BlockLayout:
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
 ) -> tuple[float, float, float, float, int, int, RecheckCursor]:
-    """Return the numbers of a drive from the state block, as arguments for ``DriveState.with_values``."""
+    """Read the numbers of a drive from the state block.
+
+    The result contains the arguments of ``DriveState.with_values``.
+    """
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return (
         position,
@@ -158,8 +169,8 @@ def drive_values(
 class ControllerState:
     """State of the controller between ticks.
 
-    A tick works on a copy of this state. In a copy, the whole block of numbers is copied. The
-    decisions cannot be changed, so both states share the same object.
+    A tick works on a copy of this state. The copy has its own block of numbers. The object with the
+    decisions is immutable, so both states share this object.
 
     Attributes:
         layout: layout of the state block.
@@ -174,7 +185,7 @@ class ControllerState:
     def __init__(
         self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
     ) -> None:
-        """Use a block of numbers without copying it, and create the views of its tables.
+        """Store a block of numbers without a copy, and create views of the tables in the block.
 
         Args:
             layout: layout of the state block.
@@ -208,7 +219,7 @@ class ControllerState:
     # Tables and single numbers of the block.
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return the table or number of the state block that has the given name."""
+        """Return a view of the field with the given name in the state block."""
         return self.layout.view(self.block, name)
 
     def run_real(self, row: int) -> float:
@@ -252,7 +263,7 @@ class ControllerState:
 
     @property
     def goal_time(self) -> float:
-        """Return the time that has passed for the program [s].
+        """Return the time since the start of the program [s].
 
         This time stops while the safety monitor makes the hand hold its position.
         """
@@ -287,7 +298,7 @@ class ControllerState:
 
     @property
     def estimate(self) -> HandEstimate:
-        """Return the estimate of the tick, for programs."""
+        """Return the estimate of the tick in the form that programs use."""
         layout = self.layout
         block = self.block
         joint = layout.table(block, "joint")
@@ -296,12 +307,12 @@ class ControllerState:
 
     @property
     def measured(self) -> TickMeasurements:
-        """Return the measurements of the tick, for programs."""
+        """Return the measurements of the tick in the form that programs use."""
         return TickMeasurements(self.tendon, self.layout.table(self.block, "joint"))
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """Return the numbers of SYNC frames sent, tension frames accepted, and answers to an earlier SYNC."""
+        """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC."""
         return (
             self.run_integer(s.SYNC_COUNT),
             self.run_integer(s.TENSION_FRAMES),
@@ -330,7 +341,7 @@ class ControllerState:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """Return the names of motors whose drives have not confirmed that they are disabled."""
+        """Return the names of the motors that have not been confirmed as disabled."""
         return self.decisions.unconfirmed
 
     # States of the drives. Their set-up is in the decisions, and their numbers are in the state

@@ -1,9 +1,10 @@
-"""Change of gains while the controller runs: a design in small steps, and a switch without a jump in torque.
+"""Change of gains while the controller runs, without a jump in torque.
 
 The design of one control loop takes about a millisecond. Therefore a running controller designs one
-loop in each tick. When all loops are designed, it switches all of them in the same tick. At the
-switch, the motor forces of the old and the new gains differ. This difference becomes an offset that
-fades out (bumpless transfer). The integrals of the control loops are forces in newtons. So they
+loop in each tick. When all loops are designed, the controller switches all loops to the new gains
+in the same tick. At the switch, the motor forces computed with the old gains and with the new gains
+differ. The controller adds this difference to the new motor forces as an offset, which decays to
+zero (bumpless transfer). The integrals of the control loops are forces in newtons. So the integrals
 need no conversion at the switch.
 """
 
@@ -35,7 +36,7 @@ CACHE_SIZE = 8
 
 
 class DesignProgress(NamedTuple):
-    """Result of a design step after which the design is still incomplete.
+    """Result of a design step, if the design is not complete after this step.
 
     Attributes:
         pending: state of the design, or None if no stabilising gains exist for the requested
@@ -49,9 +50,10 @@ class DesignProgress(NamedTuple):
 
 @dataclass(slots=True)
 class DesignCache:
-    """Cache of controller designs, where the gains are the keys.
+    """Cache of controller designs.
 
-    If the cache has dropped a design, the design is computed again when it is needed.
+    The gains are the keys of the cache. The cache drops old designs. A dropped design is computed
+    again when it is needed.
 
     Attributes:
         designed_pieces: control loops that are designed so far, for each of the last ``CACHE_SIZE``
@@ -83,7 +85,10 @@ class DesignCache:
         return DesignProgress(replace(pending_gains, step=pending_gains.step + 1))
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
-        """Return a copy of a controller with other gains, and keep the design for these gains in the cache."""
+        """Return a copy of a controller with other gains.
+
+        The design for these gains stays in the cache.
+        """
         self.gains_in_use = gains
         if gains not in self.controllers:
             old_controller: Any = controller
@@ -99,7 +104,7 @@ class DesignCache:
         return controller_with_gains
 
     def _design_in_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
-        """Return at least the first ``piece_count`` control loops of a design, after designing the missing loops."""
+        """Design the missing ones of the first ``piece_count`` loops, and return all designed loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
             # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
@@ -138,7 +143,7 @@ def begin_design(
 
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
-    """Return one event for each gain that has changed, and one last event for the switch to the new gains."""
+    """Return one event for each changed gain, and a last event for the switch to the new gains."""
     differences = changed_gain_values(old_gains, new_gains)
     changed_tick_events = tuple(
         TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in differences.items()

@@ -1,8 +1,9 @@
-"""State machine for the mode of a hand, from the silence before the first frame to the confirmed disarming at the end.
+"""State machine for the mode of a hand during a run.
 
-SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every mode with
-torque, the hand can change to the mode CUT. One function belongs to each mode. This function
-returns the next mode and, if the run has failed, the reason.
+At the start of a run, the host is silent. At the end, every drive has confirmed that it is
+disabled. SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. From every
+mode with torque, the hand can change to the mode CUT. Each mode has one function. This function
+returns the next mode. If the run has failed, the function also returns the reason.
 """
 
 import math
@@ -59,7 +60,7 @@ class OperatorRequests:
 
 
 class ModeInputs(NamedTuple):
-    """Inputs of the state machine of the modes, in addition to the state of the controller.
+    """Inputs of the mode state machine, in addition to the state of the controller.
 
     Attributes:
         model: model of the hand.
@@ -88,7 +89,7 @@ class ModeInputs(NamedTuple):
 
     @property
     def is_without_override(self) -> bool:
-        """Return True if the next mode is determined neither by the safety monitor nor by the operator."""
+        """Return True if no safety reaction, operator request or other host determines the next mode."""
         return self.action < RELAX and not (
             self.other_host_texts or self.operator_requests.stop or self.operator_requests.cut
         )
@@ -100,7 +101,7 @@ NextMode = tuple[HandMode, str]
 
 
 def drive_target(mode: HandMode) -> DriveTarget:
-    """Return the state into which every drive should go in a given mode of the hand."""
+    """Return the drive state that the controller requests from every drive in a given mode of the hand."""
     return _DRIVE_TARGET_BY_MODE[mode]
 
 
@@ -118,9 +119,9 @@ _DRIVE_TARGET_BY_MODE = {
 
 
 def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
-    """Return the frames that make the drives free for other programs at the end of a run.
+    """Return the last frames of a run, after which other programs can use the drives.
 
-    If the run has failed, there are no such frames, and the drives stay as they are.
+    If the run has failed, the result is empty, and the drives stay in their present state.
     """
     if state.mode != HandMode.DONE or state.failure:
         return ()
@@ -209,7 +210,7 @@ def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | N
 
 
 def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
-    """Return the mode that ends a run before any motor makes torque.
+    """Return the mode DONE if a run must end before any motor makes torque.
 
     Return None if the run continues.
     """
@@ -300,7 +301,7 @@ def _wrong_amplifiers(state: ControllerState) -> list[str]:
 def _silent_sensors(state: ControllerState) -> list[str]:
     """Return the name of each amplifier whose set-up is not complete.
 
-    If there is none, one name stands for all sensors.
+    If every set-up is complete, return a single name for all sensors of the hand.
     """
     amplifiers = state.decisions.amplifiers
     unready_amplifiers = [
@@ -314,7 +315,7 @@ def _silent_sensors(state: ControllerState) -> list[str]:
 
 
 def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
-    """Return the motors whose drives are ready but have not sent a position yet.
+    """Return a text with the motors whose drives are ready, but have not sent a position yet.
 
     The tension filter needs the position of every motor.
     """
@@ -343,7 +344,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
 
 
 def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
-    """Return the drives whose identity differs from the identity in the calibration.
+    """Return a text with the drives whose identity differs from the identity in the calibration.
 
     Returns:
         The result has one phrase per drive. The text is empty if all identities are equal, or if
@@ -437,11 +438,12 @@ def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[
 def motors_not_confirmed_off(
     state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors that may still be enabled, because their drives have not confirmed otherwise.
+    """Return the names of motors that may still be enabled.
 
-    Before arming, handctl has not enabled any motor. So a drive without a confirmation is not
-    listed. After the end of a run, a drive is listed only if it had not confirmed at the end of the
-    run. A drive which reports that it is enabled is always listed.
+    A motor may be enabled if its drive has not confirmed that it is disabled. Before arming,
+    handctl has not enabled any motor. So a motor without a confirmation is not in the result. After
+    the end of a run, the result contains only motors that had no confirmation at the end of the
+    run. A motor whose drive reports that it is enabled is always in the result.
     """
     doubtful_motors = motor_names
     if state.mode in MODES_BEFORE_ARMING:
@@ -459,7 +461,7 @@ def motors_not_confirmed_off(
 def _pulling_motors(
     model: HandModel, state: ControllerState, motor_names: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
+    """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
     tendons = {
         latched_fault.instance
         for latched_fault in state.latched
@@ -477,7 +479,8 @@ def _motors_possibly_on(
 ) -> tuple[str, ...]:
     """Return the names of motors that may still make torque at the end of a run.
 
-    If the run ends before arming, a tendon may have tension although the motor makes no torque.
+    If the run ends before arming, the tensions of the tendons are ignored. A tendon may then have
+    tension although its motor makes no torque.
     """
     pulling_motors = (
         () if state.mode in MODES_BEFORE_ARMING else _pulling_motors(model, state, motor_names)

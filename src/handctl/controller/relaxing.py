@@ -1,5 +1,6 @@
-"""Relaxing of the hand: lower every tension to the floor, and increase no motor command.
+"""Relaxing of the hand.
 
+While the hand relaxes, every tension falls to the tension floor, and no motor command increases.
 The tension loop itself may be the cause of the fault, for example with crossed feedback, late motor
 replies or a wrong encoder. Therefore an upper bound, called the envelope, limits the motor force of
 each tendon. No measurement can raise this envelope:
@@ -8,11 +9,11 @@ each tendon. No measurement can raise this envelope:
 
 Here, u is the commanded motor force at the tendon [N], and T is the control period. For a spool
 pair, u is the absolute value of the force, and the force keeps its direction. The envelope begins
-at the last motor command, or at the present tension if the tension is smaller. If the load cell of
-a tendon in the tension loop may be wrong, the envelope begins at the setpoint and not at the
-tension. The tension loop may command less force than the envelope, but not more. After a fault of
-the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. If a motor is braking
-when the relaxing begins, its command goes to zero.
+at the last motor command, or at the present tension if the tension is smaller. The load cell of a
+tendon in the tension loop may be wrong. In this case, the envelope begins at the setpoint if the
+setpoint is above the tension. The tension loop cannot command more force than the envelope. After a
+fault of the tension loop (``RelaxMethod.OPEN_LOOP``), the command u[k] equals e[k]. A motor may be
+braking when relaxing begins. The command of such a motor goes to zero.
 """
 
 from dataclasses import replace
@@ -45,8 +46,8 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     """Write the state at the start of relaxing: setpoints, rates and envelope.
 
     Relaxing begins at the present tension. The setpoint of a held digit may be above the present
-    tension. If relaxing began at the setpoint, the motor would continue to pull. The commanded
-    force is a further limit of the start, because a load cell may be wrong.
+    tension. If relaxing began at the setpoint, the motor would continue to pull. The load cell may
+    be wrong. Therefore the first setpoint is also limited by the last commanded force.
     """
     table = state.tendon
     tendon_integers = state.tendon_int
@@ -89,17 +90,22 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
 
 
 def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
-    """Return the tensions (N,) of a relaxed hand [N], limited to the setpoints (N,) at the start of relaxing."""
+    """Return the tension goals (N,) of relaxing [N].
+
+    The goals are the tensions of a relaxed hand, limited to the setpoints (N,) at the start of
+    relaxing.
+    """
     return np.where(model.is_pair, 0.0, np.minimum(start_tensions, model.relaxed_tensions))
 
 
 def _envelope_start(
     model: HandModel, state: ControllerState, sign: Vector, accounted_force: Vector
 ) -> Vector:
-    """Return the motor forces (N,) at which the envelopes start [N]: the last commands or smaller forces.
+    """Return the motor force (N,) at which the envelope of each tendon starts [N].
 
-    An unstable control loop may have commanded 100 N for a tendon whose tension is 10 N. In this
-    case, the envelope starts at the present tension plus the friction of the motor.
+    The start is the last command or a smaller force. An unstable control loop may have commanded
+    100 N for a tendon whose tension is 10 N. In this case, the envelope starts at the present
+    tension plus the friction of the motor.
 
     Args:
         model: model of the hand.
@@ -113,7 +119,7 @@ def _envelope_start(
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every motor command is at most slightly above the tension of a relaxed tendon."""
+    """Return True if every commanded force is close to or below the tension of a relaxed tendon."""
     return not np.any(
         _force_sizes(model, state.tendon[s.COMMANDED_FORCE])
         > model.relaxed_tensions + RELAXED_TOLERANCE_N
@@ -121,7 +127,7 @@ def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:
 
 
 def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
-    """Return True if every tension is close to the tension of a relaxed tendon."""
+    """Return True if every tension is close to or below the tension of a relaxed tendon."""
     return bool(
         np.all(
             _force_sizes(model, state.tendon[s.TENSION])
@@ -133,7 +139,7 @@ def are_tensions_relaxed(model: HandModel, state: ControllerState) -> bool:
 def _force_sizes(model: HandModel, forces: Vector) -> Vector:
     """Return the absolute values (N,) of forces or tensions [N].
 
-    A force can be negative only at a spool pair.
+    Only a spool pair can have a negative force.
     """
     return np.where(model.is_pair, np.abs(forces), forces)
 
@@ -147,7 +153,7 @@ def update_relax_rate(state: ControllerState) -> None:
 
 
 def present_relax_rate(state: ControllerState) -> float:
-    """Return the rate at which the envelope, the upper bound of the motor forces, falls [N/s]."""
+    """Return the rate at which the envelope of the motor forces falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
         if RelaxMethod.FAST_TENSION_LOOP in _release_methods(state)
@@ -156,10 +162,13 @@ def present_relax_rate(state: ControllerState) -> float:
 
 
 def is_open_loop(state: ControllerState) -> bool:
-    """Return True if the motors are commanded with the envelope itself, without measurements."""
+    """Return True if the command of each motor is the envelope itself.
+
+    These commands do not depend on measurements.
+    """
     return RelaxMethod.OPEN_LOOP in _release_methods(state)
 
 
 def _release_methods(state: ControllerState) -> set[RelaxMethod]:
-    """Return the methods of relaxing that the reactions to the latched faults require."""
+    """Return the methods of relaxing that the latched faults require."""
     return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched}

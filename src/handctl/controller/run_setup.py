@@ -1,6 +1,7 @@
 """Construction of a controller from plain data, such as numbers and texts.
 
-A log contains these data. So the same controller can be constructed again from a log.
+A log contains these data. So the controller of a run can be constructed again from the log of the
+run.
 """
 
 from collections.abc import Iterable
@@ -85,14 +86,14 @@ class PlaybackSetup(Document):
 
 
 class ExerciseSetup(Document):
-    """Setup of a program whose motions are used to evaluate gains."""
+    """Set-up of a program that moves the hand to evaluate gains."""
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
 
 
 class ExciteSetup(Document):
-    """Setup of a program that excites the hand to identify its parameters."""
+    """Set-up of a program that moves the hand to identify its parameters."""
 
     program: Literal["excite"] = "excite"
     steps: tuple[ExciteStep, ...]
@@ -105,7 +106,7 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class RunSetup(Document):
-    """Data from which a controller is constructed, together with the hand and the gains.
+    """Data for the construction of a controller, in addition to the hand and the gains.
 
     Floating-point numbers are stored without rounding.
     """
@@ -178,7 +179,7 @@ class RunSetup(Document):
 
 
 def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Return one line for each protective setting of a drive that the host cannot read back."""
+    """Return a line for each protection of a drive that the host cannot verify."""
     return tuple(
         f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
     )
@@ -187,9 +188,9 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
     """Return the lines of ``unverified_protections`` in a shorter form.
 
-    Drives with the same text are named in one line.
+    If several drives have the same text, one line names all of them.
 
-    The lines about the watchdog come first. A drive without a watchdog keeps its torque if the host
+    Lines about a watchdog come first. A drive without a watchdog keeps its torque if the host
     fails.
     """
     drive_texts = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
@@ -200,8 +201,8 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     """Return the drive that pulls each tendon, in the order of the tendons.
 
     A CiA 402 drive replies to a SYNC frame, and supervises the heartbeat of the host. The host
-    sends the heartbeat after the command of one drive on each bus. If a bus has no other SYNC
-    frame, the host also sends SYNC after this command.
+    sends the heartbeat after the command of one drive on each bus. If a bus would otherwise have no
+    SYNC frame, the host also sends SYNC after this command.
 
     Raises:
         ConfigError: the drive does not support an option in the hand file, two nodes use the same
@@ -237,7 +238,10 @@ def _check_torque_report(motor: Motor, tendon: str) -> None:
 
 
 def _check_position_loop(motor: Motor, drive: Drive) -> None:
-    """Check that the commands of a motor's drive can contain a position setpoint and the gains of a position loop.
+    """Check that a drive's commands can carry the position loop that the hand file demands.
+
+    The commands must contain a position setpoint. The gains in the hand file must be within the
+    range of the commands.
 
     Raises:
         ConfigError: the commands cannot carry a position loop.
@@ -273,11 +277,13 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
 
 
 def _with_host_frames(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
-    """Return the drives, and let one CiA 402 drive per bus make the host send SYNC and its heartbeat.
+    """Return the drives after one CiA 402 drive of each bus was selected for SYNC and heartbeat.
 
-    All CiA 402 drives on a bus receive the same heartbeat and the same SYNC frames. The last of
-    these drives is chosen, so that the SYNC frame comes after all commands. The host sends the
-    heartbeat at the shortest period that a drive of the bus needs.
+    The host sends its heartbeat after the command of the selected drive. If the bus has no other
+    SYNC frames, the host also sends SYNC after this command. All CiA 402 drives on a bus receive
+    the same heartbeat and the same SYNC frames. The last of these drives is selected, so that the
+    SYNC frame comes after all commands. The heartbeat has the shortest period that any drive on the
+    bus needs.
 
     A bus already has SYNC frames if the sensor node uses the identifier 0x080, or if the hand file
     sets the option ``sync`` for a drive.
@@ -322,7 +328,7 @@ def make_controller(
     calibration: Calibration | None,
     arm_at_once: bool,
 ) -> Controller:
-    """Construct a controller. The construction includes the design of the gains.
+    """Construct a controller, and design its gains.
 
     Without a calibration, all tares and motor zeros are 0.
 
@@ -350,7 +356,10 @@ def make_controller(
 
 
 def _setup_of_program(program: Program) -> AnySetup:
-    """Return the set-up from which a program can be constructed again."""
+    """Return the set-up of a program.
+
+    The program can be constructed again from this set-up.
+    """
     match program:
         case TaskProgram(task):
             return TaskSetup(task=task)

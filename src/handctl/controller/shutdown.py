@@ -1,4 +1,7 @@
-"""Shutdown after an exception in a tick: repeat the disable command until every drive confirms."""
+"""Shutdown after an exception in a tick.
+
+The host repeats the disable command until every drive confirms that it is disabled.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -28,7 +31,7 @@ class ShutdownStep(NamedTuple):
 def shutdown_step(
     controller: Controller, state: ControllerState, t_ns: int, received_frames: Sequence[Frame]
 ) -> ShutdownStep:
-    """Process received frames, and command every drive to disable.
+    """Process received frames, and send the disable command to every drive.
 
     The host continues to send SYNC frames, because some drives reply to them.
 

@@ -1,7 +1,8 @@
-"""Conversion of the controller's state to bytes and back, so that a log can be re-executed from its middle.
+"""Conversion of the controller's state to bytes and back.
 
-A snapshot consists of the identity of the state block's layout (8 bytes), the state block, and the
-decisions as JSON. Only code whose state block has the same schema can read the snapshot.
+The bytes are called a snapshot. With a snapshot, a log can be executed again from the middle of the
+run. A snapshot consists of the identity of the state block's layout (8 bytes), the state block, and
+the decisions as JSON. Only code whose state block has the same schema can read the snapshot.
 """
 
 import json
@@ -67,7 +68,7 @@ def snapshot_bytes(state: ControllerState) -> bytes:
 
 
 def _type_mark_and_bytes(value: object) -> tuple[str, str]:
-    """Return bytes as a hexadecimal text with a mark, because JSON has no type for bytes."""
+    """Return bytes as a mark and a hexadecimal text, because JSON has no type for bytes."""
     assert isinstance(value, bytes)
     return BYTES_MARK, value.hex()
 

@@ -1,4 +1,4 @@
-"""Streams of targets in the controller's state: open a stream, apply each of its targets, close it."""
+"""Functions that open and close a stream of targets, and apply its targets to the controller's state."""
 
 import math
 
@@ -114,7 +114,10 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, streamed_digits_only: bool = False
 ) -> ProgramProgress:
-    """Return the progress of the program with new goals, by which moving digits come to rest."""
+    """Return the progress of the program with new goals.
+
+    With these goals, all moving digits come to rest.
+    """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
     return progress_with_stopped_digits(
@@ -192,7 +195,7 @@ def _begin_tension_ramp(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin a linear change from the present tension setpoints to the values of a target.
+    """Begin to change the tension setpoints linearly to the values of a target.
 
     Return True if the values were clipped.
 
@@ -229,7 +232,7 @@ def _begin_segment(
     sent_ns: int,
     t_ns: int,
 ) -> bool:
-    """Begin the motion from the present reference to the values of a target.
+    """Begin the motion of the references to the values of a target.
 
     Return True if the values were clipped.
 
@@ -278,7 +281,7 @@ def _count_target(
 ) -> tuple[TickEvent, ...]:
     """Add one to a counter of targets in the state.
 
-    If this is the first such target of the stream, return an event with the given text.
+    If the count becomes 1, return an event with the given text.
     """
     count = state.run_integer(counter_row) + 1
     state.set_run_integer(counter_row, count)

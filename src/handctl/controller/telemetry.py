@@ -21,7 +21,7 @@ class TelemetryGatherer:
     """Callable object that copies the telemetry of a hand from the state block."""
 
     def __init__(self, layout: BlockLayout) -> None:
-        """Compute the place of each telemetry number in the state block.
+        """Compute the position of each number of the telemetry in the state block.
 
         Args:
             layout: layout of the state block.

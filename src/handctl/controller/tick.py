@@ -1,11 +1,12 @@
-"""One tick of the controller, as a pure function: from the received frames to the frames to send.
+"""One tick of the controller, as a pure function.
 
-A ``TickIn`` contains all inputs of a tick, so that a tick from a log can be executed again. The
-control loop calls the four steps of a tick one by one. The step ``begin`` processes the received
-frames, ``decide`` applies requests and chooses the goals, ``command`` turns streamed targets and
-goals into frames, and ``conclude`` completes the output. So the loop can read requests and streamed
-targets as late as possible, and send the commands as early as possible. The function ``tick``
-executes all four steps.
+A tick receives frames and computes the frames to send. A ``TickIn`` contains all inputs of a tick,
+so that a tick from a log can be executed again. The control loop calls the four steps of a tick one
+by one. The step ``begin_tick`` processes the received frames. The step ``decide`` applies requests
+and chooses the goals. The step ``command`` computes the frames to send from streamed targets and
+goals. The step ``conclude`` completes the output. The control loop can therefore read requests and
+streamed targets as late as possible. It can also send the commands as early as possible. The method
+``tick`` executes all four steps.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
@@ -14,9 +15,9 @@ decide    requests, safety, mode, program -> goals
 command   streamed targets, goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled functions (``core.tick_stages``) compute the numbers in the state block. The function
-``tick`` makes the decisions, and calls the compiled functions in order. A tick works on a copy of
-the controller's state.
+Compiled functions (``core.tick_stages``) compute the numbers in the state block. Python code makes
+the decisions, and calls the compiled functions in order. A tick works on a copy of the controller's
+state.
 """
 
 from dataclasses import dataclass, field, replace
@@ -115,7 +116,7 @@ class DerivedConstants:
     sync_row: WordRows
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
-        """Return a copy with the limits and constants of other gains."""
+        """Return a copy with other limits and constants, after a change of gains."""
         args = (constants.block, constants.layout.places)
         return replace(self, limits=limits, constants=constants, constant_args=args)
 
@@ -210,7 +211,10 @@ class Controller:
         object.__setattr__(self, "derived", derived_constants)
 
     def initial_state(self) -> ControllerState:
-        """Return the state before the first tick. It follows from the configuration alone."""
+        """Return the state before the first tick.
+
+        This state depends only on the configuration of the controller.
+        """
         drives = tuple(drive.initial_state() for drive in self.drives)
         decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
@@ -353,7 +357,7 @@ class Controller:
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the filter that estimates tensions.
 
-        Return the signs that a second controller uses the bus.
+        Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
         places = self.derived.layout.places
@@ -390,7 +394,8 @@ class Controller:
             frames: received frames.
             min_receive_ns: earliest arrival of an answer to the latest SYNC [ns].
 
-        Return, without repetition, the identifiers of received frames that only this host may send.
+        Return the identifiers of received frames that only this host may send. Each identifier
+        occurs once.
         """
         tables = self.derived.wire
         signs = list[str]()
@@ -423,7 +428,7 @@ class Controller:
             at += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
-        """Return the groups of frames from amplifiers whose set-up is not complete.
+        """Return the frame groups of all amplifiers whose set-up is not complete.
 
         The values in these frames are not used.
         """
@@ -464,7 +469,10 @@ class Controller:
         return tuple(sent_frames)
 
     def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
-        """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
+        """Store the state of a drive after a step of its state machine.
+
+        The numbers are stored in the state block, and the other values in the decisions.
+        """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
@@ -485,10 +493,10 @@ class Controller:
     def _count_refusals(
         self, state: ControllerState, request_events: tuple[TickEvent, ...]
     ) -> None:
-        """Count the refused requests, and the requests of wrong form within the last second.
+        """Count the refused requests of this tick, and the malformed requests of the last second.
 
         A program may send a request only to find out whether a value is in range. So a refused
-        request is no fault. Only requests of wrong form show that a client is faulty.
+        request is no fault. Only malformed requests show that a client is faulty.
         """
         recent_refusals = state.decisions.refusals
         if request_events or recent_refusals:
@@ -550,7 +558,7 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: ControllerState) -> bool:
-        """Return True if any node has ever answered, or if some motor may make torque."""
+        """Return True if at least one node has answered, or if motors may make torque."""
         is_node_seen = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
@@ -561,7 +569,7 @@ class Controller:
     ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
-        The time of the program stops while the safety monitor holds the hand.
+        While the safety monitor holds the hand, the time of the program does not advance.
         """
         if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
@@ -650,7 +658,12 @@ class Controller:
     # encode
 
     def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
-        """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
+        """Return the frames of the tick: SYNC, then the command of each drive.
+
+        In the mode CUT, the frames that cut the torque come first, and SYNC follows. Commands of
+        drives are then not sent. In the modes SILENT and DONE, only the frames of
+        ``shutdown_frames`` are sent.
+        """
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
@@ -695,7 +708,7 @@ class Controller:
     ) -> Frames:
         """Write the commands of the drives into ``frame_words``, after the SYNC frame.
 
-        If a drive is not in its steady state, the state machine of the drive runs.
+        If a drive is not steady, its state machine computes the frames.
 
         Args:
             state: state of the tick, modified in place.
@@ -746,7 +759,7 @@ class Controller:
 
 @dataclass(slots=True)
 class TickInProgress:
-    """A tick between its three steps.
+    """A tick of which some steps have been executed.
 
     Attributes:
         controller: controller with the gains of the tick.
@@ -803,7 +816,7 @@ class TickInProgress:
 
 
 def send_torque_only(state: ControllerState, n: int) -> None:
-    """Store that the state machine of a drive has sent a torque command in place of a position command."""
+    """Record that a drive's state machine has sent a torque command instead of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]

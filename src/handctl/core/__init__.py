@@ -1,1 +1,5 @@
-"""Computations of a control tick: model of the hand, state estimation, fault detectors, and control law."""
+"""Computations of a control tick.
+
+The computations use a model of the hand. They are the state estimation, the detection of faults,
+and the control law.
+"""

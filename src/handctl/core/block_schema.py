@@ -1,4 +1,4 @@
-"""Blocks of numbers with a schema: tables over tendons, joints, digits and other axes, in contiguous memory.
+"""Blocks of numbers in contiguous memory, divided into tables by a schema.
 
 A schema is a list of fields. A field is one row or several rows of a table. Each table has an axis:
 for example, a row of the table ``tendon`` has one number per tendon. The declaration of a field
@@ -7,11 +7,11 @@ returns the index of the field's first row. Compiled code and the controller use
     TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-All tables of a schema share one array of float64, the block. An integer table is a part of the
-block whose bits are read as int64. The name of an integer table ends with ``_int``. For a given
-hand, a layout contains the lengths of the axes and the positions of the tables in a block. Because
-a block is one array, it can be copied by one operation and stored as bytes. Two blocks can be
-compared field by field.
+The block is one array of float64 that contains all tables of a schema. An integer table is a part
+of the block in which the bits of each element are read as int64. The name of an integer table ends
+with ``_int``. A layout belongs to a given hand. It contains the lengths of the axes and the
+positions of the tables in a block. Because a block is one array, it can be copied by one operation
+and stored as bytes. Two blocks can be compared field by field.
 """
 
 import hashlib
@@ -53,7 +53,7 @@ class BlockField(NamedTuple):
 
 
 class BlockSchema:
-    """Declarations of the tables and fields of a block.
+    """List of the tables and fields of a block, with the declaration of each field.
 
     Attributes:
         tables: names of the tables, in the order of the memory. A name is the name of an axis, or
@@ -202,16 +202,16 @@ class BlockLayout:
         return (part.view(np.int64) if is_integer else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
-        """Return the axis of the field with the given name.
+        """Return the name of the axis of a field.
 
-        If the field has two axes, the result is ``a*b``.
+        If the field has the axes ``a`` and ``b``, the result is ``a*b``.
         """
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
             INTEGER_TABLE_SUFFIX
         )
 
     def start(self, table_name: str) -> int:
-        """Return the index in a block of the first element of a table."""
+        """Return the position of a table's first element in a block."""
         return self._tables[table_name][0]
 
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
@@ -224,9 +224,11 @@ class BlockLayout:
     def difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
-        """Return the first difference between two blocks: name of the field, element, and both values.
+        """Return the first difference between two blocks.
 
-        If the blocks are equal, return None. Values are compared bit by bit. So a NaN equals a NaN.
+        The result contains the name of the field, the index of the element in the field, and both
+        values. If the blocks are equal, return None. The bits of the values are compared. So NaN
+        equals NaN, and 0.0 differs from -0.0.
         """
         # The numbers are compared as integers. So NaN equals NaN, and 0.0 differs from -0.0.
         differing_places = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))

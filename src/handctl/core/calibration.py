@@ -1,4 +1,8 @@
-"""Calibration of a hand: tares, motor zero angles, the response of each tendon to a pull, and identified parameters."""
+"""Calibration of a hand.
+
+A calibration contains the tares, the zero angles of the motors, the response of each tendon to a
+pull, and identified parameters.
+"""
 
 import datetime
 from collections.abc import Mapping
@@ -17,7 +21,7 @@ from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):
-    """Calibration of a tendon, with its response to the pull during commissioning."""
+    """Calibration of a tendon, with the response of the load cells to the pull during commissioning."""
 
     tare_N: float
     """Tare of the load cell: its reading without tension."""
@@ -74,7 +78,7 @@ class Calibration(Document):
 
 
 def parse_calibration(file_content: Mapping[str, Any], hand: Hand, source_name: str) -> Calibration:
-    """Check the content of a calibration file for a hand, and return the calibration.
+    """Check the content of a hand's calibration file, and return the calibration.
 
     Args:
         file_content: content of the file, as parsed from TOML.

@@ -1,10 +1,10 @@
-"""Fast import of the packages scipy, filterpy and control, without modules that handctl does not use.
+"""Fast import of the packages scipy, filterpy and control.
 
-The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
-import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on
-modules for Fortran compilers and for tests. Each module in ``UNUSED_MODULES`` is replaced by a
-stand-in object. The stand-in imports the real module when one of the module's functions is used for
-the first time.
+Modules of these packages that handctl does not use are not imported. The import of ``scipy.stats``,
+``scipy.ndimage`` and the plots of control takes longer than the import of all other modules of a
+run. Half of the import time of ``scipy.linalg`` is spent on modules for Fortran compilers and for
+tests. Each module in ``UNUSED_MODULES`` is replaced by a stand-in object. The stand-in imports the
+real module when one of the module's functions is used for the first time.
 """
 
 import importlib
@@ -20,7 +20,7 @@ UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 
 
 class _DeferredAttribute:
-    """Stand-in for a function or distribution of a module.
+    """Stand-in for a function or a probability distribution of a module.
 
     The first use of the function imports the module.
     """
@@ -41,9 +41,9 @@ class _DeferredAttribute:
         )
 
     def _apply_to_real_object(self, operation: Callable[[Any], Any]) -> Any:
-        """Apply ``operation`` to the real function or distribution, after the import of its module.
+        """Import the module, and apply ``operation`` to its real function or distribution.
 
-        During its import, filterpy makes one trial call, for which the method returns None.
+        While filterpy is imported, it makes one trial call. For this call, the method returns None.
         """
         module: Any = importlib.import_module(self._module)
         imported_object = getattr(module, self._name)
@@ -64,7 +64,7 @@ class _StandInModule(ModuleType):
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Replace the modules in ``UNUSED_MODULES`` by stand-ins within a ``with`` block.
+    """Replace the modules in ``UNUSED_MODULES`` by stand-ins, for the duration of a ``with`` block.
 
     Each stand-in also becomes an attribute of the package that contains its module.
     """
@@ -93,7 +93,7 @@ class DeferredModule:
     def __init__(
         self, name: str, load: Callable[[str], ModuleType] = importlib.import_module
     ) -> None:
-        """Remember the name of the module, and import nothing.
+        """Store the name of the module. The module is not imported here.
 
         Args:
             name: full name of the module, for example ``scipy.linalg``.
@@ -112,10 +112,10 @@ class DeferredModule:
 
 
 def import_without_package(name: str) -> ModuleType:
-    """Import a module of a package without executing the file ``__init__`` of the package.
+    """Import a module of a package, but do not execute the file ``__init__`` of the package.
 
-    A later import of the whole package works as usual. If the folder of the user's program contains
-    a file with the name of the package, such as ``control.py``, this file is ignored.
+    A later import of the whole package works as usual. The folder of the user's program may contain
+    a file with the name of the package, such as ``control.py``. Such a file is ignored.
 
     Args:
         name: full name of the module, for example ``control.mateqn``.

@@ -1,4 +1,7 @@
-"""Block with the constants of a hand, filled from its model, drives, sensors and limits."""
+"""Block with the constants of a hand.
+
+The constants come from the model, the drives, the sensors and the limits of the hand.
+"""
 
 import functools
 import math
@@ -158,11 +161,11 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
 
 
 def servo_constants(model: HandModel) -> dict[str, Vector]:
-    """Return which drives close a position loop, and the stiffness and damping of these loops.
+    """Return the stiffness and damping of the drives' position loops, and a flag for each such drive.
 
-    If the hand file gives no values, the position loops have the gains of the motion loop. If the
-    hand file gives only the stiffness, the position loops have the damping ratio of the motion
-    loop. At low control rates, the stiffness is less than in the hand file, see
+    If the hand file contains no values, the position loops have the gains of the motion loop. If
+    the hand file contains only the stiffness, the position loops have the damping ratio of the
+    motion loop. At low control rates, the stiffness is limited to a smaller value, see
     ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
@@ -183,9 +186,9 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 
 
 def _has_exact_solution(digit: DigitModel) -> list[bool]:
-    """Return True for each tendon of a digit that has as many tendons as coordinates.
+    """Return a flag for each tendon of a digit: True if the digit has as many tendons as coordinates.
 
-    In a digit with as many tendons as coordinates, the joint torques determine the tensions.
+    In such a digit, the joint torques determine the tensions.
     """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
@@ -279,7 +282,10 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
 
 
 def _joint_compliance(digit: DigitModel) -> Vector:
-    """Return the turn of joints per torque without a change of excursion, N (N^T K N)^-1 N^T (n, n) [rad/(N m)]."""
+    """Return the turn of the joints per torque at constant excursions (n, n) [rad/(N m)].
+
+    This compliance is N (N^T K N)^-1 N^T.
+    """
     free_motions = linalg.null_space(digit.moment_arms)
     if not free_motions.shape[1]:
         return np.zeros((digit.joint_count, digit.joint_count))
@@ -293,8 +299,8 @@ def _joint_compliance(digit: DigitModel) -> Vector:
 def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the assumed probability of each place of contact for each joint of a digit (places, n).
 
-    The places of contact are the middle of each link, the tip, and a torque on all joints alike,
-    see ``posture``.
+    The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
+    torque on all joints, see ``posture``.
     """
     n = digit.joint_count
     weight = np.zeros((max(any_digit.joint_count for any_digit in digits) + 2, n))
@@ -320,7 +326,10 @@ def _block_elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the fraction (9, N) of the distance to its input by which each low-passed residual moves in an update."""
+    """Return the update fraction (9, N) of each low-passed residual.
+
+    In an update, a residual moves by this fraction of its distance to the input.
+    """
     sample_periods = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
     sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE
     sample_periods[5] = joint_period  # row SLIP

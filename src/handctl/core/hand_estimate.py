@@ -1,4 +1,4 @@
-"""Estimate and measurements of a tick, in a form for programs.
+"""Estimate and measurements of a tick, in the form that programs use.
 
 The estimate and the measurements are views of the state block.
 """
@@ -16,7 +16,7 @@ QuantityTable = NDArray[np.float64]
 class HandEstimate:
     """Estimate of the hand's state at the present time.
 
-    Each property has the shape (N,), unless its docstring gives another shape.
+    A property has the shape (N,), unless its docstring states another shape.
 
     Attributes:
         tendon: table ``tendon`` of the state block.
@@ -96,7 +96,10 @@ class HandEstimate:
 
     @property
     def stretch_offset(self) -> Vector:
-        """Return the difference of travel and excursion at which the stretch of each tendon begins [m]."""
+        """Return the stretch offset of each tendon [m].
+
+        If travel minus excursion is larger than this offset, the tendon is stretched.
+        """
         return self.tendon[s.STRETCH_OFFSET]
 
     @property
@@ -139,13 +142,13 @@ class HandEstimate:
     def contact_force(self) -> Vector:
         """Return the contact forces at the tips of closing digits (D,) [N].
 
-        Errors of the force that were found before the contact are subtracted.
+        The errors of the force that were estimated before the contact are subtracted.
         """
         return self.digit[s.CONTACT_FORCE]
 
     @property
     def grip_opening(self) -> Vector:
-        """Return how far the digits that hold an object were opened recently, along each tendon [m]."""
+        """Return the recent opening of digits that hold an object, as a length along each tendon [m]."""
         return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
 
     @property
@@ -157,7 +160,7 @@ class HandEstimate:
 class TickMeasurements:
     """Measurements of a tick. A missing measurement is NaN.
 
-    Each property has the shape (N,), unless its docstring gives another shape.
+    A property has the shape (N,), unless its docstring states another shape.
     """
 
     __slots__ = ("joint", "tendon")
@@ -179,7 +182,7 @@ class TickMeasurements:
 
     @property
     def motor_position(self) -> Vector:
-        """Return the motor positions that the encoders measure, converted to the spool [rad]."""
+        """Return the measured motor positions at the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
     @property

@@ -1,4 +1,7 @@
-"""Model of a hand: all constants of a run that follow from the hand description and the gains."""
+"""Model of a hand.
+
+The model contains all constants of a run that follow from the hand description and the gains.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,7 +101,9 @@ class HandModel:
     def from_hand(
         hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None
     ) -> "HandModel":
-        """Derive the model of a hand, and design all gains of the controller, which takes about 0.1 s.
+        """Compute the model of a hand, and design all gains of the controller.
+
+        The design takes about 0.1 s.
 
         Args:
             hand: description of the hand.
@@ -171,8 +176,8 @@ class HandModel:
     def relaxed_tensions(self) -> Vector:
         """Return the tensions of all tendons of a relaxed hand (N,) [N].
 
-        In a relaxed hand, surplus tendons keep their balance tensions. A spool pair has no net
-        tension in a relaxed hand.
+        In a relaxed hand, the tendons of digits with surplus tendons keep their balance tensions. A
+        spool pair has no net tension in a relaxed hand.
         """
         single_tensions = np.where(
             self.redundancy.balance > 0.0, self.redundancy.balance, MIN_RELAXED_TENSION_N
@@ -186,25 +191,26 @@ class HandModel:
 
     @property
     def coordinate_count(self) -> int:
-        """Return C, the number of reduced coordinates of all digits."""
+        """Return C, the total number of reduced coordinates of all digits."""
         return int(self.coupling.shape[1])
 
 
 def _coordinate_slices(digits: tuple[DigitModel, ...]) -> tuple[slice, ...]:
-    """Return the slice of each digit's coordinates among all coordinates."""
+    """Return for each digit the slice of its coordinates among all coordinates of the hand."""
     counts = [digit.coupling.shape[1] for digit in digits]
     end_indices = np.cumsum(counts).tolist()
     return tuple(slice(end - count, end) for end, count in zip(end_indices, counts, strict=True))
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """Return the largest torque of each drive (N,) at the spool [N m], from the hand file and the drive.
+    """Return the largest torque that the host may command to each drive (N,) [N m at the spool].
 
-    A drive that makes less torque than commanded needs larger commands. The largest torque of such
-    a drive at the spool is therefore lower. The result is reduced by 1e-12 of its value, because
-    drives refuse commands that exceed their limit even by the last bit. Torques are divided or
-    multiplied by the spool radius and the torque gain. Without the small reduction, rounding errors
-    could exceed the limit.
+    The torque is limited by the hand file and by the drive. If a drive makes less torque than
+    commanded, it needs larger commands for a torque. The largest torque at the spool of such a
+    drive is therefore lower. A drive refuses a command that exceeds its limit even by the last bit.
+    The result is therefore reduced by 1e-12 of its value. Torques are divided or multiplied by the
+    spool radius and the torque gain. Without the small reduction, rounding errors could exceed the
+    limit.
     """
     largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
         1.0 - 1e-12
@@ -213,9 +219,9 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
 
 def _joint_period(hand: Hand, period_s: float) -> Vector:
-    """Return the time (N,) between two readings of all joints of a tendon [s].
+    """Return for each tendon the time (N,) between two readings of all its joints [s].
 
-    The time is inf if a joint has no encoder.
+    If a joint of the tendon has no encoder, the time is inf.
     """
     return np.where(
         hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period_s, np.inf

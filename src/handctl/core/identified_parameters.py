@@ -1,4 +1,4 @@
-"""Parameters that were identified from runs, and a hand description that contains them."""
+"""Parameters that were identified from runs, and a hand description with these parameters."""
 
 import copy
 from collections.abc import Mapping
@@ -52,7 +52,7 @@ FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
 
 
 class IdentifiedParameters(Document):
-    """Identified parameters of a tendon, of its motor and of its digit."""
+    """Identified parameters of a tendon, and of the motor and the digit of this tendon."""
 
     names: tuple[str, ...] = Field(min_length=1)
     """Names of the identified parameters, from ``PARAMETER_UNITS``."""
@@ -100,9 +100,9 @@ class IdentifiedParameters(Document):
     def merged_with_older(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
-        """Return these parameters, with the parameters that only an older identification contains.
+        """Return these parameters, and add parameters that only an older identification contains.
 
-        A run that identifies only a few parameters therefore does not remove the other parameters.
+        If a run identifies only a few parameters, the other parameters are therefore kept.
         Parameters from different runs are assumed to be uncorrelated.
         """
         other_parameters = (
@@ -159,9 +159,10 @@ def identified_hand(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParame
 
 
 def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters]) -> Vector:
-    """Return for each drive the torque at the spool divided by the commanded torque (N,).
+    """Return the torque gain of each drive (N,).
 
-    The ratio is 1 if no run has identified it.
+    The gain is the torque at the spool divided by the commanded torque. If no run has identified
+    the gain, the gain is 1.
     """
     return np.array(
         [
@@ -176,7 +177,7 @@ def torque_gain(hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters
 def check_identified(
     hand: Hand, parameters_by_tendon: dict[str, IdentifiedParameters], source: str
 ) -> None:
-    """Check that identified parameters belong to tendons of the hand.
+    """Check that the hand has every tendon that is named in the identified parameters.
 
     Raises:
         ConfigError: a tendon is unknown, or a torque gain is out of bounds.

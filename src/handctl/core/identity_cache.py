@@ -1,6 +1,6 @@
 """Caches for the results of a function.
 
-The caches find the result for an immutable object by the identity of this object.
+A cache finds the result for an immutable object by the identity of the object.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ MAX_ENTRIES = 256
 class SequenceCache(Generic[T]):
     """Results of a function for each item of a sequence.
 
-    In successive sequences, most items are the same objects. For an item that was already in the
-    last sequence, the cache returns the earlier result.
+    Most items of a sequence are the same objects as in the sequence before. If an item is the same
+    object as the item at this index in the last sequence, the earlier result is returned.
     """
 
     def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:
@@ -44,9 +44,10 @@ class SequenceCache(Generic[T]):
 
 
 class IdentityCache(Generic[T]):
-    """Cache of the values of a function for immutable objects. An object is found by its identity.
+    """Cache of a function's results for immutable objects.
 
-    The equality of objects would not suffice: 1, 1.0 and True are equal, but have different bytes.
+    An object is found by its identity. Equality would not be sufficient: 1, 1.0 and True are equal,
+    but have different bytes.
     """
 
     def __init__(self, compute_bytes: Callable[[T], bytes]) -> None:

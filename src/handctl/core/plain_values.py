@@ -1,9 +1,10 @@
-"""Conversion of the controller's objects to plain values and back, for the state hash and for snapshots.
+"""Conversion of the controller's objects to plain values and back.
 
-Plain values consist of numbers, strings, bytes and tuples only. A named tuple or dataclass becomes
-a tuple that begins with the name of the type. Equal objects have equal bytes, even if one of them
-contains the same part several times. ``object_from_plain_form`` creates only objects of registered types, so
-that no log can create objects of other types.
+The state hash and the snapshots use the plain values. Plain values consist of numbers, strings,
+bytes and tuples only. A named tuple or dataclass becomes a tuple that begins with the name of the
+type. Equal objects have equal bytes, even if one of the objects contains the same part several
+times. ``object_from_plain_form`` creates only objects of registered types. A log therefore cannot
+create objects of other types.
 """
 
 import enum
@@ -61,7 +62,10 @@ _TYPES_WITHOUT_CONVERSION = frozenset((type(None), bool, int, float, str, bytes)
 
 @functools.cache
 def plain_name(type_: type) -> str:
-    """Return the name of a type in plain values: the module and the class name when the type was introduced."""
+    """Return the name of a type in plain values.
+
+    The name consists of the module and the class name that the type had when it was introduced.
+    """
     name = f"{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
     return ":" + NAMES_IN_LOGS.get(name, name)
 
@@ -109,16 +113,17 @@ def plain_bytes(value: Any) -> bytes:
 
 @functools.cache
 def _first_bytes(type_: type) -> tuple[bytes, tuple[str, ...]]:
-    """Return the first bytes of the plain form of a dataclass, and the names of the fields that follow."""
+    """Return the first bytes of a dataclass in plain form, and the names of the fields that follow."""
     names = tuple([field.name for field in fields(type_) if field.init])
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
     return start + marshal.dumps(plain_name(type_), MARSHAL_VERSION), names
 
 
 def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> bytes:
-    """Return ``plain_bytes(value)`` of a dataclass, joined from the bytes of its fields.
+    """Return ``plain_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
-    If most fields of a value stay the same objects, their bytes can be cached.
+    The bytes of the fields can come from a cache. This is fast if most fields stay the same
+    objects.
 
     Args:
         value: object of a dataclass.

@@ -1,12 +1,12 @@
-"""Declaration of every quantity of the state block: table, unit and meaning.
+"""Declaration of every quantity of the state block, with its table, unit and meaning.
 
 Each tick passes the block to the next tick.
 
-Each tick copies the block of the last tick and writes into the copy. The block contains the results
-of a tick (measurements, estimates, commands), and the memory for the next tick. The log, the viewer
-and the next tick therefore read the same numbers. ``state_tables`` returns the tables of the block
-by name, for compiled code. The module ``block_schema`` explains how code addresses a row of a
-table.
+Each tick copies the block of the last tick and writes into the copy. The block contains the
+measurements, estimates and commands of a tick. It also contains the values that the next tick
+needs. The log, the viewer and the next tick therefore read the same numbers. ``state_tables``
+returns the tables of the block by name, for compiled code. The module ``block_schema`` explains how
+code addresses a row of a table.
 
 The following list contains the axes of the tables. The capital letter or number after the name of
 an axis is the length of the axis:
@@ -555,7 +555,7 @@ MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW = (
 
 @kernel_helper
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
-    """Reset the memory of the fault detectors that work while torque is permitted."""
+    """Reset the stored values of the fault detectors that run while the motors may make torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(MONITOR_TENDON_FIRST_ROW, MONITOR_TENDON_END_ROW):
             x.tendon[row, n] = initial.tendon[row, n]

@@ -1,11 +1,11 @@
 """Constants of a hand along its tendons.
 
-Each tendon is an elastic connection of a motor mass and a load mass.
+In these constants, each tendon is an elastic connection of a motor mass and a load mass.
 
-The motor is a mass J_m / r_a^2 at the travel x = r_a theta_m, with the spool radius r_a. The digit
-is a mass at the excursion s = R q. The tension between both masses is f = k (x - s - o) + c (x' -
-s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai, structure
-matrix), virtual work.
+The spool has the radius r_a. The motor is a mass J_m / r_a^2 at the travel x = r_a theta_m. The
+digit is a mass at the excursion s = R q. The tension between both masses is f = k (x - s - o) + c
+(x' - s'), with the stretch offset o. Source: one-tendon finger in reduced coordinates (Tsai,
+structure matrix), virtual work.
 """
 
 from dataclasses import dataclass, fields
@@ -22,7 +22,9 @@ from handctl.hand.link_tree import HandLinkTree
 
 @dataclass(frozen=True, slots=True)
 class TendonSpace:
-    """Names and constants of the N tendons of a hand, each of shape (N,), SI units along the tendon.
+    """Names and constants of the N tendons of a hand, with shape (N,).
+
+    The constants are in SI units along the tendon.
 
     Attributes:
         names: names of the tendons.
@@ -105,8 +107,8 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 def _position_step(motor: Motor) -> float:
     """Return the resolution of a motor's reported position [rad].
 
-    The step follows from the protocol of the drive. The result is at least 1/65536 of the range of
-    the position. Smaller steps would be below the noise of the position.
+    The resolution follows from the protocol of the drive. The result is at least 1/65536 of the
+    range of the position. A finer resolution would be below the noise of the position.
     """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 

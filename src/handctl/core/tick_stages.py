@@ -108,7 +108,7 @@ def store_drive(
     due_ns: int,
     misread: int,
 ) -> None:
-    """Store the values of a drive after the state machine of the drive has run.
+    """Store the values of a drive after a step of its state machine.
 
     Args:
         block: state block.
@@ -171,7 +171,7 @@ def observe_tick(
 def correct_tension_estimate(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> None:
-    """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
+    """Correct the tension filter by the measurements, and judge the regime of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_places)
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
@@ -188,7 +188,7 @@ def conclude_estimate(
 ) -> bool:
     """Compute the estimate of the tick from the predicted states of the tension filter.
 
-    Return True if a node sent more replies than the host sent requests to it.
+    Return True if a node has sent more replies than it has received requests from this host.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_places)
@@ -293,7 +293,7 @@ def compute_motor_torques(
 def store_commands(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_places: TablePlaces
 ) -> None:
-    """Store the commands and requests of the tick for the next tick, and complete the numbers for the log."""
+    """Store the commands and requests for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_places)
     mode = x.run_int[s.MODE]

@@ -1,4 +1,7 @@
-"""Inputs and outputs of a tick: ``TickIn`` has all data for the decisions, ``TickOut`` all decisions."""
+"""Inputs and outputs of a tick.
+
+``TickIn`` contains all data for the decisions of a tick. ``TickOut`` contains all decisions.
+"""
 
 import enum
 from collections.abc import Iterator, Sequence
@@ -58,7 +61,7 @@ SHUTDOWN_MODES = (HandMode.RELAX, HandMode.CUT, HandMode.DISARM, HandMode.DONE)
 
 
 class IoEvent(NamedTuple):
-    """An event of a bus, of the host or of the recorder, as an input of a tick.
+    """An event of a bus, the host or the recorder, which is an input of a tick.
 
     Attributes:
         kind: type of the event, for example enobufs, bus_off, dropped, recorder or suspended.
@@ -139,7 +142,7 @@ class TickEvent(NamedTuple):
 class Telemetry(NamedTuple):
     """Numbers of a tick for the log and the viewers, as float64.
 
-    An unknown number is NaN. A value of an older tick is never repeated.
+    An unknown number is NaN. No number is taken from an older tick.
 
     Shapes: J joints, N tendons, M motors and D digits, in the order of the hand file.
     """
@@ -209,7 +212,10 @@ FIELD_BY_AXIS = "q", "tension", "motor_torque", "contact"
 
 
 class TelemetryPlaces(dict[str, slice]):
-    """Slice of each telemetry field in the array of all fields, by the name of the field."""
+    """Slice of each telemetry field in the array of all fields.
+
+    The keys are the names of the fields.
+    """
 
     @cached_property
     def axis_lengths(self) -> tuple[int, ...]:
@@ -218,9 +224,9 @@ class TelemetryPlaces(dict[str, slice]):
 
 
 class PackedTelemetry:
-    """Telemetry of a tick as one array, in the same form as in the log.
+    """Telemetry of a tick in one array, with the same layout as in the log.
 
-    Each telemetry field is an attribute, which returns a slice of the array.
+    Each telemetry field is an attribute of the object. The attribute returns a slice of the array.
 
     Attributes:
         numbers: array of all fields in order.

@@ -1,1 +1,4 @@
-"""Motor drives and load cells on CAN: their frames, and a state machine for each protocol."""
+"""Motor drives and load cells on CAN.
+
+The modules define the frames of each protocol, and a state machine for each protocol.
+"""

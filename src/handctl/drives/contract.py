@@ -1,15 +1,16 @@
-"""Interface of every motor drive protocol: codec and state machine.
+"""Interface of every motor drive protocol.
 
-All functions of the interface get the time as an argument.
+The interface covers the codec and the state machine of a protocol. All functions of the interface
+get the time as an argument.
 
 Each protocol is one class. Each object of the class is the immutable description of one motor on
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
 ``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
 drive once, with the requested drive state. While a drive is enabled and its state machine has
-nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work, from the tables of
-``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the status of the
-feedback is not ``steady_status``, or when the time ``due_ns`` comes. No function here reads a clock
-or a socket.
+nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work. The compiled code uses
+the tables of ``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the
+status in the feedback differs from ``steady_status``, or when the time ``due_ns`` is reached. No
+function here reads a clock or a socket.
 """
 
 import enum
@@ -97,7 +98,7 @@ class DriveFaultCause(enum.IntEnum):
 
 
 class DriveProperty(enum.Enum):
-    """Property of a drive that handctl can check with some protocols and options only."""
+    """Property of a drive that handctl can check only with some protocols and options."""
 
     READBACK = "read-back of settings"
     WATCHDOG = "watchdog"
@@ -162,9 +163,10 @@ class DriveState(NamedTuple):
 def is_confirmed_off(state: DriveState) -> bool:
     """Return True if a drive with target DISABLE has reported that it makes no torque.
 
-    The phases SILENT and CONFIGURING confirm nothing, because no report of the drive led to these
-    phases. The phase FAULT is a confirmation only after a call of ``advance`` with the target
-    DISABLE. If a drive in fault may still make torque, this call changes its phase to ENABLED.
+    The phases SILENT and CONFIGURING are no confirmation, because a drive reaches these phases
+    without a report. The phase FAULT is a confirmation only after a call of ``advance`` with the
+    target DISABLE. If a drive in fault may still make torque, this call changes its phase to
+    ENABLED.
     """
     return state.phase in (DrivePhase.READY, DrivePhase.FAULT)
 
@@ -212,17 +214,26 @@ class Drive(Protocol):
 
     @property
     def command_limit(self) -> float:
-        """Return the largest command at the spool [N m, in the modes of ``drive_modes`` rad or rad/s]."""
+        """Return the largest command at the spool [N m].
+
+        In the modes of ``drive_modes``, the unit is rad or rad/s.
+        """
         ...
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames that one tick can have at most, in both directions, as (payload bytes, CAN FD?)."""
+        """Return the largest set of frames in one tick, as (payload bytes, CAN FD?).
+
+        The set contains the frames of both directions.
+        """
         ...
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return frames whose rate is not the control rate, as (payload bytes, CAN FD?, frames per second)."""
+        """Return the frames whose rate is not the control rate.
+
+        Each frame is given as (payload bytes, CAN FD?, frames per second).
+        """
         ...
 
     @property
@@ -262,12 +273,15 @@ class Drive(Protocol):
 
     @property
     def feedback_period_s(self) -> float:
-        """Return the period of the drive's unrequested feedback [s], 0 if every tick requests feedback."""
+        """Return the period of feedback that the drive sends without a request [s].
+
+        The result is 0 if every tick requests feedback.
+        """
         ...
 
     @property
     def cyclic_messages(self) -> "CyclicMessages":
-        """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
+        """Return the signal tables of the frames that a tick exchanges with the enabled drive."""
         ...
 
     @property
@@ -276,17 +290,19 @@ class Drive(Protocol):
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of the feedback while the state machine has nothing to do, or NO_STEADY_STATUS.
+        """Return the status that the feedback has while the state machine has nothing to do.
 
-        As long as the feedback has this status, only its measured values change, and torque
-        commands may continue.
+        If the state machine must process every frame, return NO_STEADY_STATUS. As long as the
+        feedback has the steady status, only the measured values change, and torque commands may
+        continue.
         """
         ...
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time at which ``advance`` must be called even if the status does not change [ns].
+        """Return the next time at which ``advance`` must be called, even with an unchanged status [ns].
 
-        The time ignores the requests of ``rechecks``, because compiled code sends these requests.
+        The requests of ``rechecks`` do not influence this time, because compiled code sends these
+        requests.
         """
         ...
 
@@ -344,17 +360,17 @@ class Drive(Protocol):
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return the frames to send to the drive at the regular end of a run.
 
-        After these frames, the drive accepts that the host sends nothing more.
+        After these frames, the drive needs no further frames from the host.
 
         The result is empty if the drive may still make torque.
         """
         ...
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number of the drive as ``scan`` prints it, or ``node N`` if the drive has none.
+        """Return the serial number of the drive in the form that ``scan`` prints.
 
-        A drive without a serial number cannot be distinguished from a drive of another hand with
-        the same node number.
+        If the drive has no serial number, return ``node N``. Such a drive cannot be distinguished
+        from a drive of another hand with the same node number.
         """
         ...
 

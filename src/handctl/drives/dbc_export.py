@@ -1,10 +1,11 @@
-"""Export of the cyclic frames of a bus as a DBC file, from the signal tables of the controller.
+"""Export of the cyclic frames of a bus as a DBC file.
 
-The values in the DBC file are the values at the spool, and positive values wind the tendon. A DBC
-can have only one message per identifier. A command is left out if its answer has the same
-identifier (CubeMars), or if the identifier of the command contains a value (RobStride). Frames
-without values are left out too: remote frames, and a SYNC without payload. Settings, heartbeats,
-register replies and SDO replies are not in the signal tables, and therefore not in the DBC.
+The DBC file is written from the signal tables of the controller. The values in the DBC file are the
+values at the spool, and positive values wind the tendon. A DBC can have only one message per
+identifier. A command is left out if its answer has the same identifier (CubeMars), or if the
+identifier of the command contains a value (RobStride). Frames without values are also left out.
+These are remote frames, and a SYNC without payload. Settings, heartbeats, register replies and SDO
+replies are not in the signal tables, and therefore not in the DBC.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,7 +24,7 @@ EXTENDED_BIT = 1 << 31
 
 
 class SentMessage(NamedTuple):
-    """Cyclic frame with the names of sender and receiver."""
+    """Cyclic frame with the names of its sender and its receiver."""
 
     message: CyclicMessage
     sender: str
@@ -133,14 +134,14 @@ def _signal_line(signal: Signal, receiver_name: str) -> str:
 
 
 def _with_drive_name(message: CyclicMessage, drive_name: str) -> CyclicMessage:
-    """Return the message with a new name: the name of the drive, then the name of the message."""
+    """Return the message with the name of the drive in front of its name."""
     return message._replace(name=f"{drive_name}_{message.name}")
 
 
 def _with_channel_names(
     message: CyclicMessage, tendons: Sequence[str], joints: Sequence[str]
 ) -> CyclicMessage:
-    """Return a message of the sensor node, with the names of tendons or joints on the signals."""
+    """Return a message of the sensor node, in which the signals have the names of tendons or joints."""
     names = {SignalQuantity.TENSION: tendons, SignalQuantity.ANGLE: joints}
     signals = [
         signal._replace(name=names[signal.quantity][signal.channel])

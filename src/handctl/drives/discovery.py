@@ -1,9 +1,11 @@
 """Discovery of the nodes on a bus. No motor moves, because no drive obeys the requests as commands.
 
-Each protocol has one ``ProtocolDiscovery``. A scan has four rounds: listen (0), send requests to all nodes
-at once (1), send requests to every node number (2), request details from discovered nodes (3).
-After each round the nodes are computed from all received frames. The functions here keep no state.
-``split_safe_requests`` leaves out each request that a drive of another protocol would obey as a command.
+Each protocol has one ``ProtocolDiscovery``. A scan has four rounds. In round 0, the scan only
+listens. In round 1, it sends requests to all nodes at once. In round 2, it sends requests to every
+node number. In round 3, it requests details from discovered nodes. After each round the nodes are
+computed from all received frames. The functions of this module store no state.
+``split_safe_requests`` leaves out each request that a drive of another protocol would obey as a
+command.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -64,7 +66,7 @@ def is_number_used_by_two_drives(
 ) -> bool:
     """Return True if two drives with the same number have answered the requests.
 
-    A bus may deliver one frame twice by mistake. No bus delivers the answers to two different
+    A bus may deliver a single frame twice by mistake. No bus delivers the answers to two different
     requests twice by mistake.
 
     Args:
@@ -80,7 +82,10 @@ def is_number_used_by_two_drives(
 
 
 def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
-    """Return the node unchanged, for protocols in which a missing answer has no meaning."""
+    """Return the node unchanged.
+
+    This is the default for protocols in which a missing answer has no meaning.
+    """
     return node
 
 
@@ -116,7 +121,9 @@ class ProtocolDiscovery(NamedTuple):
 def split_safe_requests(
     probe_frames: Iterable[Frame], command_ids: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split requests into those that are safe, and those that a drive of another protocol would obey as commands.
+    """Split requests into safe and unsafe requests.
+
+    A drive of another protocol would obey an unsafe request as a command.
 
     Args:
         probe_frames: requests, as data frames or remote frames. A remote frame has no payload, and

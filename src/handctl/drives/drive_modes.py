@@ -1,8 +1,8 @@
-"""Drive modes in which the drive itself controls its position or velocity: controlled quantity and limits.
+"""Drive modes in which the drive itself controls its position or velocity.
 
-A drive in such a mode is a ``contract.Drive`` whose command is a position [rad] or a velocity
-[rad/s] at the spool instead of a torque. The attribute ``command_limit`` of the drive has the unit
-of the command. The torque limit, the watchdog and the read-back are the same as in torque mode.
+A drive in such a mode is a ``contract.Drive``. Its command is not a torque, but a position [rad] or
+a velocity [rad/s] at the spool. The attribute ``command_limit`` of the drive has the unit of the
+command. The torque limit, the watchdog and the read-back are the same as in torque mode.
 """
 
 import enum
@@ -23,7 +23,10 @@ class DriveMode(enum.Enum):
     """Position. Each command also contains a current limit (Damiao drives)."""
 
     def rest(self, position: float) -> float:
-        """Return the command that causes no motion: the present position in the position modes, zero in the others."""
+        """Return the command that causes no motion.
+
+        In the position modes, this is the present position. In the other modes, it is zero.
+        """
         return position if self in (DriveMode.POSITION, DriveMode.FORCE_POSITION) else 0.0
 
 
@@ -60,5 +63,5 @@ def check_limits(limits: MotionLimits) -> None:
 
 
 def constructor_arguments(drive: Any) -> dict[str, Any]:
-    """Return the arguments with which a drive was constructed, to construct a drive in another mode from them."""
+    """Return the constructor arguments of a drive, for the construction of the drive in another mode."""
     return {field.name: getattr(drive, field.name) for field in fields(drive) if field.init}

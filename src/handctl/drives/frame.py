@@ -1,4 +1,4 @@
-"""CAN frame, as all parts of handctl use it."""
+"""CAN frame, in the form that all parts of handctl use."""
 
 from typing import NamedTuple
 

@@ -1,11 +1,13 @@
-"""CAN frames as rows of bytes: buses exchange the rows, compiled code reads and writes them, and the log stores them.
+"""CAN frames as rows of bytes.
+
+Buses exchange these rows, compiled code reads and writes them, and the log stores them.
 
     word 0      t_ns int64
     word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
     word 2..9   data, 64 bytes
 
 Each row is a record of ten words of 8 bytes. All fields are little-endian. Code that handles single
-frames uses ``Frame`` objects instead, for example python-can interfaces, tests, tools, and the
+frames uses ``Frame`` objects instead. Examples are python-can interfaces, tests, tools, and the
 state machines of drives. ``Frames`` is a sequence over the rows that returns ``Frame`` objects.
 """
 
@@ -55,7 +57,7 @@ BYTE_MASK = 0xFF
 class Frames(Sequence[Frame]):
     """Sequence of frames stored as records.
 
-    A ``Frames`` sequence equals any other sequence with equal frames.
+    A ``Frames`` sequence is equal to any other sequence that contains equal frames.
 
     Attributes:
         records: (n,) frames of type ``FRAME_RECORD_DTYPE``.
@@ -64,7 +66,7 @@ class Frames(Sequence[Frame]):
     __slots__ = ("records",)
 
     def __init__(self, records: RecordArray) -> None:
-        """Use the records without a copy."""
+        """Store the records without a copy."""
         self.records = records
 
     @staticmethod
@@ -122,7 +124,7 @@ NO_FRAMES = Frames(np.empty(0, FRAME_RECORD_DTYPE))
 
 
 def frames_as_records(frames: Iterable[Frame]) -> Frames:
-    """Return any frames as ``Frames``, which stores them as records.
+    """Convert any sequence of frames to ``Frames``, which stores the frames as records.
 
     Raises:
         ValueError: a payload has more than 64 bytes.

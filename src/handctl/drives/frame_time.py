@@ -1,11 +1,13 @@
-"""Bus load of a hand, from the longest time that each frame can take with stuff bits.
+"""Bus load of a hand.
+
+For each frame, the longest possible time with stuff bits is used.
 
     classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
     CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
 
 The two rows count the bits of a frame with an 11-bit identifier and n data bytes. A 29-bit
-identifier adds SRR, IDE and 18 bits, which are all exposed to stuffing. The last 13 bits of a frame
-are CRC delimiter, acknowledge, end of frame, and interframe space. Source: ISO 11898-1.
+identifier adds SRR, IDE and 18 bits. All these bits are exposed to stuffing. The last 13 bits of a
+frame are CRC delimiter, acknowledge, end of frame, and interframe space. Source: ISO 11898-1.
 """
 
 import math
@@ -31,7 +33,7 @@ def frame_time_s(
     data_bitrate: float | None = None,
     extended: bool = False,
 ) -> float:
-    """Return the longest time of one frame on the wire [s].
+    """Return the longest possible duration of one frame on the bus [s].
 
     Args:
         payload_size: length of the payload [bytes]. The length of a CAN FD frame is rounded up to the next
@@ -67,7 +69,7 @@ nominal bit rate.
 def _fd_frame_time_s(
     payload_size: int, bitrate: float, data_bitrate: float, extra_identifier_bits: int
 ) -> float:
-    """Return the longest time of a CAN FD frame on the wire [s].
+    """Return the longest possible duration of a CAN FD frame on the bus [s].
 
     Up to the last data bit, stuff bits are inserted as in a classical frame. The CRC field has one
     fixed stuff bit before every four bits. ``extra_identifier_bits`` is the number of bits that a 29-bit identifier
@@ -103,7 +105,7 @@ def bus_time_s(
 def highest_rate(
     tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None
 ) -> float:
-    """Return the highest usual control rate at which the load of each bus stays within ``MAX_BUS_LOAD`` [Hz].
+    """Return the highest common control rate at which no bus load exceeds ``MAX_BUS_LOAD`` [Hz].
 
     Args:
         tick_times_s: time for which the frames of one tick occupy each bus [s].

@@ -1,6 +1,6 @@
-"""Check that each CAN identifier on a bus has one meaning.
+"""Check that each CAN identifier on a bus has only one meaning.
 
-The check uses the identifiers that each drive object lists. A new protocol therefore needs no new
+The check uses the lists of identifiers in the drive objects. A new protocol therefore needs no new
 code here.
 """
 
@@ -11,7 +11,7 @@ from handctl.errors import ConfigError
 
 
 class IdentifierOwner(Protocol):
-    """Node that owns identifiers: a drive, or the sensor node."""
+    """Node with identifiers of its own: a drive, or the sensor node."""
 
     @property
     def bus(self) -> int:

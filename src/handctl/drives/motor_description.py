@@ -1,7 +1,8 @@
-"""List of drive protocols, and the keys of a ``[[motor]]`` section in the hand file, as drives read them.
+"""List of drive protocols, and the keys of a ``[[motor]]`` section that the drives read.
 
-``PROTOCOL_TRAITS`` is the list of protocols. The module ``protocol_registry`` adds the code of each protocol. A
-help text only needs this list, and importing ``protocol_registry`` would take too long.
+The section is in the hand file. ``PROTOCOL_TRAITS`` is the list of protocols. The module
+``protocol_registry`` adds the code of each protocol. A help text needs only this list. The import
+of ``protocol_registry`` would take too long for a help text.
 """
 
 from collections.abc import Mapping
@@ -76,7 +77,7 @@ VERIFIABLE_PROTOCOLS = tuple(
 
 
 def motor_types_text() -> str:
-    """List the motor types of each protocol whose drives need the option ``motor_type``."""
+    """List the motor types of each protocol that needs the option ``motor_type``."""
     return "; ".join(
         f"{name}: {', '.join(protocol_traits.motor_types)}"
         for name, protocol_traits in PROTOCOL_TRAITS.items()
@@ -85,7 +86,7 @@ def motor_types_text() -> str:
 
 
 def check_protocol_given(protocol: str | None, motor_type: str | None) -> None:
-    """Check that a protocol is chosen together with a motor type.
+    """Check that the operator has also chosen a protocol if a motor type was chosen.
 
     Raises:
         ConfigError: the operator has chosen a motor type, and no protocol.
@@ -95,7 +96,7 @@ def check_protocol_given(protocol: str | None, motor_type: str | None) -> None:
 
 
 def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, Any]:
-    """Return the options of the drives of a protocol, with the motor type that the operator has chosen.
+    """Return the drive options of a protocol, with the motor type that the operator has chosen.
 
     Args:
         protocol: name of the protocol.
@@ -118,7 +119,7 @@ def options_with_motor_type(protocol: str, motor_type: str | None) -> dict[str, 
 
 
 def position_loop_protocols_text() -> str:
-    """List the protocols whose drives close a position loop, each with the option that it needs."""
+    """List the protocols with a position loop in the drive, each with the required option."""
     names = [
         f"{name} with {protocol_traits.position_option}"
         if protocol_traits.position_option

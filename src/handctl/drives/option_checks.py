@@ -1,4 +1,4 @@
-"""Checks of the options of a motor in the hand file, for all protocols."""
+"""Checks of motor options in the hand file, which are the same for all protocols."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, TypeVar
@@ -8,7 +8,7 @@ from handctl.errors import ConfigError
 
 
 class FullScale(Protocol):
-    """Ranges of the values in the frames of a motor model."""
+    """Ranges that the values in frames have for a motor model."""
 
     @property
     def torque(self) -> float:
@@ -104,7 +104,7 @@ def checked_boolean(value: object, key_path: str) -> bool:
 def pop_motor_model(
     options: dict[str, Any], key_path: str, models: Mapping[str, ModelRangesType]
 ) -> ModelRangesType:
-    """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
+    """Remove the option ``motor_type``, and return the ranges of the motor model in this option.
 
     Args:
         options: options of the motor, modified in place.

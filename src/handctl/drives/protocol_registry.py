@@ -1,6 +1,6 @@
 """Registry of the drive protocols.
 
-The registry adds the code to each protocol in ``motor_description.PROTOCOL_TRAITS``.
+The registry assigns the code of a protocol to each entry of ``motor_description.PROTOCOL_TRAITS``.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,18 +1,21 @@
-"""Read-back of drive settings: read each setting, write it if it is wrong, and read it again.
+"""Read-back of drive settings.
 
-All protocols share the ``ReadbackCursor``, which is a position in the list of settings of a protocol. The
-code of a protocol adds the payload of each request, and recognises the reply to the open request.
+The host reads each setting. If the value is wrong, the host writes the setting and reads it again.
+All protocols share the ``ReadbackCursor``, which is a position in the list of settings of a
+protocol. The code of a protocol adds the payload of each request, and recognises the reply to the
+open request.
 
 The torque limit and the watchdog in the drive protect the hand even if the host fails. Both are
 therefore read again while the drive is enabled. A drive may restart within a few milliseconds, and
-may then be enabled again. After the restart, the drive has its saved settings, and not those that
-the host wrote before arming. The feedback of the drive does not show such a restart. Every half
-second, the host reads one setting of each drive, in turn. Each drive has its own time offset, so
-that no tick contains the requests of several drives.
+may then be enabled again. After the restart, the drive has its saved settings. The settings that
+the host wrote before arming are lost. The feedback of the drive does not show such a restart.
+Therefore the host reads one setting of each drive every half second, one setting after the other.
+Each drive has its own time offset, so that no tick contains the requests of several drives.
 
-If one frame requests a setting and one frame answers, the protocol describes both frames as a
-``SettingRecheck``. While the drive is steady, compiled code in ``core.wire.cyclic_frames`` sends the
-request and accepts a reply with the required value. The state machine handles every other reply.
+If a setting needs only one frame for the request and one frame for the answer, the protocol
+describes both frames as a ``SettingRecheck``. While the drive is steady, compiled code in
+``core.wire.cyclic_frames`` sends the request and accepts a reply with the required value. The state
+machine handles every other reply.
 """
 
 from typing import NamedTuple
@@ -67,7 +70,7 @@ class ReadbackCursor(NamedTuple):
         return self.sent_ns >= 0
 
     def next_setting(self) -> "ReadbackCursor":
-        """Return the cursor at the next setting, for use when the present one has been verified."""
+        """Return the cursor at the next setting, after the present setting has been verified."""
         return ReadbackCursor(self.step + 1)
 
     def cursor_after_write(self) -> "ReadbackCursor":
@@ -91,7 +94,7 @@ def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
 def request_setting(
     cursor: ReadbackCursor, name: str, t_ns: int, max_attempts: int = REQUEST_TRIES
 ) -> tuple[ReadbackCursor, bool, str]:
-    """Decide if a read or write request for the present setting is to be sent now.
+    """Decide if a request to read or write the present setting must be sent now.
 
     Args:
         cursor: position in the settings, not beyond the last setting.
@@ -113,7 +116,9 @@ def request_setting(
 def on_wrong_value(
     cursor: ReadbackCursor, name: str, value_text: str, expected_text: str, write_count: int
 ) -> tuple[ReadbackCursor, str]:
-    """Request that a setting with a wrong value is written, at most ``write_count`` times.
+    """Return the position in the read-back after a wrong value.
+
+    The next request then writes the setting, but at most ``write_count`` times.
 
     Args:
         cursor: position in the settings.
@@ -151,7 +156,7 @@ class RecheckCursor(NamedTuple):
 
 
 class SettingRecheck(NamedTuple):
-    """Request and reply with which a setting of an enabled drive is read again.
+    """Request and reply for a setting that is read again while the drive is enabled.
 
     Attributes:
         name: name of the setting.
@@ -170,14 +175,17 @@ class SettingRecheck(NamedTuple):
 
 
 def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
-    """Return the position at which the repeated read-back starts, for a drive that is enabled at ``t_ns`` [ns]."""
+    """Return the first position in the repeated read-back of a drive.
+
+    The drive is enabled at ``t_ns`` [ns].
+    """
     return RecheckCursor(due_ns=_next_slot_ns(node_id, t_ns))
 
 
 def next_recheck(
     check: RecheckCursor, name: str, node_id: int, t_ns: int
 ) -> tuple[RecheckCursor, str]:
-    """Return the position after a read-back request to an enabled drive, and the problem in words.
+    """Return the position in the read-back after a request to an enabled drive, and the problem in words.
 
     The text of the problem is empty if no problem has occurred.
 
@@ -194,7 +202,7 @@ def next_recheck(
 def on_recheck_reply(
     check: RecheckCursor, setting_count: int, is_equal: bool, name: str, answer: str, expected: str
 ) -> tuple[RecheckCursor, str]:
-    """Compare a setting, read again from an enabled drive, with the required value.
+    """Compare a setting that was read again from an enabled drive with its required value.
 
     If the value is wrong, the drive may have lost all its settings.
 
@@ -215,6 +223,9 @@ def on_recheck_reply(
 
 
 def _next_slot_ns(node_id: int, t_ns: int) -> int:
-    """Return the time of the next read-back request to a drive, in the time slot of this drive [ns]."""
+    """Return the time of the next read-back request to a drive [ns].
+
+    Each drive has its own time slots.
+    """
     offset = node_id * RECHECK_STAGGER_NS % RECHECK_PERIOD_NS
     return ((t_ns - offset) // RECHECK_PERIOD_NS + 1) * RECHECK_PERIOD_NS + offset

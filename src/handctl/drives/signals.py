@@ -2,17 +2,17 @@
 
 A signal table contains the position, the coding and the scale of each value in a frame.
 
-One compiled packer and one compiled unpacker serve all protocols. From the same tables,
-``drives.dbc_export`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
-lowest bit of the first byte. The start of a little-endian signal is its lowest bit. The start of a
-big-endian signal is its highest bit.
+One compiled packer and one compiled unpacker serve all protocols. ``drives.dbc_export`` uses the
+same tables to write a DBC file for other tools. Bits have the same numbers as in a DBC. Bit 0 is
+the lowest bit of the first byte. A little-endian signal starts at its lowest bit. A big-endian
+signal starts at its highest bit.
 
-Payloads of CAN FD have up to 64 bytes, and a signal is read from a window of eight of them. The
-window begins at byte 0 if the signal ends at byte 7 or before. Otherwise the window begins at the
-first byte of the signal.
+Payloads of CAN FD have up to 64 bytes. A signal is read from a window of eight bytes of the
+payload. The window begins at byte 0 if the signal ends at byte 7 or before. Otherwise the window
+begins at the first byte of the signal.
 
-A command may have a signal in its identifier. The word of eight bytes before the payload contains
-the identifier. The lowest bit of this word has the number -64.
+A command may have a signal in its identifier. The identifier is in the word of eight bytes before
+the payload. The lowest bit of this word has the number -64.
 """
 
 import enum
@@ -104,7 +104,7 @@ class Signal(NamedTuple):
 
     @property
     def value_limits(self) -> tuple[float, float]:
-        """Return smallest and largest value of an unsigned integer or of a float [unit].
+        """Return the smallest and largest value of an unsigned integer signal or a float signal [unit].
 
         The smallest value of a stiffness, a damping or a limit is 0.
         """
@@ -123,7 +123,10 @@ class Signal(NamedTuple):
 
     @property
     def step(self) -> float:
-        """Return the resolution of the value [unit]: one count, or 1 / ``FLOAT_STEPS`` of a count for a float."""
+        """Return the resolution of the value [unit].
+
+        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS`` of a count.
+        """
         return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
 
 
@@ -156,7 +159,7 @@ class CyclicMessage(NamedTuple):
 
 
 class CyclicMessages(NamedTuple):
-    """Frames exchanged with one drive in every tick while the drive is enabled.
+    """Frames that every tick exchanges with one enabled drive.
 
     Attributes:
         feedback: frames from the drive.
@@ -215,7 +218,7 @@ SCALE_COLUMN, OFFSET_COLUMN = range(2)
 
 
 def integer_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the values of the integer columns for a signal, see ``START_COLUMN``."""
+    """Return the values of a signal for the integer columns, see ``START_COLUMN``."""
     order, coding, quantity = int(signal.is_big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
@@ -283,7 +286,10 @@ def bytes_reversed(word: Any) -> Any:
 def decode_signal(
     value: Any, signal_integers: IntegerArray, signal_reals: RealArray, i: int
 ) -> float:
-    """Return the value of signal i from a window, or NaN for a float that is not finite."""
+    """Decode the value of signal i in a window.
+
+    If a float is not finite, return NaN.
+    """
     length = signal_integers[i, LENGTH_COLUMN]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
     bits = (value >> np.uint64(signal_integers[i, START_COLUMN])) & mask
@@ -307,7 +313,7 @@ def decode_signal(
 def encode_signal(
     value: float, signal_integers: IntegerArray, signal_reals: RealArray, i: int
 ) -> Any:
-    """Return the bits of signal i at their position in a window, for a value.
+    """Encode a value as signal i, and return its bits at their position in a window.
 
     The value must be finite and in the range of the signal. Half a count is rounded up.
     """
@@ -324,7 +330,7 @@ def encode_signal(
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: WordArray, rows: IntegerArray, signal_reals: RealArray) -> RealArray:
-    """Return the value of each signal (signals,), from the words of an identifier and a payload (1, words).
+    """Decode each signal (signals,) in the words of an identifier and a payload (1, words).
 
     The arrays ``rows`` and ``signal_reals`` have one row per signal.
     """
@@ -341,7 +347,7 @@ def unpack_rows(data: WordArray, rows: IntegerArray, signal_reals: RealArray) ->
 def pack_rows(
     data: WordArray, rows: IntegerArray, signal_reals: RealArray, values: RealArray
 ) -> None:
-    """Write the value of each signal (signals,) into the words of an identifier and a payload (1, words).
+    """Encode each value (signals,) into the words of an identifier and a payload (1, words).
 
     Before the call, all bits at the positions of the signals must be zero.
     """
@@ -356,7 +362,7 @@ def pack_rows(
 
 
 class SignalTable:
-    """Signals of a message as arrays, for the packer and the unpacker.
+    """Signals of a message, as arrays for the packer and the unpacker.
 
     Attributes:
         message: the message.
@@ -377,7 +383,10 @@ class SignalTable:
         ).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
-        """Return the value of each signal in a payload, NaN for a float that is not finite."""
+        """Return the value of each signal in a payload.
+
+        If a float is not finite, its value is NaN.
+        """
         values: list[float] = unpack_rows(
             self._words(data), self.signal_integers, self.signal_reals
         ).tolist()
@@ -408,7 +417,7 @@ class SignalTable:
     def _words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
-        A short payload is filled up with zeros.
+        If the payload is short, zeros are added at its end.
         """
         size = 8 * max(1, -(-self.message.length // 8))
         id_bytes = self.message.can_id.to_bytes(8, "little")

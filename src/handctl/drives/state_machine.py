@@ -1,7 +1,9 @@
-"""Steps that the state machines of several protocols share: fault, repeated read-back, enable and disable.
+"""Steps that the state machines of several protocols have in common.
 
-Each protocol has its own progress, a named tuple in ``DriveState.private``. A function here uses
-only those fields of ``EnablingProgress`` that its text names, and returns the next drive state.
+These steps are the transition to a fault, the repeated read-back, and enabling and disabling. The
+state machine of each protocol has its own progress. The progress is a named tuple in
+``DriveState.private``. Each function returns the next drive state. It uses only the fields of
+``EnablingProgress`` that its docstring lists.
 """
 
 from typing import Any, Protocol, Self
@@ -72,7 +74,7 @@ class RecheckedDrive(Protocol):
 def request_recheck(
     state: DriveState, drive: RecheckedDrive, error_code: int, t_ns: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
-    """Return the next state, and the request that reads a setting of the enabled drive again, if it is due.
+    """Return the next state, and the next read-back request to the enabled drive, if it is due.
 
     Args:
         state: state of the drive.
@@ -117,7 +119,7 @@ def state_after_recheck_reply(
 
 
 def is_steady(state: DriveState) -> bool:
-    """Return True if this host has enabled the drive, and does not disable it.
+    """Return True if this host has enabled the drive, and is not disabling it.
 
     The function uses the fields ``enable_sent`` and ``disabling``.
     """
@@ -139,7 +141,7 @@ def may_have_lost_power(state: DriveState, t_ns: int) -> bool:
 
 
 def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> DriveState:
-    """Return the state in phase READY of a drive whose settings have all been verified.
+    """Return the state in phase READY, after all settings of a drive have been verified.
 
     A serial number of 0 means that the serial number is unknown.
     """
@@ -151,7 +153,7 @@ def state_after_configuration(state: DriveState, t_ns: int, serial: int) -> Driv
 
 
 def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
-    """Return the state of a drive to which an enable command is sent.
+    """Return the state of a drive when an enable command is sent to it.
 
     The function uses the field ``enable_sent``.
     """
@@ -163,10 +165,10 @@ def start_enabling(state: DriveState, node_id: int, t_ns: int) -> DriveState:
 
 
 def start_disabling(state: DriveState, t_ns: int) -> DriveState:
-    """Return the state of a drive to which a disable command is sent.
+    """Return the state of a drive when a disable command is sent to it.
 
-    A drive that may be enabled counts as enabled until its feedback reports that it is off. The
-    function uses the fields ``may_be_enabled``, ``disabling`` and ``disable_command_ns``.
+    A drive that may be enabled counts as enabled until its feedback reports that the drive is off.
+    The function uses the fields ``may_be_enabled``, ``disabling`` and ``disable_command_ns``.
     """
     progress: EnablingProgress = state.private
     phase = ENABLED if progress.may_be_enabled else state.phase

@@ -1,1 +1,1 @@
-"""Declarations of faults, reactions and thresholds, and the choice of the reaction to present faults."""
+"""Safety of the hand: declarations of faults, reactions and thresholds, and the choice of the reaction."""

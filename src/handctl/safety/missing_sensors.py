@@ -17,7 +17,10 @@ FAULTS_NEEDING_ENCODERS = tuple(fault.id for fault in FAULT_TABLE if fault.needs
 
 
 def sensing_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return one line for each missing kind of sensor, with the faults that cannot be detected without this kind."""
+    """Return one line for each kind of sensor that some tendons lack.
+
+    The line lists the faults that cannot be detected without these sensors.
+    """
     lines = []
     tendons = hand.tendon_names
     if tendons_without_cell := [

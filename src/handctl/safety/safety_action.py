@@ -9,7 +9,7 @@ import enum
 class SafetyAction(enum.IntEnum):
     """Reaction to a fault.
 
-    Each reaction includes every restriction of the less severe reactions.
+    Each reaction includes the restrictions of all less severe reactions.
     """
 
     PASS = 0
@@ -30,7 +30,7 @@ class SafetyAction(enum.IntEnum):
 class RelaxMethod(enum.Enum):
     """Method by which the reaction RELAX removes the torque.
 
-    No method raises a commanded torque (``controller.relaxing``).
+    None of the methods raises a commanded torque (``controller.relaxing``).
     """
 
     TENSION_LOOP = "RELAX"

@@ -1,4 +1,7 @@
-"""Safety thresholds of a hand, which follow from the drives, the sensors and the model of the hand."""
+"""Safety thresholds of a hand.
+
+They are computed from the drives, the sensors and the model of the hand.
+"""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +29,10 @@ HARD_TEMPERATURE_LIMIT_DEGC = 85.0
 
 
 def tick_count_for_time(seconds: float, period: float, minimum: int) -> int:
-    """Return the number of ticks for a time [s] at a period [s], rounded up, and at least ``minimum``."""
+    """Convert a time [s] to a number of ticks, rounded up.
+
+    The result is at least ``minimum``.
+    """
     # The function rounds up, because a time limit in ticks must never be shorter than the time that
     # was given.
     return max(minimum, math.ceil(seconds / period))
@@ -79,5 +85,5 @@ class SafetyLimits:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """Return the names of all nodes: first the motors, then the load cells."""
+        """Return the names of all nodes: the motors, followed by one name for the load cells."""
         return (*self.motors, LOAD_CELLS)

@@ -1,8 +1,9 @@
-"""Judgement of each tick: the latched faults, the reported faults, and the choice of the reaction.
+"""Judgement of each tick.
 
-Compiled code (``core.detectors.fault_detection``) debounces the faults that detectors find. This
-module finds the names of newly active faults, debounces the reported faults, and latches faults
-until an operator clears them.
+The judgement latches faults, counts reported faults, and chooses the reaction. Compiled code
+(``core.detectors.fault_detection``) debounces the faults that the detectors find. This module finds
+the names of newly active faults, and debounces the reported faults. It latches faults until an
+operator clears the faults.
 """
 
 from collections.abc import Iterable, Sequence
@@ -41,7 +42,7 @@ class LatchedFault(NamedTuple):
 
 
 class CountedFault(NamedTuple):
-    """Fault that is reported in this tick, with the number of consecutive ticks in which it was reported."""
+    """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
     instance: str
@@ -124,7 +125,7 @@ def judge_tick(
 
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
-    """Return the latched fault for a finding."""
+    """Return the identifier and the place of a finding, as a latched fault."""
     return LatchedFault(finding.fault.id, finding.instance)
 
 
@@ -165,9 +166,10 @@ def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int)
 
 
 def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
-    """Return the fault, the location and the value of each report of a bus, the host or the recorder.
+    """Return the fault, the location and the value that belong to each report.
 
-    If a fault is reported several times at the same location, only the last report is returned.
+    Reports come from a bus, the host or the recorder. If a fault is reported several times at the
+    same location, only the last report is returned.
     """
     faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, location, value in event_reports:
@@ -188,7 +190,7 @@ _CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)
 def filter_error_frames(
     event_reports: Iterable[EventReport], has_node_answered: bool
 ) -> list[EventReport]:
-    """Drop error frames from the reports, except the first unacknowledged frame (B18).
+    """Remove all error frames from the reports, except the first report of a missing acknowledge (B18).
 
     Args:
         event_reports: reports of buses, host and recorder in the tick.

@@ -118,14 +118,15 @@ def compiled_constants(
 
 
 def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
-    """Return those constants of the drives' position loops that depend on the number format in the drives' frames.
+    """Return the constants of the drives' position loops that depend on the coding of numbers in frames.
 
-    For kp [N m/rad] and kd [N m s/rad], the constants are the step of one count and the largest
-    value that a frame can contain. Further constants are the force [N] that one count of feedback
-    causes, and 1 for each drive that moves its commanded position by itself. For a drive whose
-    commands have no kp and kd, the count is 1. Feedback is the position and the speed that the
-    drive reports. A drive rounds both to counts of the protocol, or to counts of the encoder if
-    these are coarser.
+    For kp [N m/rad] and kd [N m s/rad], the constants are the value of one count, and the largest
+    value that a frame can contain. A further constant is the force [N] that one count of feedback
+    causes. The last constant is 1 for each drive that moves its commanded position by itself. If
+    the commands of a drive contain no kp and kd, the value of one count is 1. The feedback of a
+    drive consists of its position and its speed. A drive rounds both values to counts of the
+    protocol. If the counts of the encoder are coarser, the drive rounds the position to counts of
+    the encoder.
     """
     gain = np.ones(len(drives)) if model.torque_gain is None else model.torque_gain
     loop = servo_constants(model)
@@ -166,9 +167,10 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
 
 
 def torque_resolution(drive: Drive) -> float:
-    """Return the torque of one count in the feedback or in the command, whichever is larger [N m at the spool].
+    """Return the resolution of a drive's torque [N m at the spool].
 
-    If the torque is a floating-point number, the result is 0.
+    The resolution is the torque of one count in the feedback or in the command. The larger of both
+    values is used. If the torque is a floating-point number, the result is 0.
     """
     messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
@@ -184,7 +186,10 @@ def torque_resolution(drive: Drive) -> float:
 
 
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
-    """Return the number of frames per tick above which the bus counts as flooded: twice the replies of all nodes."""
+    """Return the number of frames per tick above which the bus counts as flooded.
+
+    The number is twice the number of replies of all nodes, but at least ``MIN_FLOOD_FRAMES``.
+    """
     return max(
         MIN_FLOOD_FRAMES,
         sum(len(drive.frames_per_tick) for drive in drives) + 2 * len(sensors.node_ids),
@@ -194,8 +199,9 @@ def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> in
 def _noise_limit(model: HandModel) -> float:
     """Return the largest mean squared jerk of a motor's position that a healthy motor can have [rad^2].
 
-    Here, jerk is the change of the position step from one tick to the next: acceleration times the
-    period squared. The limit includes the jerk of a real motion and the rounding of the encoder.
+    A position step is the change of the position in one tick. The jerk is here the change of the
+    position step from one tick to the next. It equals the acceleration times the period squared.
+    The limit includes the jerk of a real motion and the rounding of the encoder.
     """
     space = model.space
     period = model.period

@@ -1,13 +1,14 @@
 """Detection of unsolicited and duplicate replies.
 
-They exist if a node sends more replies than this host has sent requests.
+Such replies exist if a node sends more replies than it has received requests from this host.
 
-If a motor replies before this host has sent the first request, a second controller has sent a
+A motor may reply before this host has sent its first request. Then a second controller has sent a
 request to the motor (fault H13). A single such reply is sufficient for the fault. If a node sends
-more replies than requests, the excess reply is a duplicate (fault B05). If its bytes differ,
-another node may pretend to be this one (fault B06). Only frames that the state machine of the drive
-or sensor node accepts as replies are counted here. Heartbeats and frames with an old counter are
-not counted. This code runs only in ticks with more replies than requests.
+more replies than requests, the excess reply is a duplicate (fault B05). If the bytes of the excess
+reply differ from the expected reply, another node may use the same identifier (fault B06). A frame
+is counted here only if the state machine of the drive or of the sensor node accepts the frame as a
+reply. Heartbeats and frames with an old counter are not counted. This code runs only in ticks with
+more replies than requests.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,8 @@ def detect_unsolicited_replies(
 ) -> tuple[str, ...]:
     """Detect the unsolicited and the duplicate replies of a tick.
 
-    The function writes the numbers of duplicates into the field ``DUPLICATE_REPLIES``.
+    The function writes the kind of each node's duplicates into ``DUPLICATE_REPLIES``, see
+    ``_duplicate_kind``.
 
     Args:
         drives: drives of the hand.
@@ -68,7 +70,11 @@ def _detect_duplicate_answers(
     state: ControllerState,
     frames: Sequence[Frame],
 ) -> None:
-    """Write the load cells' duplicate answers to ``DUPLICATE_REPLIES``, and count late ones in ``STALE_FRAMES``."""
+    """Detect duplicate answers of the load cells, and count late answers.
+
+    Duplicate answers are written to ``DUPLICATE_REPLIES``. Late answers are counted in
+    ``STALE_FRAMES``.
+    """
     duplicates = state.view("twice")
     is_excused = not sensors.has_counter and (
         state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
@@ -103,7 +109,7 @@ def _has_lost_answers(last_state: ControllerState) -> bool:
 
 
 def _duplicate_kind(payloads: list[bytes], expected_count: int) -> int:
-    """Return 2 if the bytes of an excess reply differ from the last expected reply, and 1 if they are equal."""
+    """Return 1 if all excess replies equal the last expected reply, and 2 if their bytes differ."""
     return 2 if len(set(payloads[expected_count - 1 :])) > 1 else 1
 
 

@@ -1,4 +1,4 @@
-"""Two control laws for a tendon-driven digit: computed torque for motions, and a tension loop for pulling.
+"""Two control laws for a tendon-driven digit: computed torque for a motion, a tension loop for a pull.
 
 Motion: inverse dynamics gives the joint torques that the trajectory requires. The tensions f of the
 tendons must produce these joint torques. The motor force u has three parts: the tension f_0 at the
@@ -10,10 +10,10 @@ load cell, the feedback, and the force for the inertia and friction of the motor
         - c_d disturbance + K_f (f_0 - f_hat)
 
 The tendon excursions are s = R_r theta. If moment arms depend on the joint angles q, the excursions
-are e(q), and s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at its spool. So the
-feedback damps the rotor, and not the digit behind the tendon. The factors c_i, c_f and c_d are
-fractions that the gains contain. The mass m_m of the rotor is about twenty times the mass m_l of
-the finger. The feedback has to accelerate both the rotor and the finger.
+are e(q), and their acceleration is s'' = R q'' + R' q'^2. The speed v is the speed of the tendon at
+its spool. The feedback of v therefore damps the rotor, and does not damp the digit. The factors
+c_i, c_f and c_d are fractions that the gains contain. The mass m_m of the rotor is about twenty
+times the mass m_l of the finger. The feedback has to accelerate both the rotor and the finger.
 
 Tension: the tension loop is a state feedback of the tension error and the tendon speed, with a slow
 integral. If the digit is expected to follow a trajectory, the speed of the tendon and the force for
@@ -115,7 +115,8 @@ MIN_RELAXED_TENSION_N = 5.0
 def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """Command zero torque for every motor.
 
-    If a tension loop begins later, its setpoint starts at the tension of that time.
+    The setpoints follow the present tensions, so that a later tension loop starts at the tension of
+    its first tick.
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
@@ -134,9 +135,9 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end the holding of the position that the safety monitor demands.
+    """Begin or end a hold of the present position, which the safety monitor demands.
 
-    While the hand holds its position, tensions are limited to those at the beginning, plus a
+    During the hold, each tension is limited to the tension at the beginning of the hold, plus a
     margin.
 
     Args:
@@ -155,13 +156,14 @@ def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
 
 @kernel_helper
 def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
-    """Return the tension limits (N,) that apply at present, in addition to those of the hand file [N].
+    """Return the temporary tension limits (N,) [N].
 
-    If a drive is warm, the limit falls from the ceiling at the soft temperature to the floor at the
-    hard temperature. If a digit is blocked, the limit is ``MAX_BLOCKED_EXTRA_TENSION_N`` above the tension that the
-    trajectory requires. While the safety monitor makes the hand hold its position, the limit is
-    ``HOLD_MARGIN_N`` above the tension at the beginning. For a spool pair, the limit applies to the
-    net tension in both directions.
+    These limits apply in addition to the limits of the hand file. At the soft temperature of a
+    drive, the limit is the tension ceiling. At the hard temperature, the limit is the tension
+    floor. Between both temperatures, the limit falls linearly. If a digit is blocked, the limit is
+    ``MAX_BLOCKED_EXTRA_TENSION_N`` above the tension that the trajectory requires. During a hold by
+    the safety monitor, the limit is ``HOLD_MARGIN_N`` above the tension at the beginning of the
+    hold. For a spool pair, the limit applies to the net tension in both directions.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     is_any_drive_warm = False
@@ -274,7 +276,7 @@ def write_motor_torques(
 
 @kernel_helper
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
-    """Return a motor force, reduced to the limits of the motor and the tension [N].
+    """Return a motor force, limited by the range of the motor force and by the tension limit [N].
 
     Args:
         c: constants of the hand.
@@ -295,7 +297,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
 def _write_force_for_tension_filter(
     x: StateTables, c: ConstantTables, n: int, force: float, carrier_acceleration: float
 ) -> None:
-    """Write the motor force from which the tension filter predicts the motion of the rotor.
+    """Write the motor force that the tension filter uses to predict the motion of the rotor.
 
     Args:
         x: state tables.
@@ -319,7 +321,7 @@ def _write_force_for_tension_filter(
 def _write_joint_torques(
     x: StateTables, c: ConstantTables, trajectory: Matrix, load: Vector
 ) -> None:
-    """Write the joint torques that the tensions produce, and the goals of the joints on a trajectory.
+    """Write the joint torques of the planned tensions, and the goals of joints that follow a trajectory.
 
     Args:
         x: state tables.
@@ -352,7 +354,7 @@ def _force_during_relaxation(
 ) -> float:
     """Return the motor force of a tendon while the hand relaxes [N].
 
-    The value is at most the envelope, and in open loop it is the envelope itself.
+    The motor force is at most the envelope. In open loop, the motor force is the envelope itself.
 
     Args:
         x: state tables.
@@ -373,11 +375,12 @@ def _force_during_relaxation(
 def _motion_force_terms(
     x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
-    """Return pulley efficiencies, and the goal, feedback, null-space force and integral of each tendon [N].
+    """Return the pulley efficiencies, and four forces of the motion loop for each tendon [N].
 
-    The results are the efficiencies (N,), an array (2, N) with tension goals and feedback forces,
-    and an array (2, N) with null-space forces and integrals. The feedback has to accelerate both
-    the rotor and the digit. For tendons that follow no trajectory, all terms are 0.
+    The first result has the efficiencies (N,). The second result (2, N) has the tension goals and
+    the feedback forces. The third result (2, N) has the null-space forces and the integrals. The
+    feedback has to accelerate both the rotor and the digit. For tendons that follow no trajectory,
+    all terms are 0.
 
     Args:
         x: state tables.
@@ -457,13 +460,16 @@ def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def _is_position_controlled_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if the drive of a tendon controls the position itself, and the tendon is not taking up slack."""
+    """Return True if the drive of a tendon controls the position, and no slack is being taken up."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
 @kernel_helper
 def _slack_take_up_speed(rate: float) -> float:
-    """Return the speed at which a spool takes up slack [m/s], given the tendon's rate on the trajectory [m/s]."""
+    """Return the speed at which a spool takes up slack [m/s].
+
+    The argument ``rate`` is the rate of the tendon on the trajectory [m/s].
+    """
     return max(rate, 0.0) + SLACK_TAKE_UP_SPEED_M_S
 
 
@@ -475,14 +481,15 @@ def _take_up_slack(
     motion_terms: Matrix,
     null_space_terms: Matrix,
 ) -> None:
-    """Replace the feedback on slack tendons, so that their spools wind the tendons up at a low speed.
+    """Replace the feedback for slack tendons.
 
-    A slack tendon does not move its digit. Position feedback could pay the tendon out further, or
-    pull it taut with a jerk that looks like a torn tendon. For a nearly slack tendon, feedback that
-    pays out is reduced, so that springs or the antagonist open the digit first.
+    The spool of a slack tendon then winds up the tendon at a low speed. A slack tendon does not
+    move its digit. Position feedback could pay out more of the slack tendon. It could also pull the
+    tendon taut with a jerk that looks like a torn tendon. If a tendon is nearly slack, a feedback
+    that pays out the tendon is reduced. Springs or the antagonist can then open the digit first.
 
-    These rules apply to digits that follow streamed angles. In other motions, only feedback that
-    pays out a slack tendon is replaced, see ``_would_pay_out_slack_tendon``.
+    These rules apply to digits that follow streamed angles. In other motions, the feedback is
+    replaced only if it would pay out a slack tendon, see ``_would_pay_out_slack_tendon``.
 
     Args:
         x: state tables.
@@ -511,11 +518,11 @@ def _take_up_slack(
 
 @kernel_helper
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
-    """Return True if the feedback of a motion without stream would pay out a slack tendon without load cell.
+    """Return True if the position feedback would pay out a slack tendon that has no load cell.
 
-    Neither the motor nor a load cell measures the excursion of a slack tendon without load cell. If
-    the estimated excursion is too large, the motor would pay out more and more of the tendon,
-    because no measurement corrects the estimate.
+    Motions along streamed angles are excluded. The excursion of a slack tendon without load cell is
+    not measured. The estimated excursion may be too large, and no measurement corrects it. The
+    motor would then pay out more and more of the tendon.
 
     Args:
         x: state tables.
@@ -538,7 +545,7 @@ def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedb
 def _tendon_motion_on_trajectory(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float, float]:
-    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the trajectories of the joints."""
+    """Return a tendon's excursion [m], rate [m/s] and acceleration [m/s2] on the joint trajectories."""
     excursion = 0.0
     rate = 0.0
     acceleration = 0.0
@@ -560,7 +567,10 @@ def _tendon_motion_on_trajectory(
 def _tendon_motion_by_carriers(
     c: ConstantTables, n: int, trajectory: Matrix
 ) -> tuple[float, float]:
-    """Return the rate [m/s] and acceleration [m/s2] of a tendon that the trajectories of carrying digits cause."""
+    """Return a tendon's rate [m/s] and acceleration [m/s2] because of the motion of carrying digits.
+
+    The carrying digits move on their trajectories.
+    """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
     return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
@@ -570,7 +580,9 @@ def _tendon_motion_by_carriers(
 def _feedforward_for_carrying_digits(
     c: ConstantTables, n: int, rate: float, acceleration: float
 ) -> float:
-    """Return the motor force with which a tension-controlled tendon follows the digits that carry its digit [N].
+    """Return the feedforward motor force for the motion of carrying digits [N].
+
+    With this force, a tension-controlled tendon follows the digits that carry its own digit.
 
     Args:
         c: constants of the hand.
@@ -598,7 +610,7 @@ def _motion_force(
     rate: float,
     acceleration: float,
 ) -> float:
-    """Return the motor force of a tendon on a trajectory by computed torque [N], and write the tension goal.
+    """Compute the motor force of a tendon on a trajectory [N], and write the tension goal.
 
     Args:
         x: state tables.
@@ -677,10 +689,10 @@ def _tension_force(
 def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -> float:
     """Return the integral of the tension error of a taut tendon [N].
 
-    The integral compensates the friction of a rotor at rest. A digit without contact cannot bear
-    arbitrary streamed tensions, so it moves, and the tension errors persist. Their integrals would
-    move the digit further, and make it oscillate between its stops. During a stream, the integral
-    of a moving tendon therefore decays.
+    The integral compensates the friction of a rotor at rest. A digit without contact cannot resist
+    arbitrary streamed tensions. Such a digit moves, and the tension errors persist. The integrals
+    of these errors would move the digit further, and the digit would oscillate between its stops.
+    During a stream, the integral of a moving tendon therefore decays.
 
     Args:
         x: state tables.
@@ -697,7 +709,10 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
 
 @kernel_helper
 def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the feedforward motor force of a tension-controlled tendon whose digit is expected to move [N]."""
+    """Return the feedforward motor force of a tension-controlled tendon [N].
+
+    The digit of the tendon is expected to move along a trajectory.
+    """
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
@@ -727,8 +742,8 @@ def _relaxation_envelope(
 def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the Coulomb friction of a motor, averaged over the coming control period [N].
 
-    With the implicit midpoint rule, friction can stop a motor within a period, but cannot reverse
-    its motion.
+    The friction is computed by the implicit midpoint rule. So friction can stop a motor within a
+    period, but cannot reverse its motion.
     """
     frictionless_speed = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
@@ -740,9 +755,10 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
 
 @kernel_helper
 def _decay_trim_forces(x: StateTables, c: ConstantTables) -> None:
-    """Reduce the trim of each tendon, which is a small force added to the motor force.
+    """Reduce the trim of each tendon.
 
-    Set all trims to 0 when the largest trim is negligible.
+    The trim is a small force that is added to the motor force after a change of gains. Set all
+    trims to 0 when the largest trim is negligible.
     """
     if not x.run_int[s.TRIM_ACTIVE]:
         return

@@ -23,8 +23,8 @@ class GoalKind(enum.IntEnum):
 class DigitGoal:
     """Goal of a digit: the requested motion or tension, and the largest force.
 
-    Two goals with equal values count as different, so that values derived from a goal can be
-    cached.
+    Goals are compared by identity, so that values derived from a goal can be cached. Two goals with
+    equal values are therefore different.
 
     Attributes:
         kind: kind of control.

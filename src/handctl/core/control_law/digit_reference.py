@@ -1,4 +1,4 @@
-"""Position of each digit on its trajectory in a tick, with the required joint torques and tensions."""
+"""Motion of each digit on its trajectory in a tick, and the required joint torques and tensions."""
 
 import math
 
@@ -76,7 +76,9 @@ def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool)
 
 @kernel_helper
 def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
-    """Add to a minimum-jerk move the part that continues an earlier motion, see ``trajectory.MinimumJerk``.
+    """Add the part of a minimum-jerk move that continues an earlier motion.
+
+    ``trajectory.MinimumJerk`` explains this part.
 
     Args:
         x: state tables.
@@ -144,13 +146,15 @@ def follows_streamed_angles(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def is_target_stream_running(x: StateTables) -> bool:
-    """Return True if a client streams targets for any digit or tendon of the hand."""
+    """Return True if a stream of targets is running, for any digit or tendon of the hand."""
     return bool(x.run_int[s.STREAMING] == s.RUNNING_STREAM)
 
 
 @kernel_helper
 def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
-    """Write the joint torques that the trajectories require against inertia, gravity, springs and damping.
+    """Write the joint torques that the trajectories require.
+
+    The torques overcome inertia, gravity, springs and damping.
 
     Args:
         x: state tables.
@@ -200,7 +204,9 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
 
 @kernel_helper
 def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
-    """Write the tensions at the joints that make the required joint torques.
+    """Write the tensions that make the required joint torques.
+
+    The tensions are those at the joints, after the friction of the pulleys.
 
     Returns:
         A number with one bit for each digit. A bit is 1 if the tensions of its digit are out of

@@ -1,15 +1,16 @@
-"""Prediction of the tension of a moving digit, which depends on friction, and the present friction.
+"""Prediction of the tension of a moving digit with friction, and computation of the present friction.
 
 The tension filter uses the predicted tension as an input. The detection of contacts uses the
 present friction.
 
-Because of friction, the tension of a moving digit is in a band around the tension that springs and
-gravity require. The tension is at the upper edge of the band while the tendon is wound, and at the
-lower edge while it is paid out. At a reversal, the digit sticks while the motor moves. The motor
-stretches or releases the tendon, and the tension changes from one edge to the other in about ten
-milliseconds. This change starts with the reversal of the tendon. The trajectory may reverse earlier
-or later than the tendon. At rest, the digit creeps until friction carries no load. Source:
-Prandtl's elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
+Springs and gravity require a certain tension. Because of friction, the tension of a moving digit
+lies in a band around this required tension. While the tendon is wound up, the tension is at the
+upper edge of the band. While the tendon is paid out, the tension is at the lower edge. At a
+reversal, the digit sticks while the motor moves. The motor stretches or releases the tendon. The
+tension then changes from one edge to the other within about ten milliseconds. This change starts
+with the reversal of the tendon. The trajectory may reverse earlier or later than the tendon. At
+rest, the digit creeps until no friction force remains. Source: Prandtl's elastic-plastic element,
+with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
 import math
@@ -41,7 +42,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 def predict_tension_of_moving_tendon(
     x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
-    """Predict for the next tick the tension of a moving tendon, and the rate of the tension.
+    """Predict the tension of a moving tendon at the next tick, and the rate of change of this tension.
 
     Args:
         x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
@@ -79,14 +80,15 @@ def predict_tension_of_moving_tendon(
 
 @kernel_helper
 def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency: float) -> None:
-    """Write how far the friction of a moving tendon has developed.
+    """Write the friction state of a moving tendon.
 
-    The friction is a number from 1 for a tendon that is wound to -1 for a tendon that is paid out.
-    The element of the friction band is stretched by the travel of the spool, less the travel of
-    its slider. The planned tension cannot give the friction, because it adds up the estimated
-    speed: a load-cell error makes the filter expect a force on the motor that is not there, and its
-    speed is wrong by 0.1 mm/s per newton. Where a digit comes to rest, the unexplained tension then
-    resembles a contact.
+    The friction state is 1 if the friction is fully developed while the tendon is wound up, and -1
+    if it is fully developed while the tendon is paid out. The model of the friction band is a
+    spring in series with a slider. The stretch of the spring is the travel of the spool minus the
+    travel of the slider. The friction state is not computed from the planned tension. The planned
+    tension is a sum over estimated speeds, and these speeds are wrong by 0.1 mm/s per newton of
+    load-cell error. With such an error, the filter expects a force on the motor that does not
+    exist. When the digit comes to rest, the unexplained tension would then resemble a contact.
 
     Args:
         x: state tables, with ``FRICTION_SLIDER`` of the last tick.
@@ -120,10 +122,12 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
 
 @kernel_helper
 def _sliding_speed(friction_state: float) -> float:
-    """Return the speed at which a line through the present friction has full friction [m/s].
+    """Return the speed at which a linear friction law has full friction [m/s].
 
-    The friction is the tanh of the speed. The line of ``MIN_SLIDING_SPEED_M_S`` is too low for the
-    slow motion at the end of a trajectory, and the difference would resemble a contact.
+    The line goes through zero and through the present friction. In the friction model, friction is
+    proportional to the tanh of the speed. The line that ends at ``MIN_SLIDING_SPEED_M_S`` gives too
+    little friction for the slow motion at the end of a trajectory. The difference would resemble a
+    contact.
 
     Args:
         friction_state: present friction, from 1 to -1, or NaN if it is unknown.
@@ -144,7 +148,7 @@ def _tension_with_friction(
     wound_length: float,
     sliding_speed: float,
 ) -> float:
-    """Return the tension of a tendon or the net tension of a spool pair after a period [N].
+    """Return the tension of a tendon, or the net tension of a spool pair, at the end of a period [N].
 
     Args:
         c: constants of the hand.

@@ -1,6 +1,6 @@
 """Transfer of the goals of all digits into the state block.
 
-This is necessary only after a change of the goals.
+The transfer is necessary only after a change of the goals.
 """
 
 import functools
@@ -65,7 +65,7 @@ def write_goals(
 def _goal_kind_of(goal: DigitGoal) -> GoalKind:
     """Return the kind of control of a goal.
 
-    The kind is LIMP if the goal has no trajectory or tension although its kind requires one.
+    If the kind requires a trajectory or a tension that the goal does not have, the result is LIMP.
     """
     if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
         goal.kind == GoalKind.TENSION and goal.tension is None
@@ -77,7 +77,7 @@ def _goal_kind_of(goal: DigitGoal) -> GoalKind:
 def sample_trajectories(
     model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
 ) -> None:
-    """Write the motion at time t [s] on those trajectories that only Python code can evaluate."""
+    """Write the motion at time t [s] for trajectories that compiled code cannot evaluate."""
     for trajectory, start_time, coordinate_slice in goals_sampled_by_python(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, coordinate_slice] = (
             trajectory.motion_at(t - start_time)
@@ -88,7 +88,7 @@ def sample_trajectories(
 def goals_sampled_by_python(
     model: HandModel, goals: tuple[DigitGoal, ...]
 ) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, start time [s] and coordinates of each goal whose trajectory Python must evaluate."""
+    """Return the trajectories that Python code must evaluate, each with start time [s] and coordinates."""
     goals_and_coordinates = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, coordinate_slice)

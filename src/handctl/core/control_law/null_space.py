@@ -1,10 +1,10 @@
-"""Tension control in digits with more tendons than coordinates, without an effect on the joint torque.
+"""Control of tensions that make no joint torque, in digits with more tendons than coordinates.
 
 Tensions in the null space of (R B)^T make no joint torque. The position feedback acts only on the
-coordinates of the digit. In the null space, a feedback of the tension error, with an integral,
-keeps the tensions at their goals. Neither motor friction nor a wrong tendon length can then make a
-tendon slack.
-Source: Abdallah et al. (2010), tension and joint space of tendon-driven fingers.
+coordinates of the digit. In the null space, the tensions are kept at their goals by a feedback of
+the tension error and of its integral. Neither motor friction nor a wrong tendon length can then
+make a tendon slack. Source: Abdallah et al. (2010), tension and joint space of tendon-driven
+fingers.
 """
 
 import math
@@ -37,12 +37,12 @@ feedback has to move.
 def raise_goals_to_tension_floor(
     x: StateTables, c: ConstantTables, limit: Vector, motion_terms: Matrix, null_space_terms: Matrix
 ) -> None:
-    """Raise the tension goals in digits with surplus tendons to the tension floor, and write null-space forces.
+    """Raise the tension goals in digits with surplus tendons to the floor, and write null-space forces.
 
-    The feedback of the motion may reduce the force on a tendon to less than the tension floor. In
-    this case, a multiple of the balance tensions is added to the goals of all tendons of the digit.
-    Balance tensions make no joint torque. If more than the largest allowed multiple of the balance
-    tensions would be necessary, the feedback is reduced.
+    The position feedback may reduce the force on a tendon to less than the tension floor. Balance
+    tensions make no joint torque. A multiple of the balance tensions is therefore added to the
+    goals of all tendons of the digit. This multiple has an upper limit. If a larger multiple would
+    be necessary, the feedback is reduced instead.
 
     Args:
         x: state tables.
@@ -94,7 +94,7 @@ def raise_goals_to_tension_floor(
 def _max_balance_factor(
     c: ConstantTables, first_tendon: int, end: int, limit: Vector, motion_terms: Matrix
 ) -> float:
-    """Return the largest factor of the balance tensions that keeps all tendons of a digit within their limits."""
+    """Return the largest multiple of the balance tensions that a digit's tension limits allow."""
     factor = math.inf
     for n in range(first_tendon, end):
         tension_margin = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - motion_terms[0, n]
@@ -115,7 +115,7 @@ def _fraction_of_feedback(
     motion_terms: Matrix,
     feedback: Vector,
 ) -> float:
-    """Return the largest fraction of the feedback that keeps all tendons of a digit above the tension floor.
+    """Return the largest fraction of the feedback with which no tendon of a digit is below the tension floor.
 
     Args:
         c: constants of the hand.

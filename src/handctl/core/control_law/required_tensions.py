@@ -1,7 +1,8 @@
-"""Tensions at the joints that the goals of the digits require.
+"""Tensions that the goals of the digits require.
 
-Compiled code computes the required tensions of most digits. For the other digits, Python code
-solves a bounded least-squares problem.
+The tensions are those at the joints, after the friction of the pulleys. Compiled code computes the
+required tensions of most digits. For the other digits, Python code solves a bounded least-squares
+problem.
 """
 
 from dataclasses import replace
@@ -59,7 +60,7 @@ def allocate_bounded_tensions(
     unsolved_digits: int,
     trajectory: Vector,
 ) -> None:
-    """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
+    """Solve the bounded least-squares problem of each digit without unique tensions within the bounds.
 
     Args:
         model: model of the hand.
@@ -98,7 +99,7 @@ def _with_present_moment_arms(digit: DigitModel, constants: HandConstants) -> Di
 def _tensions_with_friction(
     model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
-    """Return the tensions at the joints [N] (n_t,) for a digit with antagonistic tendons, including friction.
+    """Return the tensions (n_t,) at the joints for a digit with antagonistic tendons, with friction [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all
     tendons must be in balance at each joint. Therefore the friction of each pulley is included in

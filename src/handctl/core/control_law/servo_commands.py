@@ -1,4 +1,4 @@
-"""Commands to drives that control the position of a moving digit themselves.
+"""Commands to drives that close the position loop of a moving digit.
 
 A command consists of a position p_d, a velocity v_d, a stiffness kp, a damping kd and a torque t.
 Many times within a tick, the drive measures the position p and the velocity v, and computes its
@@ -6,9 +6,9 @@ torque:
 
     kp (p_d - p) + kd (v_d - v) + t
 
-The commanded position is the sum of three lengths, divided by the spool's radius r: the planned
-excursion s_d, the stretch of the tendon under its planned tension f_0, and the estimated stretch
-offset o. The stiffness of the tendon is k, and its estimated tension is f_hat = k (r p - s - o).
+The commanded position is a length, divided by the spool's radius r. This length is the sum of the
+planned excursion s_d, the stretch of the tendon under its planned tension f_0, and the estimated
+stretch offset o. The tendon has the stiffness k and the estimated tension f_hat = k (r p - s - o).
 The position error then contains the errors of excursion and tension:
 
     r p_d = s_d + f_0 / k + o
@@ -17,21 +17,21 @@ The position error then contains the errors of excursion and tension:
 The controller does not know the torque that the drive will make. The controller therefore estimates
 p and v half a period ahead. From these estimates of p and v, the controller predicts the mean
 torque of the coming period. The controller limits the predicted torque in the same way as a torque
-command. The controller then chooses the position in the command so that the drive would make the
+command. The controller then chooses the commanded position with which the drive would make the
 limited torque. The torque limits therefore also limit the distance between the commanded position
 and the motor.
 
-Most drives keep the commanded position unchanged until the next command. For a drive that keeps the
-commanded position, the command includes the planned motion of half a period. Other drives change
-the commanded position continuously, at the commanded velocity. A command to a drive that changes
-the commanded position contains the position at the start of the period. If the host fails, such a
-drive moves the commanded position further until its watchdog fires. A command to such a drive
-therefore also contains a torque limit slightly above the predicted torque.
+Most drives keep the commanded position unchanged until the next command. A command to such a drive
+includes the planned motion of half a period. Other drives change the commanded position
+continuously, at the commanded velocity. A command to these drives contains the position at the
+start of the period. If the host fails, these drives continue to change the commanded position until
+the watchdog fires. A command to these drives therefore also contains a torque limit slightly above
+the predicted torque.
 
 In commands for a digit that moves freely on its trajectory, kp and kd are above 0. In all other
-commands, kp and kd are 0, and t is the whole torque. Commands with kp and kd of 0 are sent if the
-digit touches an object, relaxes, takes up slack, or is held by the safety monitor, or if the motor
-position was not measured in the tick.
+commands, kp and kd are 0, and t is the whole torque. Commands with kp = kd = 0 are sent if the
+digit touches an object, if it relaxes, if the tendon takes up slack, or if the safety monitor holds
+the hand. They are also sent if the motor position was not measured in the tick.
 """
 
 import math
@@ -66,8 +66,8 @@ In free motions, the force changes by less than 1 N within a period.
 def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of the present tick to 0.
 
-    Some drives change the commanded position continuously, at the commanded velocity. For such a
-    drive, the stored position is the commanded position that the drive has now.
+    Some drives change the commanded position continuously, at the commanded velocity. For these
+    drives, the stored position is the present commanded position in the drive.
     """
     elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
@@ -82,7 +82,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
 def command_torque_only(x: StateTables, n: int) -> None:
     """Replace the command of a drive by a command that contains only a torque.
 
-    The function has an effect in a hand in which at least one drive closes a position loop.
+    The table of the commands is empty if no drive of the hand closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
@@ -109,7 +109,10 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the stiffness kp [N m/rad] of a drive's position loop for the present goal, rounded as in the command."""
+    """Return the stiffness kp of a drive's position loop for the present goal [N m/rad].
+
+    The value is rounded to the counts of the command.
+    """
     step = c.tendon[h.SERVO_KP_STEP, n]
     stiffness = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
     return step * math.floor(min(stiffness, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
@@ -117,7 +120,10 @@ def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the damping kd [N m s/rad] of a drive's position loop for the present goal, rounded as in the command."""
+    """Return the damping kd of a drive's position loop for the present goal [N m s/rad].
+
+    The value is rounded to the counts of the command.
+    """
     step = c.tendon[h.SERVO_KD_STEP, n]
     damping = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
     return step * math.floor(min(damping, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
@@ -125,10 +131,10 @@ def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
-    """Return the mean force over the next period that a drive's position loop makes because of the speed error [N].
+    """Return the mean force of a drive's position loop that is caused by the speed error [N].
 
-    Within the period, the speed error also increases the position error. On average over the
-    period, the position error grows by the speed error times half a period.
+    The mean is taken over the coming period. Within the period, the speed error also increases the
+    position error. This adds a mean position error of the speed error times half a period.
 
     Args:
         x: state tables.
@@ -173,7 +179,7 @@ def servo_force(
 def write_servo_command(
     x: StateTables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
 ) -> None:
-    """Write the command with which a drive makes a given mean force in the coming period.
+    """Write the position command with which a drive makes a given mean force in the coming period.
 
     Args:
         x: state tables.

@@ -1,15 +1,16 @@
-"""Motion along streamed targets: interpolation to the latest target, then limits on speed and acceleration.
+"""Motion along streamed targets.
 
-A segment is a polynomial of time for each coordinate. A segment leads from the reference position
-at the arrival of a target to this target. After the end of a segment, the reference position stays
-at the target, because targets are not extrapolated.
+The motion to the latest target is interpolated, and its speed and acceleration are limited. A
+segment is a polynomial of time for each coordinate. A segment begins at the reference position at
+which a target arrives, and ends at this target. After the end of a segment, the reference position
+stays at the target, because targets are not extrapolated.
 
 The reference position follows the segment exactly if speed and acceleration stay within their
-limits. Otherwise the reference position approaches the target as fast as the limits allow, and
-reaches the target with the rate of the stream. The speed towards the end of a joint's range is
-limited, so that a motion can stop before this end. The reference position is never more than
-``MAX_LEAD_RAD`` ahead of the digit. If a digit is held, the reference position waits, and if a
-digit is pushed away, the reference position follows the digit.
+limits. Otherwise the reference position approaches the target as fast as the limits allow. It
+reaches the target with the rate of the stream. Near the end of a joint's range, the speed towards
+this end is limited, so that the motion can still stop. The reference position is never more than
+``MAX_LEAD_RAD`` ahead of the digit. If an object holds a digit, the reference position waits. If an
+object pushes a digit away, the reference position follows the digit.
 """
 
 import math
@@ -52,7 +53,7 @@ def begin_segments(
     max_rate: float,
     minimum_jerk: int,
 ) -> bool:
-    """Begin the motion of all coordinates from their reference positions to a target.
+    """Begin the motion of all coordinates from the reference positions to a target.
 
     Return True if the target was changed because it exceeds the limits.
 
@@ -90,12 +91,12 @@ def begin_segments(
 def _write_segment(
     x: StateTables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
 ) -> None:
-    """Write the polynomial of the motion of a coordinate to a target, lowest power first [rad, s].
+    """Write the polynomial for the motion of a coordinate to a target [rad, s].
 
-    The motion of minimum jerk begins with the present reference position, rate and acceleration,
-    and ends at the target with the given rate. The acceleration at the end of the motion is not
-    prescribed, so the jerk is 0 at the end. If the time u remains until the end, the jerk is b u +
-    c u^2. The linear motion has a constant rate.
+    The lowest power is written first. A motion of minimum jerk begins with the position, rate and
+    acceleration of the present reference. It ends at the target with the given rate. The
+    acceleration at the end of the motion is not prescribed, so the jerk is 0 at the end. If the
+    time u remains until the end, the jerk is b u + c u^2. The linear motion has a constant rate.
 
     Args:
         x: state tables.
@@ -197,7 +198,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
 
 @kernel_helper
 def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
-    """Return the motion of coordinate k of digit d that is limited like a rotation of 1 rad.
+    """Return the scale of coordinate k of digit d, which converts limits in rad to the coordinate.
 
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
@@ -211,10 +212,10 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
 def _allowed_rates(
     x: StateTables, c: ConstantTables, d: int, k: int, period: float, scale: float, gain: float
 ) -> tuple[float, float]:
-    """Return the lowest and the highest allowed rate of a coordinate's reference position [rad/s].
+    """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
-    Both rates follow from the speed limit, the range of the coordinate, and the distance between
-    reference position and digit.
+    The speed limit, the range of the coordinate, and the distance of the reference from the digit
+    determine both rates.
 
     Args:
         x: state tables.
@@ -263,19 +264,19 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
 
 @kernel_helper
 def _stoppable_speed_towards(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed towards a point from which a motion can still stop at this point [rad/s].
+    """Return the largest speed towards a point that still allows a stop at this point [rad/s].
 
-    The distance to the point is positive or negative, and the speed has the same sign.
+    The speed has the sign of the distance.
     """
     return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 
 @kernel_helper
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
-    """Return the largest speed from which a motion stops within a distance [rad/s].
+    """Return the largest speed that still allows a stop within a distance [rad/s].
 
-    With control periods T, a motion with the speed w = n g + r, 0 <= r < g, covers the distance ((n
-    + 1) w - g n (n + 1) / 2) T until it stops.
+    In each control period T, the speed falls by at most g. Let the speed be w = n g + r, with 0 <=
+    r < g. The motion then covers the distance ((n + 1) w - g n (n + 1) / 2) T until it stops.
 
     Args:
         distance: distance to the stop [rad]. A distance of 0 or less allows no speed.

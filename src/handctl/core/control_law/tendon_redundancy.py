@@ -1,10 +1,10 @@
 """Digits without return springs, and digits with more tendons than coordinates.
 
-Antagonistic tendons return a digit that has no springs. In a digit with more tendons than
-coordinates, some tensions in the null space of (R B)^T are all above the tension floor, but make no
-torque. Tensions that make no torque are the balance tensions of the digit. For n coordinates, a
-digit with n + 1 tendons has a null space of one dimension, and a digit with 2 n tendons has a null
-space of n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
+In a digit without springs, antagonistic tendons open the digit. In a digit with more tendons than
+coordinates, there are tensions in the null space of (R B)^T. These tensions make no joint torque,
+although all of them are above the tension floor. They are called the balance tensions of the digit.
+A digit with n coordinates and n + 1 tendons has a null space of one dimension. With 2 n tendons,
+the null space has n dimensions. Source: Lee & Tsai (1991), Salisbury & Craig (1982).
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ MAX_BALANCE_TORQUE_FRACTION = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class TendonRedundancy:
-    """Directions and balance tensions of the N tendons of a hand, each with shape (N,).
+    """Directions, balance tensions and excursion ranges of the N tendons of a hand, with shape (N,).
 
     Attributes:
         side: 1 for a tendon that is wound while its digit closes, -1 for a tendon that is paid out,
@@ -49,7 +49,7 @@ class TendonRedundancy:
 def redundancy_of_hand(
     digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: BoolArray
 ) -> TendonRedundancy:
-    """Derive the directions and the balance tensions of all tendons of a hand.
+    """Compute the directions, the balance tensions and the excursion ranges of all tendons of a hand.
 
     Args:
         digits: digit models, in file order.
@@ -110,9 +110,9 @@ def is_opened_by_springs(digit: DigitModel) -> bool:
 
 
 def _balance_tensions(digit: DigitModel, floor: Vector, ceiling: Vector) -> Vector:
-    """Return the tensions of a digit's tendons that balance each other without joint torque (n_t,) [N].
+    """Return the balance tensions of a digit, which make no joint torque (n_t,) [N].
 
-    If no such tensions are within the bounds, return the smallest allowed tensions.
+    If the digit has no balance tensions within the bounds, return the smallest allowed tensions.
     """
     arms = digit.reduced_moment_arms
     tension, torque_deficit = tensions_for_torque(arms, np.zeros(arms.shape[1]), floor, ceiling)

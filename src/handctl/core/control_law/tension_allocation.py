@@ -1,11 +1,10 @@
-"""Conversion of joint torques to tendon tensions, by a bounded least-squares problem for each digit.
+"""Conversion of joint torques to tendon tensions, by a bounded least-squares problem per digit.
 
 The problem, with the mean moment arm r, is: minimise |R^T f - tau|^2 / r^2 + regularisation |f -
 f_min|^2 subject to f_min <= f <= f_max. If the equations R^T f = tau have a unique solution within
 the bounds, this solution is used. If no tensions within the bounds make the required torque, the
-tensions make the closest possible torque, and all coordinates have equal weights. The difference
-between required and possible torque is also returned.
-Source: Lee & Tsai (1991).
+solution is the tensions with the closest possible torque. All coordinates then have equal weights.
+The difference between required and possible torque is also returned. Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -25,7 +24,7 @@ The weight is so small that it only selects one of several solutions with equal 
 def tensions_for_torque(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 ) -> tuple[Vector, Vector]:
-    """Return the tensions of a digit that make a torque, and the part of the torque that they cannot make.
+    """Return the tensions of a digit for a required torque, and the torque that cannot be made.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
@@ -46,7 +45,7 @@ def tensions_for_torque(
 
 
 def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """Return the unique solution of the problem without bounds.
+    """Return the solution of the problem without bounds, if this solution is unique.
 
     Return None if the digit has more tendons than coordinates.
     """
@@ -81,8 +80,8 @@ MAX_CACHED_PROBLEMS = 64
 def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for given moment arms.
 
-    The program is kept for later calls with the same array, if the array of moment arms is
-    read-only.
+    If the array of moment arms is read-only, the program is cached for later calls with the same
+    array.
     """
     result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
@@ -102,7 +101,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
 def solve_bounded_tensions(
     moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
 ) -> Vector:
-    """Return the tensions (n_t,) within the bounds that solve the quadratic program, by the solver daqp.
+    """Solve the quadratic program by the solver daqp, and return the tensions (n_t,) within the bounds.
 
     Args:
         moment_arms: see ``tensions_for_torque``.

@@ -1,4 +1,4 @@
-"""Trajectories of a digit in its coordinates: a minimum-jerk move to a pose, or a curve through given points."""
+"""Trajectories of a digit's coordinates: moves to a pose, curves through points, and other motions."""
 
 import math
 from dataclasses import dataclass
@@ -27,11 +27,12 @@ class Trajectory(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class BlendTrajectory:
-    """Part of a move that continues an earlier motion of the digit, and fades out.
+    """Part of a move that continues an earlier motion of the digit.
 
-    The added position is the sum of two polynomials of degree 5. At the start, the first polynomial
-    has a rate of 1, and the second has an acceleration of 1. All other values, rates and
-    accelerations of the two polynomials at the start and at the end are 0.
+    This part fades out during the move. The added position is the sum of two polynomials of degree
+    5. At the start, the first polynomial has a rate of 1, and the second polynomial has an
+    acceleration of 1. All other values, rates and accelerations of the two polynomials at the start
+    and at the end are 0.
 
     Attributes:
         speed: (n,) rate of the earlier motion at t = 0 [rad/s].
@@ -62,7 +63,9 @@ class BlendTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class MinimumJerk:
-    """A straight move of a digit's coordinates with minimum jerk, which ends at rest.
+    """Minimum-jerk move of a digit on a straight line in its coordinates.
+
+    The move ends at rest.
 
     Source: Flash & Hogan (1985), with the position 10 s^3 - 15 s^4 + 6 s^5, where s is the fraction
         of the duration.
@@ -104,9 +107,10 @@ class StreamedTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class CurveTrajectory:
-    """Motion of a digit along a cubic spline through given points, at rest at both ends.
+    """Motion of a digit along a cubic spline through given points.
 
-    The coordinates of a digit either share one spline, or have a spline each.
+    The digit is at rest at both ends. Either all coordinates of a digit share one spline, or each
+    coordinate has its own spline.
 
     Attributes:
         times: (k,) times of the points [s], in rising order from 0.
@@ -173,7 +177,9 @@ class CurveTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class SampledTrajectory:
-    """A single instant of a motion that comes from another source, for example from a log.
+    """Motion of a digit at a single instant.
+
+    The motion comes from another source, for example from a log.
 
     Attributes:
         position: (n,) coordinates [rad].
@@ -188,7 +194,7 @@ class SampledTrajectory:
     duration: float = 0.0
 
     def motion_at(self, t: float) -> Vector:
-        """Return position, velocity and acceleration (3, n), which are the same for every time t.
+        """Return the stored motion (3, n) for every time t.
 
         See ``Trajectory.motion_at``.
         """
@@ -238,7 +244,7 @@ class ChirpTrajectory:
         return _equal_coordinates(values, self.coordinates)
 
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
-        """Return the factor of the amplitude at time t [s], and its first [1/s] and second [1/s^2] time derivative."""
+        """Return the amplitude factor at time t [s], its rate [1/s] and its acceleration [1/s^2]."""
         ramp_duration = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp_duration:
@@ -253,7 +259,7 @@ class ChirpTrajectory:
 
 
 def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:
-    """Return position, rate and acceleration of a motion with n equal coordinates, (3, n)."""
+    """Return the motion (3, n) in which all n coordinates have the given position, rate and acceleration."""
     return np.array([[value] * coordinates for value in values])
 
 
@@ -262,8 +268,9 @@ PEAK_SPEED_RATIO = 1.875
 
 
 def minimum_jerk_duration(distance: float, speed: float, min_duration: float) -> float:
-    """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with the peak speed ``speed`` [rad/s].
+    """Return the duration of a minimum-jerk move [s].
 
-    The result is at least ``min_duration`` [s].
+    The move covers ``distance`` [rad] with the peak speed ``speed`` [rad/s]. The result is at least
+    ``min_duration`` [s].
     """
     return max(PEAK_SPEED_RATIO * abs(distance) / speed, min_duration)

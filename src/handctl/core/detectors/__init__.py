@@ -1,1 +1,4 @@
-"""Compiled fault detectors: update of their memory between ticks, and search for the faults of a tick."""
+"""Compiled fault detectors.
+
+The detectors find the faults of a tick. They store values of earlier ticks.
+"""

@@ -66,7 +66,8 @@ def detect_bus_faults(
 def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find motors whose feedback is overdue.
 
-    If the host missed a tick, feedback is not overdue, because the host requested none.
+    In a tick that the host has missed, no feedback was requested. Missed ticks therefore do not
+    cause the fault B01.
     """
     lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -83,7 +84,7 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _detect_lost_replies(x: StateTables, evidence: EvidenceTable) -> None:
-    """Find nodes of which many replies are missing."""
+    """Find nodes with many missing replies."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
         if number > LOST_FRAMES_FOR_HOLD:

@@ -1,7 +1,8 @@
-"""Fault detection of a tick: detectors update their memory, find faults, and count ticks with a fault.
+"""Fault detection of a tick.
 
-Afterwards ``safety.tick_verdict`` latches the faults that are active, adds the faults that the
-buses and the host report, and chooses the reaction.
+The detectors update their stored values and find faults. Then the consecutive ticks with each fault
+are counted. Afterwards ``safety.tick_verdict`` latches the faults that are active, adds the faults
+that the buses and the host report, and chooses the reaction.
 """
 
 import math
@@ -79,7 +80,7 @@ def find_and_debounce_faults(
 
 @kernel_helper
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
-    """Update the memory of the detectors that work while the motors may make torque."""
+    """Update the stored values of the detectors that run while the motors may make torque."""
     missed_ticks = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.CELLS_TARED] == 1
     tendon_slip.update_slip(x, c, tared)
@@ -94,7 +95,7 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def debounce_faults(x: StateTables, evidence: EvidenceTable) -> int:
-    """Count for each fault the consecutive ticks in which the fault is present.
+    """Count the consecutive ticks in which each fault is present.
 
     Return the most severe action of the active faults.
     """

@@ -1,8 +1,8 @@
 """Counts of lost frames, malformed frames and frames with unknown identifiers.
 
-For each node, an integer stores one bit for each recent tick, which is 1 if a frame of the node was
-lost. Bit 0 belongs to the newest tick. A second integer stores the ticks in which the node sent
-malformed frames.
+Each node has an integer with one bit for each recent tick. The bit is 1 if a frame of the node was
+lost in this tick. Bit 0 belongs to the newest tick. A second integer of the node stores in the same
+form the ticks with malformed frames of the node.
 """
 
 from handctl.compiled import kernel_helper
@@ -25,9 +25,9 @@ MALFORMED_WINDOW_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
 
 @kernel_helper
 def ticks_overdue(now_ns: int, last_reading_ns: int, send_period_ns: int, period_ns: int) -> int:
-    """Return by how many whole ticks a reading of a node is overdue.
+    """Return the number of whole ticks by which a reading of a node is overdue.
 
-    A reading from the last period counts as in time.
+    A reading from the last period is not overdue.
 
     Args:
         now_ns: time of the tick [ns].
@@ -43,7 +43,7 @@ def ticks_overdue(now_ns: int, last_reading_ns: int, send_period_ns: int, period
 
 @kernel_helper
 def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return by how many ticks the feedback of motor n is overdue."""
+    """Return the number of ticks by which the feedback of motor n is overdue."""
     return ticks_overdue(
         now_ns,
         x.tendon_int[s.FEEDBACK_NS, n],
@@ -54,7 +54,7 @@ def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) 
 
 @kernel_helper
 def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return by how many ticks the reading of a tendon's load cell is overdue.
+    """Return the number of ticks by which the load-cell reading of a tendon is overdue.
 
     For a tendon without a load cell, the latest load-cell frame of the sensor node is used. The
     result is 0 in a hand without load cells.
@@ -117,7 +117,7 @@ def update_loss_counts(
 
 @kernel_helper
 def count_set_bits(bits: int) -> int:
-    """Return the number of bits in an integer that are 1."""
+    """Return the number of 1 bits in an integer."""
     number = 0
     while bits:
         # The AND operation clears the lowest bit that is 1.
@@ -128,7 +128,7 @@ def count_set_bits(bits: int) -> int:
 
 @kernel_helper
 def count_lost_replies(x: StateTables, node: int) -> int:
-    """Return the number of ticks, among the last ``LOSS_WINDOW_TICKS``, in which a node sent no reply."""
+    """Return the number of ticks without a reply of a node, of the last ``LOSS_WINDOW_TICKS`` ticks."""
     return count_set_bits(x.node_int[s.LOST_REPLY_BITS, node]) + count_set_bits(
         x.node_int[s.LOST_REPLY_BITS + 1, node]
     )
@@ -136,9 +136,10 @@ def count_lost_replies(x: StateTables, node: int) -> int:
 
 @kernel_helper
 def misses_every_second_reply(x: StateTables, node: int) -> bool:
-    """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
+    """Return True if about every second reply of a node is missing.
 
-    At most one pair of consecutive replies may be missing.
+    The last ``MALFORMED_WINDOW_TICKS`` ticks are tested. In this pattern, two consecutive replies
+    are missing at most once.
     """
     recent_losses = x.node_int[s.LOST_REPLY_BITS, node] & MALFORMED_WINDOW_MASK
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for

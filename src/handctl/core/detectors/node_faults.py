@@ -71,7 +71,7 @@ FAULT_PHASE = int(DrivePhase.FAULT)
 def detect_node_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
+    """Run the detectors that also work without torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.DERATING_START_TEMPERATURE]:
             evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
@@ -104,7 +104,7 @@ def _detect_drive_errors(x: StateTables, evidence: EvidenceTable) -> None:
 
 @kernel_helper
 def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
-    """Find load cells and joint encoders from which no reading has arrived for too long."""
+    """Find load cells and joint encoders whose last reading is too old."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
@@ -144,7 +144,7 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
 def detect_node_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors of node faults that need torque, and write their results into the evidence table."""
+    """Run the detectors that work only with torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
@@ -173,7 +173,7 @@ def detect_node_faults_under_torque(
 
 @kernel_helper
 def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
-    """Find encoders whose readings stay constant although the measured motor or joint moves.
+    """Find encoders with a constant reading although their motor or joint moves.
 
     In the evidence table, the row for joints follows the row for motors.
     """
@@ -206,8 +206,8 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
 def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find tendons that are still under tension after the motor torque was cut.
 
-    The tension is visible in the load-cell reading or in the torque that the drive reports. A spool
-    that has paid out its tendon is released, although the tendon may still be taut.
+    The tension is visible in the load-cell reading or in the torque that the drive reports. If a
+    spool has paid out its tendon, its motor no longer pulls. The tendon may still be taut.
     """
     if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
@@ -225,7 +225,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
 
 @kernel_helper
 def _has_spool_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if the encoder of a motor shows that its spool has paid out tendon since the cut."""
+    """Return True if a motor's encoder shows that the spool has paid out its tendon since the cut."""
     turned_angle = x.tendon[s.POSITION, n] - x.tendon[s.POSITION_AT_CUT, n]
     # The comparison with NaN is False, so an unknown position does not count as released.
     return bool(c.tendon[h.SPOOL_RADIUS, n] * turned_angle < -RELEASED_SPOOL_TRAVEL_M)
@@ -233,7 +233,7 @@ def _has_spool_paid_out(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def _reports_torque_after_cut(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a drive still reports the torque that it made before the torque was cut."""
+    """Return True if a drive still reports a torque that is similar to its torque before the cut."""
     # A drive that sends its torque in a separate frame sends no torque after a cut. The last torque
     # report of such a drive is then old.
     if not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:

@@ -3,11 +3,11 @@
 A late reply answers an old request, so a late reply is not counted as a duplicate.
 
 The host sends a request to each motor in every tick. A missing reply may be lost. The missing reply
-may also come later, together with other replies. In another case, all replies come a tick late
-because a computer is busy. At first the host cannot distinguish these cases, so a request stays
-outstanding until its reply comes, or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor
-stays outstanding without a time limit. If more replies arrive than requests are outstanding, a
-reply is a duplicate, or it comes from another node.
+may also come later, together with other replies. If a computer is busy, all replies may come a tick
+late. At first the host cannot distinguish these cases. Therefore a request stays outstanding until
+its reply comes, but at most for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays
+outstanding without a time limit. There may be more replies than outstanding requests. In this case,
+a reply is a duplicate or comes from another node.
 """
 
 from handctl.compiled import kernel_helper
@@ -56,8 +56,8 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
 def add_requests(x: StateTables, k: int) -> None:
     """Add an open request for every motor in tick k.
 
-    A motor that was not ready before tick k does not answer older requests. The only open request
-    of such a motor is therefore the new one.
+    A motor that was not ready before tick k does not answer older requests. Therefore only the new
+    request of such a motor is open.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]

@@ -1,11 +1,12 @@
 """Detection of load-cell frames that contain old readings although their SYNC counter is new.
 
-The readings of a load cell vary by several counts, because of noise. If each reading of a load cell
-equals its reading a fixed number of ticks ago, the frames contain old readings. When a delay of n
-ticks begins, and no tick is without a reading, the last n readings are sent a second time. A load
-cell with a constant reading also repeats its readings. Readings also repeat if the tension control
-of the tendon oscillates with an amplitude of a few counts. This detector does not regard
-repeated constant readings as a fault. The detector ``stuck_sensors`` tests for constant readings.
+The readings of a load cell vary by several counts, because of noise. The frames contain old
+readings if each reading of a load cell equals its reading a fixed number of ticks earlier. Such a
+repetition occurs at the start of a delay of n ticks. If every tick still has a reading, the last n
+readings are sent a second time. A load cell with a constant reading also repeats its readings.
+Readings also repeat if the tension control of the tendon oscillates with an amplitude of a few
+counts. This detector does not regard repeated constant readings as a fault. The detector
+``stuck_sensors`` tests for constant readings.
 """
 
 import math
@@ -32,7 +33,7 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 
 @kernel_helper
 def update_repetitions(x: StateTables, tared: bool) -> None:
-    """Compare the load-cell readings of the present tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
+    """Compare the present load-cell readings with those of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
         x.tendon[s.PRESENT_CELL_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
@@ -58,7 +59,7 @@ def update_repetitions(x: StateTables, tared: bool) -> None:
 
 @kernel_helper
 def age_of_repeated_readings(x: StateTables, n: int) -> int:
-    """Return the age of the readings that a load cell repeats [ticks].
+    """Return the age of the old readings that a load cell sends again [ticks].
 
     Return 0 if the load cell does not repeat readings.
     """
@@ -78,7 +79,10 @@ def age_of_repeated_readings(x: StateTables, n: int) -> int:
 
 @kernel_helper
 def _chance_of_equal_readings(x: StateTables, n: int) -> float:
-    """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
+    """Return the estimated probability that two readings of a load cell are equal by chance.
+
+    The estimate uses all pairs of the last ``REPEAT_WINDOW`` readings.
+    """
     pairs = 0
     different_count = 0
     for a in range(REPEAT_WINDOW):

@@ -1,14 +1,14 @@
-"""Difference between the measured and the expected force of each tendon, low-passed.
+"""Low-passed differences between the measured and the expected force of each tendon.
 
 The main residual is the motor force minus tension, inertial force and friction.
 
-The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). In this equation, m is the
-mass, a the acceleration and v the speed of the rotor at the spool, F the motor force, T the
-tension, b the viscous friction and c the Coulomb friction. If the measurements disagree with the
-equation over 0.2 s, the load cell, the motor or the friction differs from the model. The thresholds
-of the residuals are far above the noise, and cause less than one false alarm in ten thousand hours.
-A second filter of the same residual, with 20 ms, finds a tendon that is pulled much harder than its
-motor is commanded.
+The rotor of a motor obeys the equation m a = F - T - b v - c sign(v). The rotor has the mass m, and
+at the spool the acceleration a and the speed v. F is the motor force, and T is the tension. The
+coefficient b belongs to the viscous friction, and c is the Coulomb friction. If the measurements
+disagree with the equation for 0.2 s, the load cell, the motor or the friction differs from the
+model. The thresholds of the residuals are far above the noise. They cause less than one false alarm
+in ten thousand hours. The same residual is also filtered with a time constant of 20 ms. This faster
+residual shows a tension that is much larger than the commanded force of the motor.
 """
 
 import math
@@ -115,9 +115,10 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
 
 @kernel_helper
 def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the difference [N] between two tensions that friction and the tolerance of the motor cannot explain.
+    """Return the part of the main residual that the model cannot explain [N].
 
-    The difference is filtered with 0.2 s. The result is 0 or more.
+    Friction and the tolerance of the motor explain the other part. The residual is filtered with a
+    time constant of 0.2 s. The result is 0 or more.
     """
     difference = abs(x.tendon[s.RESIDUAL + BALANCE, n])
     return max(difference - _max_explained_difference(x, c, n, MOTOR_FORCE), 0.0)
@@ -125,10 +126,10 @@ def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return by how much a tension exceeds the tension that its motor can explain [N], 0 or more.
+    """Return the excess of a tension over the largest tension that its motor explains [N], 0 or more.
 
-    The excess is filtered with 20 ms. It is 0 while the encoder of the motor is noisy, because the
-    acceleration of the rotor is then wrong. Fault N07 reports the noise.
+    The excess is filtered with a time constant of 20 ms. While the encoder of the motor is noisy,
+    the acceleration of the rotor is wrong, and the result is 0. Fault N07 reports the noise.
     """
     if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.NOISE_LIMIT]:
         return 0.0
@@ -138,14 +139,14 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def _max_explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
-    """Return the largest difference [N] that friction and the tolerance of a filtered motor force explain."""
+    """Return the largest residual that friction and the tolerance of the motor force explain [N]."""
     tolerance = TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + force_row, n])
     return float(c.tendon[h.MOTOR_COULOMB, n] + tolerance)
 
 
 @kernel_helper
 def excess_friction(x: StateTables, n: int) -> float:
-    """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
+    """Return the excess of a moving rotor's friction over the friction of the model [N], 0 or more."""
     return max(
         x.tendon[s.RESIDUAL + EXCESS_FRICTION, n]
         - TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]),

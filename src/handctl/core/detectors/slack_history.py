@@ -1,4 +1,8 @@
-"""Tension history of a tendon: time since it was taut, duration of slack, tensions at and after a cut of the torque."""
+"""Tension history of a tendon.
+
+The history contains the time since the tendon was taut, the duration of slack, and the tensions at
+and after a cut of the torque.
+"""
 
 import math
 
@@ -56,10 +60,9 @@ def update_slack_history(x: StateTables, c: ConstantTables) -> None:
 def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the tension history after the motor torque was cut.
 
-    The tension at the cut is the load-cell reading of the tick in which the torque is cut. If the
-    reading of this tick is missing, the last reading before the cut is used. If there is no reading
-    before the cut, the first reading after the cut is used. In a tick in which a cut is necessary,
-    readings are often missing.
+    The tension at the cut is the load-cell reading of the tick in which the torque is cut. In a
+    tick in which a cut is necessary, this reading is often missing. Then the last reading before
+    the cut is used. If there is no reading before the cut, the first reading after the cut is used.
 
     Args:
         x: state tables.

@@ -3,11 +3,12 @@
 A reading is stuck if it stays constant although another measurement shows that the measured
 quantity changes.
 
-A constant reading is no fault while the other measurement, the reference, is also constant. The
-encoder of a motor has two references: the goal of the tendon's excursion, and the tension of the
-tendon. The reference of a load cell is the range of the motor force, because the tension loop may
-first raise the force and then lower it. The reference of a joint encoder is the joint angle that is
-computed from the positions of the spools.
+The other measurement is called the reference. A constant reading is no fault while the reference is
+also constant. The encoder of a motor has two references: the goal of the tendon's excursion, and
+the tension of the tendon. The reference of a load cell is the range of the motor force since the
+last change of the reading. The range is used because the tension loop may first raise the force and
+then lower it. The reference of a joint encoder is the joint angle that is computed from the
+positions of the spools.
 """
 
 import math
@@ -35,7 +36,7 @@ MIN_PRESSING_TENSION_N = 8.0
 
 @kernel_helper
 def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update for each sensor the number of ticks in which its reading was constant.
+    """Update the number of ticks with a constant reading, for each sensor.
 
     If a reading is missing, the number does not change.
 
@@ -91,7 +92,7 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
 
 @kernel_helper
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the tension [N] with which the encoder of a motor is compared.
+    """Return the tension that is the reference for the encoder of a motor [N].
 
     Return NaN if other motors also change this tension.
 
@@ -129,9 +130,9 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
 
 @kernel_helper
 def motion_since_reading(reference: float, reference_at_reading: float) -> float:
-    """Return how far the reference of a sensor has moved since the reading of the sensor became constant.
+    """Return the change of a sensor's reference since the reading of the sensor became constant.
 
-    Return 0 if the motion of the reference is unknown.
+    Return 0 if this change is unknown.
     """
     distance = abs(reference - reference_at_reading)
     return 0.0 if math.isnan(distance) else distance
@@ -139,14 +140,16 @@ def motion_since_reading(reference: float, reference_at_reading: float) -> float
 
 @kernel_helper
 def filter_goals(x: StateTables, c: ConstantTables) -> None:
-    """Filter the goal of each motor, because no motor can follow a sudden change of its goal.
+    """Filter the goal of each motor.
 
-    While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
-    motion of the filtered goal since the reading became constant, because friction may stop the
-    motor before the goal. When a motor has reached its goal, the filtered goal is set to the
-    estimated excursion. This change of the filtered goal does not count as a motion of the motor's
-    goal. The goal of a streamed digit that presses on an object is not used either, because the
-    client may send targets beyond an object that it does not know.
+    A filter is necessary because no motor can follow a sudden change of its goal. While the
+    encoder's reading changes, the filtered goal equals the goal. The detector judges how far the
+    filtered goal has moved since the reading became constant. The distance to the goal is not used,
+    because friction may stop the motor before the goal. When a motor has reached its goal, the
+    filtered goal is set to the estimated excursion. This change of the filtered goal does not count
+    as a motion of the motor's goal. A client may send targets beyond an object that is unknown to
+    the client. While a streamed digit presses on an object, the motion of its goal therefore does
+    not count either.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.PERIOD]
@@ -181,7 +184,10 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a streamed digit presses on an object: its tension is much larger than the goal."""
+    """Return True if a tendon's tension shows that a streamed digit presses on an object.
+
+    The tension is then much larger than its goal.
+    """
     return (
         follows_streamed_angles(x, c, n)
         and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > MIN_PRESSING_TENSION_N

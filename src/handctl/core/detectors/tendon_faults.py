@@ -59,7 +59,7 @@ from handctl.safety.faults.tendon import (
 def detect_tendon_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
+    """Run the detectors that also work without torque, and write their results into the evidence table."""
     upper_rail = c.run[h.CELL_SATURATION]
     time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
     is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
@@ -87,7 +87,7 @@ def detect_tendon_faults(
 def detect_tendon_faults_under_torque(
     x: StateTables, c: ConstantTables, evidence: EvidenceTable
 ) -> None:
-    """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
+    """Run the detectors that work only with torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
         unexplained_tension = residuals.unexplained_tension(x, c, n)
@@ -125,8 +125,9 @@ def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
     For a digit without a stream, the speed is 0. The moves of tasks are slow, and the spool of a
-    torn tendon still follows them. If the speed of these moves were also subtracted, a torn tendon
-    would be found half a second later, as a slack tendon (fault T02b).
+    torn tendon still follows them. The planned speed is subtracted from the speed of the spool. If
+    the speed of such moves were also subtracted, a torn tendon would be found half a second later,
+    as a slack tendon (fault T02b).
     """
     speed = 0.0
     if not follows_streamed_angles(x, c, n):
@@ -144,20 +145,22 @@ def _snapped_speed_threshold(
 ) -> float:
     """Return the spool speed above which a tendon without tension counts as snapped [m/s].
 
-    In a hold, the tension loop makes the force f + K (f - 0) - K_v v on the spool of a torn tendon,
-    with the commanded tension f, the tension gain K and the speed gain K_v. The spool therefore
-    approaches the speed v at which this force equals the Coulomb friction c of the motor:
+    In a hold, the commanded tension is f, the tension gain is K, and the speed gain is K_v. A torn
+    tendon has no tension. The tension loop then makes the force f + K (f - 0) - K_v v on the spool.
+    The spool therefore approaches the speed v at which this force equals the Coulomb friction c of
+    the motor:
 
         v = ((1 + K) f - c) / K_v.
 
-    For a tendon with a small commanded tension, such as an extensor in a grasp, this speed is below
-    ``SNAP_SPOOL_SPEED``. The threshold is then a fraction of it. A motion has no such final speed,
-    because its position feedback also moves the spool. Neither has a stream of tensions, whose
-    targets may change in every tick.
+    For a small commanded tension, such as that of an extensor in a grasp, the speed v is below
+    ``SNAP_SPOOL_SPEED``. The threshold is then a fraction of v. In a motion, there is no such final
+    speed, because the position feedback also moves the spool. In a stream of tensions, there is
+    none either, because the targets may change in every tick.
 
-    The tension of a tendon without load cell is an estimate, which follows the commanded tension late. A joint that
-    slips free of friction, or a target that changes the direction of a spool pair, then looks like a torn tendon for
-    some ticks, so the threshold is larger.
+    For a tendon without load cell, the tension is an estimate that follows the commanded tension
+    with a delay. Two events then look like a torn tendon for some ticks: a joint overcomes its
+    friction and slips, or a target reverses the direction of a spool pair. The threshold for these
+    tendons is therefore larger.
 
     Args:
         x: state tables.
@@ -185,7 +188,11 @@ def _snapped_speed_threshold(
 
 @kernel_helper
 def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceTable) -> None:
-    """Find a tendon without its commanded tension: slack after some time (T02), or snapped if its spool runs (T01)."""
+    """Find a tendon that does not have its commanded tension.
+
+    After some time without tension, the tendon is slack (T02). If its spool also turns fast, the
+    tendon has snapped (T01).
+    """
     period = c.run[h.PERIOD]
     commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
     speed = x.tendon[s.SPEED, n]

@@ -1,4 +1,8 @@
-"""Slip of a tendon: change of the difference between spool and joint encoders, since the tendon became taut."""
+"""Slip of a tendon.
+
+The spool encoder and the joint encoders both measure the position of the tendon. The slip is the
+change of their difference since the tendon became taut.
+"""
 
 import math
 
@@ -62,7 +66,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
 
 @kernel_helper
 def _is_tautness_unknown(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True for a tendon without load cell whose motor is commanded to make no torque.
+    """Return True for a tendon that has no load cell and no commanded torque.
 
     After the torque of such a motor is cut, the motor turns freely, and its tendon becomes slack.
     Without a load cell, the friction of a motor at rest looks like tension.

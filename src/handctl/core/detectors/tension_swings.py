@@ -1,9 +1,10 @@
-"""Detection of a tension that oscillates, because of torque ripple or an unstable control loop.
+"""Detection of an oscillating tension.
 
-A torque ripple of 0.1 N m near the resonance of motor and tendon, about 20 Hz, makes the tension
-oscillate by tens of newtons. The other detectors do not find an oscillation of the tension. Cogging
-torque does not appear in the motor current, so the comparison of reported and commanded torque
-(fault N14) cannot find the oscillation.
+The cause may be torque ripple or an unstable control loop. The resonance of motor and tendon is at
+about 20 Hz. Near this resonance, a torque ripple of 0.1 N m makes the tension oscillate by tens of
+newtons. The other detectors do not find an oscillation of the tension. Cogging torque does not
+appear in the motor current. Therefore the comparison of reported and commanded torque (fault N14)
+cannot find the oscillation.
 """
 
 import math
@@ -26,7 +27,7 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 
 @kernel_helper
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
-    """Update for each tendon the mean square of the difference between measured and commanded tension."""
+    """Update the mean square of the fast part of the tension error, for each tendon."""
     period = c.run[h.PERIOD]
     slow_fraction = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
     mean_fraction = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)

@@ -1,28 +1,29 @@
-"""Test whether a drive obeys its commands, by the correlation of reported and commanded torque.
+"""Test if a drive obeys its commands, by the correlation of reported and commanded torque.
 
-A drive that obeys reports the commanded torque, including the small changes that noise adds to
-every command. The reported torque does not follow these changes in three cases: the reports come
-from another drive, the torque acts on another joint, or the drive obeys late. The difference
+If a drive obeys, it reports the commanded torque. The report includes the small changes that noise
+adds to every command. The reported torque does not follow these changes in three cases: the reports
+come from another drive, the torque acts on another joint, or the drive obeys late. The difference
 between commands and reports is visible even if all motors pull with equal force and no joint moves.
-Let a be the change of the command from one tick to the next, and b the change of the report, both
+From one tick to the next, a is the change of the command, and b is the change of the report, both
 as forces at the spool [N]. The test uses low-passed products S of a and b:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
 Here tau is the time constant of the low-pass filter, and T is the control period. The fault is
-present if the drive reports less than 0.4 of the changes in the command, with a margin of four
-standard deviations of this estimate. The sample covariance of uncorrelated increments has the
-variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+present if the drive reports less than 0.4 of the changes in the command. The test has a margin of
+four standard deviations of the estimated fraction. If the changes a and b are uncorrelated, their
+sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
 When a digit touches an object, the changes of the command are a hundred times as large as while the
 digit is held. Without a limit, these large changes would dominate the products S for seconds after
-the contact. All changes of command and report are therefore limited to two counts of the torque. If
-a drive obeys, the limited changes of commands and reports have equal signs.
+the contact. All changes of command and report are therefore limited to two counts of the torque.
+The limit does not change the signs. If a drive obeys, the limited changes of command and report
+have equal signs.
 
 The changes of command and report are used only after ``MIN_TICKS_WITH_REPLY`` consecutive ticks, each with
-a reply in time. After a pause, a drive replies to all waiting commands before it obeys the last of
-them. The next report of the drive then belongs to an older command. On a slow bus, a report may
-come a tick late, and then belongs to a command that is one tick older. The test computes the
+a reply in time. After a pause, a drive replies to all waiting commands before it obeys the last
+command. The next report of the drive then belongs to an older command. On a slow bus, a report may
+come a tick late. The report then belongs to a command that is one tick older. The test computes the
 correlation with and without a delay of one tick, and uses the larger correlation.
 """
 
@@ -98,8 +99,8 @@ that comes a tick late), report squared, and the response of the filter to a con
 def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
     """Update the low-passed products of the changes of commands and reports.
 
-    A drive replies to a command before it obeys the command, so the report of the present tick
-    belongs to the command before the last one.
+    A drive replies to a command before it obeys this command. The report of the present tick
+    therefore belongs to the command before the last command.
 
     Args:
         x: state tables.
@@ -151,7 +152,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
 
 @kernel_helper
 def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the smallest change of a motor's torque that is more than rounding, as a force at the spool [N]."""
+    """Return the smallest change of a motor's torque that exceeds rounding, as a spool force [N]."""
     rounding_step = max(
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
@@ -210,7 +211,7 @@ def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool
 
 @kernel_helper
 def fraction_of_command_reported(x: StateTables, n: int) -> float:
-    """Return the fraction of the changes of a motor's command that appears in its reports.
+    """Return the fraction of the changes in a motor's commands that the motor also reports.
 
     The fraction is 1 for a drive that obeys.
     """
@@ -224,17 +225,17 @@ def fraction_of_command_reported(x: StateTables, n: int) -> float:
 
 @kernel_helper
 def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -> bool:
-    """Return True if a motor reports a force that differs from each of its last three commands.
+    """Return True if the force that a motor reports is outside the range of its last three commands.
 
-    The low-passed difference between command and report must have the same sign, so a single report
-    is not sufficient. A drive that obeys reports one of the commands of the last three ticks, even
-    after a lost frame. The difference between report and command is then 0, however fast the
-    command changes. This test finds some faults earlier than the low-passed difference alone, for
-    example if two drives are exchanged.
+    A single report is not sufficient. The low-passed difference between command and report must
+    also be large, and must have the same sign. If a drive obeys, it reports one of the commands of
+    the last three ticks, even after a lost frame. The report is then within the range of the
+    commands, even if the command changes fast. This test finds some faults earlier than the
+    low-passed difference alone, for example if two drives are exchanged.
 
     Only motors of tendons without a load cell are tested. If a tendon has a load cell, another
-    detector finds a wrong force, and on a busy computer a reply may be older than three ticks.
-    Because replies may be late, the test is used only if three ticks take at least
+    detector finds a wrong force. On a busy computer, a reply may be older than three ticks. Because
+    replies may be late, the test is used only if three ticks take at least
     ``MIN_COMMAND_WINDOW_S``.
 
     A drive that closes its position loop is not tested, because it has no torque command. A drive

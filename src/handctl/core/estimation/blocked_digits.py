@@ -1,9 +1,10 @@
-"""Detection of blocked digits: digits in an unplanned contact with a stop or an object.
+"""Detection of blocked digits.
 
-A digit is blocked if its unexplained tension exceeds any error of the model. For closing digits,
+A blocked digit is in an unplanned contact with a stop or an object. A digit counts as blocked if
+its unexplained tension is larger than any error of the model. For closing digits,
 ``programs.task_program`` has a finer test. The tension filter must know which digits are blocked,
-because it assumes that a free digit follows its tendon. If the filter assumed this of a blocked
-digit too, the control loop would oscillate.
+because it assumes that a free digit follows its tendon. If the filter also assumed that a blocked
+digit follows its tendon, the control loop would oscillate.
 """
 
 from handctl.compiled import kernel_helper
@@ -35,7 +36,7 @@ limits.
 
 @kernel_helper
 def update_blocked_digits(x: StateTables, c: ConstantTables) -> None:
-    """Update whether each digit is blocked."""
+    """Update the flag ``BLOCKED`` of each digit."""
     for d in range(x.digit.shape[1]):
         first_tendon = c.digit_int[h.FIRST_TENDON, d]
         end = c.digit_int[h.END_TENDON, d]

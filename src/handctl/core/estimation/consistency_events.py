@@ -1,4 +1,7 @@
-"""Log events for tendons whose measurements start or stop to agree with the model, and for blocked digits."""
+"""Log events for changes of two states: the consistency of a tendon's model, and the blocking of a digit.
+
+The model of a tendon is consistent if it agrees with the measurements of the tendon.
+"""
 
 from typing import Any, Protocol
 
@@ -21,7 +24,7 @@ class NamedFields(Protocol):
 def consistency_events(
     model: HandModel, fields_before: NamedFields, fields_after: NamedFields
 ) -> tuple[TickEvent, ...]:
-    """Return the log events for changes of consistency and blocking between two ticks.
+    """Return the log events for tendons and digits whose state has changed between two ticks.
 
     Args:
         model: model of the hand.

@@ -1,21 +1,22 @@
-"""Force at the tip of a closing digit, as a sign of contact, and the opening of a digit that holds an object.
+"""Detection of contact and slip.
 
-While a digit closes, the part of its tensions that the model does not explain is converted into a
-force at the tip. The weight of a tendon in this conversion is the tension that a force of 1 N at
-the tip causes in the tendon. A proximal tendon bears the largest tension and has the least
-friction, so its weight is the largest. The tip force is averaged over a few milliseconds by a
-low-pass filter. The force of a contact is still present after the filter, while the alternating
-force of a chattering tendon cancels out.
+The force at the tip of a closing digit is a sign of contact. The opening of a digit that holds an
+object is a sign of slip. While a digit closes, the part of its tensions that the model does not
+explain is converted into a force at the tip. The weight of a tendon in this conversion is the
+tension that a force of 1 N at the tip causes in the tendon. A proximal tendon bears the largest
+tension and has the least friction, so its weight is the largest. The tip force is averaged over a
+few milliseconds by a low-pass filter. The force of a contact remains after this filter. The
+alternating force of a chattering tendon cancels out.
 
 Two errors of the tip force are corrected. If the model expects too much tension, the tip force is
-negative and hides a contact. A wrong model causes an error for longer than a contact force needs to
-grow, so a negative average of the force is subtracted. If the reading of a load cell drifts, the
-tip force is positive during the whole closing motion. A positive average of the tip force over a
-long time is therefore also subtracted.
+negative and hides a contact. A contact force grows fast, and the error of a wrong model lasts
+longer. Therefore a negative average of the force is subtracted. If the reading of a load cell
+drifts, the tip force is positive during the whole closing motion. A positive average of the tip
+force over a long time is therefore also subtracted.
 
-While a digit holds an object, the length that a spool has wound, minus the stretch of the tendon,
-is known to a few micrometres. If an object pushes the digit open, a fast and a slow average of this
-length differ.
+While a digit holds an object, the length on each spool minus the stretch of the tendon is known to
+a few micrometres. If an object pushes the digit open, a fast and a slow average of this length
+differ.
 """
 
 import math
@@ -87,9 +88,10 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
-    """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the angles of a free digit.
+    """Write the levers (J,) of a force at the tip of each digit about its joints [m].
 
-    A digit that closes counts as free until its contact is found.
+    The digits are assumed to have the joint angles of free digits. A digit that closes counts as
+    free until its contact is found.
     """
     q = np.zeros(x.joint.shape[1])
     write_free_angles(x, c, s.EXCURSION, q)
@@ -100,9 +102,10 @@ def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
 
 @kernel_helper
 def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at the tip that fits the unexplained tensions of a digit best, by least squares [N].
+    """Return the force at the tip that explains a digit's unexplained tensions best [N].
 
-    The result is 0 if a force at the tip does not load any tendon of the digit.
+    The force is a least-squares solution. The result is 0 if a force at the tip does not load any
+    tendon of the digit.
     """
     virtual_work = 0.0
     size = 0.0

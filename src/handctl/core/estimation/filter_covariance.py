@@ -1,10 +1,10 @@
-"""Propagation of the covariance of the tension filter, from a missing measurement until the covariance is steady again.
+"""Propagation of the covariance of the tension filter after a missing measurement.
 
 The steady-state gains of the filter assume a measurement in every tick. If measurements come only
-in every second tick, these gains overestimate the error of the speed, and correct the speed for too
-long. The estimate then oscillates or diverges. Therefore the covariances of all tendons are
-propagated from the first missing measurement on. The propagation ends when all covariances are
-close to their steady values.
+in every second tick, these gains overestimate the error of the speed. The filter then corrects the
+speed for too long. The estimate then oscillates or diverges. Therefore the covariances of all
+tendons are propagated from the first missing measurement on. The propagation ends when all
+covariances are close to their steady values.
 """
 
 import math
@@ -130,8 +130,8 @@ def predict_covariances(
 
     End the propagation if all covariances are steady.
 
-    If the filter design of a tendon has changed, its covariance is set to the constant covariance
-    of the new design.
+    If the filter design of a tendon has changed, the covariance of the tendon is set to the
+    constant covariance of the new design.
     """
     periods = 1 + ticks_to_predict(c, missed_ticks)
     are_all_steady = True
@@ -163,7 +163,7 @@ def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
 
 @kernel_helper
 def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
-    """Return the standard deviation of a tendon's predicted tension [N], from the covariance of the filter."""
+    """Return the standard deviation of a tendon's predicted tension, by the propagated covariance [N]."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
@@ -178,8 +178,8 @@ def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
 def _present_covariance(x: StateTables, c: ConstantTables, n: int, design_kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states.
 
-    After a missing measurement, the covariance computed in each tick is returned, and otherwise the
-    constant covariance.
+    While the covariance is propagated, return the propagated covariance. Otherwise return the
+    constant covariance of the filter design.
     """
     P = _copy_design_matrix(c, n, design_kind, h.COVARIANCE_OFFSET)
     if x.run_int[s.COVARIANCE_PROPAGATED]:

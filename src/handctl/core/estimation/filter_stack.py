@@ -1,4 +1,4 @@
-"""Arrays of the tension filter: states and regimes of a tendon, its filter designs, and one filter for all tendons."""
+"""Types of the tension filter: states and regimes of a tendon, and filter designs of all tendons."""
 
 import enum
 import functools
@@ -23,7 +23,10 @@ force on the motor [N], load-cell error [N], stretch offset [m].
 
 
 class TendonRegime(enum.IntEnum):
-    """Regime of a tendon: free, held or slack, each with its own relation between motor and digit."""
+    """Regime of a tendon: free, held or slack.
+
+    Each regime has its own relation between motor and digit.
+    """
 
     FREE = 0
     """The tendon is taut, and the digit follows it freely.
@@ -111,7 +114,7 @@ design kinds.
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Filter designs of all tendons in all regimes.
+    """Filter designs of all tendons, with one design for each tendon and kind of design.
 
     Attributes:
         blocks: filter of each tendon and each kind of design, ``blocks[tendon][kind]``. The number
@@ -148,9 +151,9 @@ class FilterDesign:
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:
-    """Return a matrix for N tendons, made of one block of shape (rows, columns) for each tendon.
+    """Return a matrix for N tendons, which contains a block of shape (rows, columns) for each tendon.
 
-    In the rows and columns of the matrix, the tendon is the inner index.
+    Rows and columns are ordered by the row or column of the block first, and by the tendon second.
     """
     n, (rows, columns), indices = len(blocks), blocks[0].shape, np.arange(len(blocks))
     # The indices are (row, tendon, column, tendon), because each tendon is coupled only with

@@ -1,11 +1,12 @@
-"""Tension filter: estimates of tension, excursion and contact force from load cells, motor and joint encoders.
+"""Tension filter, which estimates tension, excursion and contact force of each tendon.
 
-One linear Kalman filter contains the states of all tendons. ``correct_tension_filter`` corrects the states
-by the measurements. ``filterpy`` predicts the states to the present (called in
-``controller.tick``). ``derive_estimate`` derives the estimate from the states. A missing or
-saturated measurement has no innovation. After such a measurement, the covariance is propagated
-until it is steady again. A single outlier of a load cell is rejected. The measurements that arrive
-in a tick were taken one period earlier, just before the command of the previous tick took effect.
+The measurements come from load cells, motor encoders and joint encoders. One linear Kalman filter
+contains the states of all tendons. ``correct_tension_filter`` corrects the states by the
+measurements. ``filterpy`` predicts the states to the present (called in ``controller.tick``).
+``derive_estimate`` derives the estimate from the states. A missing or saturated measurement has no
+innovation. After such a measurement, the covariance is propagated until it is steady again. A
+single outlier of a load cell is rejected. The measurements that arrive in a tick are one period
+old. They were taken just before the command of the previous tick took effect.
 """
 
 import math
@@ -102,16 +103,20 @@ MAX_NIS_SAMPLE = 100.0
 
 @kernel_helper
 def filter_kind(x: StateTables, n: int) -> int:
-    """Return the index of a tendon's filter design: the tendon's regime, plus 3 while process noise is added."""
+    """Return the index of a tendon's filter design.
+
+    The index is the regime of the tendon. While process noise is added, the index is larger by 3.
+    """
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @kernel_helper
 def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int) -> None:
-    """Correct the filter by the measurements of a tick, and judge slack, open stop and contact of each tendon.
+    """Correct the filter by the measurements of a tick, and judge the regime of each tendon.
 
-    A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
+    The regime depends on slack, open stop and contact. A digit with ``PLANNED_CONTACT`` or
+    ``BLOCKED`` counts as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -156,12 +161,12 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
 
 @kernel_helper
 def _usable_measurements(x: StateTables) -> Matrix:
-    """Return the measurements (N, 3) of motor encoder, load cell and joint encoders that can correct the filter.
+    """Return the usable measurements (N, 3) of motor encoder, load cell and joint encoders.
 
     Missing measurements are NaN.
 
-    A lost or saturated measurement counts as missing. If it is uncertain whether a tendon is taut
-    or slack, its load-cell reading also counts as missing.
+    A lost or saturated measurement counts as missing. The load-cell reading of a slack tendon also
+    counts as missing, unless the spool must still wind up a known slack length.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -204,9 +209,9 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @kernel_helper
 def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
-    """Return True if a measurement is missing that the constant gains of the filter assume.
+    """Return True if a measurement is missing and the constant gains of the filter are therefore invalid.
 
-    For a slack tendon, the constant gains assume no load-cell reading.
+    For a slack tendon, the constant gains need no load-cell reading.
     """
     for n in range(len(z)):
         is_assumed_zero = (
@@ -221,7 +226,7 @@ def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> boo
 def _write_steady_gain(
     c: ConstantTables, n: int, design_kind: int, gain: Matrix, information: Vector
 ) -> None:
-    """Write the constant gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of the innovations."""
+    """Write the constant gain (7, 3) of a tendon's filter, and the inverse innovation covariance (3,)."""
     for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, design_kind, h.KALMAN_GAIN_OFFSET + 3 * i + m]
@@ -280,7 +285,7 @@ def _gate_and_correct_states(
 
 @kernel_helper
 def _correct_slack_by_taut_tendons(x: StateTables, c: ConstantTables) -> None:
-    """Correct the excursion of slack tendons by the other tendons, in digits with surplus tendons.
+    """In digits with surplus tendons, correct the excursion of slack tendons by the other tendons.
 
     The excursions of a digit are the product R q of its moment arms and joint angles. If one tendon
     is slack, its excursion follows from the excursions of the other tendons. If several tendons are
@@ -325,7 +330,7 @@ def _judge_consistency(
     information: Matrix,
     has_all_readings: bool,
 ) -> None:
-    """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
+    """Average the normalised innovations squared (NIS), and judge if each tendon's model is consistent.
 
     The NIS is averaged over a long and over a short time. The long average decides when the
     operator is informed. The short average decides when process noise is added. The short average
@@ -366,10 +371,10 @@ def _judge_consistency(
 
 @kernel_helper
 def _judge_noise(x: StateTables, c: ConstantTables) -> None:
-    """Decide by the short average of the NIS which tendons get added process noise.
+    """Select the tendons that get added process noise, by the short average of the NIS.
 
-    The added noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only
-    while the tendon moves, and its effect is largest when the motion reverses.
+    The added noise is kept for ``MAX_ADDED_NOISE_S``. If the friction in the model is wrong, the
+    error is visible only while the tendon moves. The error is largest when the motion reverses.
     """
     if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
@@ -400,7 +405,7 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
-    """Write the angles or rates (J,) that the joints would have if their digits were free, q = B R_r^+ s.
+    """Write the angles or rates (J,) of the joints of free digits, q = B R_r^+ s.
 
     B is the coupling of the joints. R_r are the reduced moment arms, and s are the excursions or
     their rates. With varying moment arms, the angles also have an offset, see
@@ -421,15 +426,15 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
 
 @kernel_helper
 def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return three forces of each tendon (3, N) [N]: the resistance, the pull with the sign of speed, and the pull.
+    """Return three forces of each tendon (3, N) [N]: the resistance, the speed-signed pull, and the pull.
 
     The resistance is the tension at the joints that balances springs and gravity. The pull is the
-    estimated tension at the joints, after the loss by friction. For a moving tendon, the control
-    law knows how far the friction of the tendon has developed. For other tendons, friction is
-    computed from the speed at the spool. The friction does not follow the estimated speed of the
-    digit, because the sign of this rough estimate would chatter. For the speed-signed pull,
-    friction is always computed from the speed of the tendon at the spool. The speed-signed pull is
-    the first sign that a digit leaves a stop.
+    estimated tension at the joints, after the loss by friction. For a moving tendon, friction is
+    computed from the friction state of the control law. For other tendons, friction is computed
+    from the speed of the tendon at the spool. The estimated speed of the digit is not used. This
+    estimate is rough, and its sign would chatter. For the speed-signed pull, friction is always
+    computed from the speed of the tendon at the spool. The speed-signed pull is the first sign that
+    a digit leaves a stop.
     """
     count = x.tendon.shape[1]
     joints = x.joint.shape[1]
@@ -461,9 +466,9 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
-    """Update the regime of each tendon, and set the stretch offset of each tendon that has become taut.
+    """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
 
-    The regime of a tendon depends on slack, on the open stop and on contact. Return the result of
+    The regime of a tendon depends on slack, on the open stop and on contact. The result is that of
     ``_resistance_and_pull_forces``, computed with the new regimes.
     """
     force = _resistance_and_pull_forces(x, c)
@@ -542,7 +547,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
-    """Return True if a digit is blocked, or if the program reports a contact while the motors may make torque."""
+    """Return True if a digit is blocked, or if it is in a planned contact while motors may make torque."""
     makes_torque = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
         s.BLOCKED, d
@@ -572,7 +577,7 @@ def _choose_filter_kinds(x: StateTables) -> None:
 
 @kernel_helper
 def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
-    """Write for each tendon the load force that springs, gravity and friction do not explain.
+    """Write the load force of each tendon that springs, gravity and friction do not explain.
 
     The value is positive if the load force acts against the closing of the digit.
 
@@ -589,7 +594,10 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 
 @kernel_helper
 def write_unknown_estimate(x: StateTables) -> None:
-    """Write the estimate of a tick before the first reading of every sensor: no contact and no innovation."""
+    """Write the estimate of a tick before the filter has started.
+
+    This estimate has no contact and no innovation.
+    """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan

@@ -1,4 +1,7 @@
-"""Conversion of received readings into the measurements of a tick, and rejection of impossible positions."""
+"""Conversion of received readings to the measurements of a tick.
+
+Impossible positions are rejected.
+"""
 
 import math
 
@@ -114,7 +117,10 @@ def _reject_outlier(
 
 @kernel_helper
 def reset_rejected_steps(x: StateTables) -> None:
-    """Set the sizes of all rejected steps to 0, because positions are not tested while no motor makes torque."""
+    """Set the sizes of all rejected steps to 0.
+
+    While no motor makes torque, positions are not tested.
+    """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
@@ -123,7 +129,7 @@ def reset_rejected_steps(x: StateTables) -> None:
 
 @kernel_helper
 def convert_positions(x: StateTables, c: ConstantTables) -> None:
-    """Write the measured travel, motor force and excursion of each tendon, computed from accepted positions."""
+    """Compute the measured travel, motor force and excursion of each tendon from accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL_RADIUS, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
@@ -148,8 +154,9 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
 def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a load cell is at an end of its range.
 
-    The raw reading may be at an end of its range, or the tared reading may be beyond any possible
-    tension. The tare may hide either of these cases, so the function tests both values.
+    A load cell counts as saturated if its raw reading is at an end of the range, or if its tared
+    reading is beyond any possible tension. Both readings are tested, because the tare may hide each
+    of these cases.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
     is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
@@ -158,7 +165,9 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
 
 @kernel_helper
 def monitored_tension(x: StateTables, c: ConstantTables, n: int, is_tared: bool) -> float:
-    """Return the tension that detectors judge [N]: the load-cell reading, or the estimate without load cell.
+    """Return the tension that the detectors judge [N].
+
+    The tension is the load-cell reading. For a tendon without load cell, it is the estimate.
 
     Args:
         x: state tables.

@@ -1,22 +1,23 @@
 """Joint angles of digits with fewer tendons than joints, with their standard deviations.
 
-Excursions determine the joint angles of a digit up to the null space of the moment arms. The joints
-of a free digit have the angles of its coupling, q = B theta. If the digit touches an object, the
-object turns its joints against each other. The turn of the joints is the torque of the contact
-times the compliance of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact
-follows from the unexplained tension. The place of the contact is unknown, so the estimate is the
-mean over several places: the middle of each link, the tip, and a torque on all joints alike. The
-standard deviation of an angle has several parts: the differences between the assumed places of
-contact,
+The excursions of the tendons do not fully determine the joint angles of such a digit. A motion in
+the null space of the moment arms changes no excursion. The joints of a free digit have the angles
+of its coupling, q = B theta. If the digit touches an object, the object turns the joints of the
+digit against each other. The turn of the joints is the torque of the contact times the compliance
+of the springs in the null space, N (N^T K N)^-1 N^T. The torque of the contact follows from the
+unexplained tension. The place of the contact is unknown. The estimate is therefore the mean over
+several assumed contacts: a force at the middle of each link, a force at the tip, and an equal
+torque on all joints. The standard deviation of an angle has several parts: the differences between
+the assumed places of contact,
 
 - the error of the modelled tension, at each of these places,
 - capstan friction, whose sign depends on the direction of motion,
 - springs and gravity that do not agree with the coupling of a free digit,
 - the error of the excursion.
 
-If the hand has joint encoders, a Kalman update with the full covariance combines their readings
-with this estimate. In a digit with as many tendons as joints, the excursions fully determine the
-joint angles.
+If the hand has joint encoders, a Kalman update with the full covariance combines the readings of
+the encoders with this estimate. In a digit with as many tendons as joints, the excursions fully
+determine the joint angles.
 """
 
 import math
@@ -119,7 +120,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
 
 @kernel_helper
 def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return how far the error of each excursion turns the joints (J, N) [rad], and the variances (J,)."""
+    """Return the angle errors by the error of each excursion (J, N) [rad], and the angle variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
     spread = np.zeros((joints, tendons))
@@ -146,11 +147,11 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
 
 @kernel_helper
 def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
-    """Return deviations (2 H + 2, J) of the joint angles in the null space [rad].
+    """Return the deviations (2 H + 2, J) of the joint angles in the null space [rad].
 
     The function also writes the turn of the joints that a contact causes.
 
-    The covariance of the angles is the sum of the products of these deviations. H is the number of
+    The covariance of two angles is the sum of the products of their deviations. H is the number of
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
     an iteration towards a fixed point.
     """
@@ -191,7 +192,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return the turn of each joint by a contact at each assumed place, and the standard deviation (H, J) [rad]."""
+    """Return the turns of the joints by a contact at each assumed place (H, J), and their deviations [rad]."""
     place_count = c.place_joint.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((place_count, joints))
@@ -222,7 +223,7 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 def _write_levers_at_contact_place(
     c: ConstantTables, d: int, place_index: int, pose: Matrix, lever: Vector
 ) -> None:
-    """Write the levers (J,) [m] of a force at a place of contact about the joints of a digit.
+    """Write the levers (J,) of a contact force about the joints of a digit [m].
 
     Place i is the middle of link i. The place after the last link is the tip. At all further
     places, the levers are 0.
@@ -255,7 +256,7 @@ def _write_digit_turn(
     turns: Vector,
     deviation: Vector,
 ) -> None:
-    """Write how far a contact turns the joints of a digit, for given levers of the contact force.
+    """Write the turn of a digit's joints by a contact, for given levers of the contact force.
 
     Args:
         x: state tables.
@@ -300,7 +301,7 @@ def _write_digit_turn(
 def _largest_turn_fraction(
     x: StateTables, c: ConstantTables, d: int, joint_turn: Vector, sign: float
 ) -> float:
-    """Return the largest fraction (0 to 1) of a turn (J,) [rad] that keeps the joints within their ranges.
+    """Return the largest fraction (0 to 1) of a turn (J,) that keeps all joints within their ranges.
 
     The turn starts at the joint angles of the free digit.
     """
@@ -317,7 +318,10 @@ def _largest_turn_fraction(
 
 @kernel_helper
 def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
-    """Write how far friction, and springs with gravity, turn the joints of free digits [rad], (2, J)."""
+    """Write two turns of the joints of free digits (2, J) [rad].
+
+    The first turn is caused by friction, and the second turn by springs and gravity.
+    """
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     write_static_torque(c, x.joint[s.Q], torque[1])
@@ -347,7 +351,7 @@ def _fuse_encoders(
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
-    This gives the exact result, because the noises of the encoders are independent.
+    The result is exact, because the noises of the encoders are independent.
 
     Args:
         x: state tables.
@@ -399,11 +403,11 @@ def _fuse_encoders(
 
 @kernel_helper
 def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
-    """Write for each digit the force at the tip that has the same effect as the contact, and its standard deviation.
+    """Write the tip-equivalent force of the contact of each digit, and the standard deviation of this force.
 
-    This tip-equivalent force acts along the y axis of the last link, and makes the same torque as
-    the contact. The tension of a finger with one tendon does not show the place of the contact. For
-    a finger with one tendon, the tip is therefore assumed as the place.
+    The tip-equivalent force acts at the tip, along the y axis of the last link. It makes the same
+    torque as the contact. The tension of a finger with one tendon does not show the place of the
+    contact. For such a finger, the tip is therefore assumed as the place of the contact.
     """
     joints = x.joint.shape[1]
     coordinates = x.coordinate.shape[1]
@@ -465,7 +469,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
-    """Write the levers (C,) [m] about a digit's coordinates, computed from the levers (J,) [m] about its joints."""
+    """Convert the levers (J,) about a digit's joints to levers (C,) about its coordinates [m]."""
     for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):

@@ -1,4 +1,4 @@
-"""Forces of a hand at rest: torques of springs and gravity, and tensions after the friction of pulleys."""
+"""Statics of a hand: torques of springs and gravity, and tensions after the friction of pulleys."""
 
 import math
 
@@ -23,7 +23,10 @@ If the numbers of a bad hand exceed it, Python raises an error, but compiled cod
 
 @kernel_helper
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
-    """Return the poses of all links (J, rigid_body.POSE) at joint angles q (J,) [rad], without carried masses."""
+    """Return the poses of all links at joint angles q (J,) [rad], as (J, POSE_COLUMN_COUNT).
+
+    The result does not contain the masses that each link carries.
+    """
     pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
     return pose
@@ -64,7 +67,7 @@ def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
 
 @kernel_helper
 def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: float) -> float:
-    """Return the tension of tendon n after a wrap angle, divided by the tension at the load cell.
+    """Return the ratio of the tension of tendon n after a wrap angle to its tension at the load cell.
 
     Args:
         c: constants of the hand.
@@ -109,10 +112,10 @@ def pulley_torque(
 def subtract_torque_of_passing_tendons(
     c: ConstantTables, q: Vector, tension: Vector, friction_state: Vector, torque: Vector
 ) -> None:
-    """Subtract the torques of passing tendons from the joint torques (J,) of the digits that they pass.
+    """Subtract the torques of passing tendons from the joint torques (J,).
 
-    A passing tendon belongs to a digit, and passes a joint of another digit that carries this
-    digit, for example the wrist.
+    A passing tendon passes a joint of a digit that carries the tendon's own digit. For example, the
+    tendons of a finger pass the wrist.
 
     Args:
         c: constants of the hand.
@@ -135,7 +138,7 @@ def subtract_torque_of_passing_tendons(
 
 @kernel_helper
 def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the wrap angle of tendon n on the pulleys before its own digit [rad].
+    """Return the wrap angle of tendon n on all pulleys before the pulleys of its own digit [rad].
 
     Args:
         c: constants of the hand.
@@ -179,8 +182,8 @@ def write_tensions_at_joints(
 ) -> None:
     """Write the tensions at the joints, with the effect of friction.
 
-    These tensions make the same joint torques without friction as the tensions at the load cells
-    make with friction.
+    The tensions at the joints would make the joint torques without friction. The tensions at the
+    load cells make the same joint torques with friction.
 
     Args:
         c: constants of the hand.
@@ -206,7 +209,9 @@ def write_tensions_at_joints(
 
 @kernel_helper
 def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
-    """Return the part of a value of tendon n that a motion of the digit explains, element n of R R^+ v.
+    """Return the part of tendon n's value that a motion of the digit explains.
+
+    The result is element n of R R^+ v.
 
     Args:
         c: constants of the hand.
@@ -230,9 +235,9 @@ def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -
 def value_from_other_tendons(
     c: ConstantTables, n: int, tendon_values: Vector, offset: float
 ) -> float:
-    """Return the value of tendon n that follows from the values of the other tendons of its digit.
+    """Compute the value of tendon n from the values of the other tendons of its digit.
 
-    Return NaN if the value does not follow from the other tendons.
+    Return NaN if the other tendons do not determine the value.
 
     The values of a digit's tendons are the product R q. In a digit with more tendons than
     coordinates, the other tendons determine q, and q determines the value of tendon n.
@@ -261,8 +266,8 @@ def value_from_other_tendons(
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the fraction of the load-cell tension that reaches the joints while the tendon is wound up.
 
-    The result is the mean over the pulleys of the tendon, weighted by the moment arms. While the
-    tendon is paid out, the fraction is about the reciprocal of the result.
+    The result is a mean over the pulleys of the tendon. The weights of the mean are the moment
+    arms. While the tendon is paid out, the fraction is about the reciprocal of the result.
 
     Args:
         c: constants of the hand.

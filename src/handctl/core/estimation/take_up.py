@@ -1,4 +1,4 @@
-"""Decision whether a tendon has become slack or taut, from load-cell readings of several ticks."""
+"""Detection of a tendon that becomes slack or taut, by the load-cell readings of several ticks."""
 
 import math
 
@@ -53,9 +53,12 @@ def regime_evidence(
     cell_error: float,
     is_nearly_taut: bool,
 ) -> int:
-    """Return a count that grows while a slack tendon seems to be taut (points), or a taut one slack (ticks).
+    """Return the evidence that the regime of a tendon has ended.
 
-    A missing load-cell reading sets the number of ticks to 0, but leaves the points unchanged.
+    For a slack tendon, the result is a number of points, which grows while the tendon seems to be
+    taut. For a taut tendon, the result is the number of ticks in which the tendon seemed to be
+    slack. If a load-cell reading is missing, the number of ticks is set to 0, and the points do not
+    change.
 
     Args:
         regime: present regime of the tendon.
@@ -98,10 +101,11 @@ SLACK_TICKS_WITHOUT_CELL = 12
 def regime_evidence_without_cell(
     regime: int, evidence_count: int, tension: float, missing: float
 ) -> int:
-    """Return the count of ``regime_evidence`` for a tendon without a load cell.
+    """Return the evidence for the end of a regime, for a tendon without a load cell.
 
-    The motor of a slack tendon turns without load. When the tendon has become taut, its tension
-    reduces the force that accelerates the motor. The reduction of this force is the missing force.
+    ``regime_evidence`` explains the evidence. The motor of a slack tendon turns without load. When
+    the tendon has become taut, its tension reduces the force that accelerates the motor. This
+    reduction is called the missing force.
 
     Args:
         regime: present regime of the tendon.
@@ -120,7 +124,7 @@ def regime_evidence_without_cell(
 
 @kernel_helper
 def is_nearly_taut(x: StateTables, n: int) -> bool:
-    """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
+    """Return True if a slack tendon is nearly taut, by the encoder and the known tendon length."""
     return (
         x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
         > -NEARLY_TAUT_M
@@ -129,7 +133,7 @@ def is_nearly_taut(x: StateTables, n: int) -> bool:
 
 @kernel_helper
 def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
-    """Return True if the number of points or ticks is large enough to end a regime.
+    """Return True if the evidence (points or ticks) is sufficient to end a regime.
 
     A taut tendon without load cell (``has_no_cell``) counts as slack only after more ticks.
     """
@@ -141,11 +145,12 @@ def is_regime_over(regime: int, evidence_count: int, has_no_cell: bool) -> bool:
 def set_offset_of_newly_taut_tendon(
     x: StateTables, c: ConstantTables, n: int, cell_tension: float
 ) -> None:
-    """Set the stretch offset or the excursion of a tendon that has become taut, to agree with the load cell.
+    """Set the stretch offset or the excursion of a tendon that has become taut.
 
-    If the open stop or the joint encoders show the excursion, the stretch offset is set. Otherwise
-    the length of the tendon is known from commissioning. With a known tendon length, the excursion
-    is set.
+    The new value makes the model agree with the load cell. If the digit has return springs or joint
+    encoders, the excursion is known, and the stretch offset is set. Otherwise the length of the
+    tendon is known from commissioning, and the excursion is set. If this excursion is outside the
+    range of the joints, the stretch offset is set instead.
 
     Args:
         x: state tables.

@@ -1,7 +1,8 @@
-"""Tip-equivalent force: a force normal to the last link, at the tip, that makes the torque of the actual contact.
+"""Tip-equivalent force of a contact.
 
+This force acts at the tip, normal to the last link. It makes the same torque as the actual contact.
 The tension of a finger with one tendon does not depend on the place of contact. The tip is
-therefore a convention.
+therefore used as the place of contact by convention.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from handctl.hand.digit import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers J^T n of a force at the tip about the joints, (n,) [m].
+    """Return the levers J^T n (n,) about the joints, for a force at the tip [m].
 
     The force at the tip acts along the y axis of the last link.
 
@@ -27,7 +28,7 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Return the levers B^T J^T n of a force at the tip about the digit's coordinates, (n_c,) [m].
+    """Return the levers B^T J^T n (n_c,) about the digit's coordinates, for a force at the tip [m].
 
     The direction of the force is the same as in ``joint_lever``.
     """

@@ -1,20 +1,22 @@
-"""Moment arms that depend on the joint angles, and the structure tables for the present angles.
+"""Moment arms that depend on the joint angles.
 
-Filter, control law and allocation use the linear relation q = B (R B)^+ s between joint angles q
-and excursions s. For a digit with varying moment arms, the tables of ``constants`` that depend on R
-are evaluated at the angles q0 = B theta of the free digit, at which the excursions e(q0) equal s.
-Near q0 the excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment
-arms are constant, the offsets are 0 and the tables do not change. The tables depend only on the
-state block. The tables are evaluated before each use in a tick. A tick that is computed again from
-a stored state therefore gives the same result.
+The tables with moment arms are computed for the present angles. Filter, control law and allocation
+use the linear relation q = B (R B)^+ s between joint angles q and excursions s. Some tables of
+``constants`` depend on R. For a digit with varying moment arms, these tables are evaluated at the
+angles q0 = B theta of the free digit. At these angles, the excursions e(q0) equal s. Near q0 the
+excursion is e(q0) + R (q - q0), so the linear relation has an offset. If the moment arms are
+constant, the offsets are 0 and the tables do not change. The tables depend only on the state block.
+The tables are evaluated before each use in a tick. A tick that is computed again from a stored
+state therefore gives the same result.
 
 The tendons of a finger pass the wrist that carries the finger. If a tendon does not pass through
 the axis of the wrist, a motion of the wrist moves the tendon, and the tension of the tendon turns
 the wrist. The motion of the tendon and the torque on the wrist are computed from the estimated
-angle of the wrist and from the tension. The part of the travel that carrying digits such as the
-wrist cause is subtracted from the travel (``carrier_excursion``). So filter, goals and detectors
-treat the finger as if its base were at rest. The tendons of the wrist must balance the torque of
-the tendons that pass the wrist (``statics.subtract_torque_of_passing_tendons``).
+angle of the wrist and from the tension. Carrying digits such as the wrist cause a part of the
+travel. This part is subtracted from the travel (``carrier_excursion``). The filter, the goals and
+the detectors therefore treat the finger as if its base were at rest. The tendons of the wrist must
+balance the torque of the tendons that pass the wrist
+(``statics.subtract_torque_of_passing_tendons``).
 
 Source: Tsai, Robot Analysis (1999), structure matrix; Gauss-Newton method.
 """
@@ -70,7 +72,10 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
-    """Return the part of tendon n's excursion [m] that joint j causes: the integral of the moment arm."""
+    """Return the part of tendon n's excursion that joint j causes [m].
+
+    This part is the integral of the moment arm over the joint angle.
+    """
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
     clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
@@ -84,7 +89,7 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 @kernel_helper
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
-    """Return the part of tendon n's excursion [m] or rate [m/s] that the joints of carrying digits cause.
+    """Return the part of tendon n's excursion [m] or rate [m/s] that carrying digits cause.
 
     Args:
         c: constants of the hand.
@@ -153,7 +158,7 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
 
 @kernel_helper
 def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
-    """Correct joint angles of digits with varying moment arms, to agree with the estimated excursions."""
+    """Correct the joint angles of digits with varying moment arms by the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
             continue
@@ -230,7 +235,10 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
 
 @kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
-    """Write pulley weights, ``POSTURE_TORQUE`` and balance tensions of a digit, from its present moment arms R."""
+    """Write three tables of a digit for its present moment arms R.
+
+    The tables are the pulley weights, ``POSTURE_TORQUE`` and the balance tensions.
+    """
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         total = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
@@ -258,7 +266,10 @@ def _write_weights(c: ConstantTables, d: int) -> None:
 
 @kernel_helper
 def _write_compliance(c: ConstantTables, d: int) -> None:
-    """Write the turn of the joints per torque at constant excursions: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
+    """Write the turn of the joints per torque at constant excursions.
+
+    This compliance is K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1.
+    """
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
     count = tendons[1] - tendons[0]

@@ -6,15 +6,15 @@ excursion [m] and its rate [m/s], Gauss-Markov disturbance force on the motor [N
 change of a moving digit's tension [N/s]. The measurements are the encoder travel [m], the load cell
 [N], and the excursion from joint encoders [m].
 
-The model does not contain the equation of motion of the digit. The digit has a twentieth of the
-mass of the rotor, and a stiff tendon holds it. The friction at the pulleys of the digit is up to a
-third of the tension. The direction of this friction depends on the sign of a very low speed,
-micrometres per second. In a filter with the digit's equation of motion, the sign of the friction
-changes all the time, with tension errors of 9 N instead of 0.5 N. Two assumptions replace the
-equation of
-motion: a free digit follows its tendon with slowly changing tension, and a held digit is at rest.
-Source: linearised tendon plant, van Loan (1978) for the discretisation. The function that solves
-the Riccati equation comes from the package ``control``.
+The model does not contain the equation of motion of the digit. The mass of the digit is a twentieth
+of the mass of the rotor. A stiff tendon connects the digit to the rotor. The friction at the
+pulleys of the digit is up to a third of the tension. The direction of this friction depends on the
+sign of a very low speed, which is only micrometres per second. In a filter with the digit's
+equation of motion, the sign of the friction would change all the time. The tension error would be 9
+N instead of 0.5 N. Two assumptions replace this equation of motion. A free digit follows its
+tendon, with slowly changing tension. A held digit is at rest. Source: linearised tendon plant, van
+Loan (1978) for the discretisation. The function that solves the Riccati equation comes from the
+package ``control``.
 """
 
 import math
@@ -131,7 +131,10 @@ def design_filter(
 def _continuous_model(
     space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the row (7,) that computes the tension."""
+    """Return the continuous model of a tendon: A (7, 7), B (7, 2), and the tension row (7,).
+
+    The tension is the product of this row and the states.
+    """
     is_taut = regime != TendonRegime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if is_taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
@@ -161,7 +164,7 @@ def _continuous_model(
 
 
 def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
-    """Return three values of the disturbance force on the motor: size [N], correlation time [s], white noise [N]."""
+    """Return the disturbance force on the motor: size [N], correlation time [s], white noise [N]."""
     if regime == TendonRegime.HELD:
         return (
             gains.held_disturbance_N,
@@ -202,7 +205,7 @@ def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: Filt
 
 
 def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRegime) -> None:
-    """Increase the process noise Q (7, 7) of a taut tendon whose model does not fit the measurements.
+    """Increase the process noise Q (7, 7) of a taut tendon with an inconsistent model.
 
     Args:
         process_noise: (7, 7) process noise of the continuous model, modified in place.
@@ -221,7 +224,7 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
 def _discretise_model(
     A: Matrix, B: Matrix, process_noise: Matrix, period_s: float
 ) -> tuple[Matrix, Matrix, Matrix]:
-    """Return the zero-order hold of A and B, and the discrete covariance of Q.
+    """Return A and B discretised by a zero-order hold, and the discrete covariance of Q.
 
     Source: van Loan (1978).
     """
@@ -246,7 +249,7 @@ def _design_filter_block(
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design.
 
-    A kind of design consists of a regime, and of True if noise is added.
+    A kind of design is a pair: the regime, and True if process noise is added.
 
     For a tendon without a load cell, the filter uses only the motor encoder. The tension of such a
     tendon is computed from the motor force, and is uncertain because of friction.
@@ -254,8 +257,8 @@ def _design_filter_block(
     The load-cell error is estimated only while a tendon is slack, because the tension is then known
     to be 0. In other regimes, no measurement distinguishes the load-cell error from tension, so the
     estimated error stays constant. The growing variance of the load-cell error is then added to the
-    variance of the tension. In these regimes, the gains are those of a filter whose state has no
-    load-cell error. Source: Schmidt (1966), consider states.
+    variance of the tension. In these regimes, the gains are computed for a filter without the
+    load-cell error among its states. Source: Schmidt (1966), consider states.
 
     The encoder and the load cell determine only the sum of excursion and stretch offset. Joint
     encoders separate the excursion from the stretch offset within ``joint_time_s``, and correct no

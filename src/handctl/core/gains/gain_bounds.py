@@ -1,4 +1,7 @@
-"""Bounds of the gains: range, default and meaning of each key, and whether a key may change during a run."""
+"""Bounds of the gains.
+
+Each key of the gains has a range, a default and a meaning. Some keys may change during a run.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -56,7 +59,7 @@ class GainBounds:
 
 
 class TendonKey(NamedTuple):
-    """Parts of a key for the force of a single tendon.
+    """Parts of a key that sets the force of a single tendon.
 
     Attributes:
         tendon: name of the tendon.
@@ -74,7 +77,7 @@ SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.f
 
 
 def tendon_key(key: str) -> TendonKey | None:
-    """Return the parts of a key for the force of a single tendon, or None for any other key."""
+    """Return the parts of a key that sets the force of a single tendon, or None for any other key."""
     section, _, key_name = key.partition(".")
     tendon, _, field = key_name.rpartition(".")
     if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
@@ -84,7 +87,7 @@ def tendon_key(key: str) -> TendonKey | None:
 
 @cache
 def gain_bounds() -> Mapping[str, GainBounds]:
-    """Return the bounds of all keys for the whole hand, in the order in which ``Gains`` declares them."""
+    """Return the bounds of all keys for the whole hand, in the order of the declarations in ``Gains``."""
     result = {}
     for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -107,7 +110,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
 
 
 def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
-    """Return smallest and largest allowed value of a field, and True if the smallest value is excluded."""
+    """Return the smallest and largest value of a field, and True if the smallest value is not allowed."""
     low = float("-inf")
     high = float("inf")
     is_low_excluded = False
@@ -123,7 +126,10 @@ def _range_of_field(field_metadata: list[Any]) -> tuple[float, float, bool]:
 
 
 def bounds_of_key(key: str) -> GainBounds | None:
-    """Return the bounds of a key for the whole hand or for a single tendon, or None for an unknown key."""
+    """Return the bounds of a key, or None for an unknown key.
+
+    The key may belong to the whole hand or to a single tendon.
+    """
     parts = tendon_key(key)
     if parts is None:
         return gain_bounds().get(key)
@@ -150,7 +156,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
 def changed_gain_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
     """Return the old and the new value of every key whose value differs.
 
-    A tendon without a separate force has the force that holds for all tendons.
+    If a tendon has no force of its own, the force for all tendons is used.
     """
     old_values = values_by_key(old_gains)
     new_values = values_by_key(new_gains)
@@ -218,7 +224,7 @@ def _set_force_weight_of_tendon(
 
 
 def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
-    """Check that the hand has each tendon for which the gains contain separate forces.
+    """Check that the hand has every tendon that is named in the gains.
 
     Args:
         gains: gains to check.
@@ -237,7 +243,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
 
 
 def checked_gain_bounds(key: str, value: float, source_name: str) -> GainBounds:
-    """Check a value of the gains, and return the bounds of its key.
+    """Check a new value of a key, and return the bounds of the key.
 
     Raises:
         ConfigError: the key is unknown, or the value is out of bounds.

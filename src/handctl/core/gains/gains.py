@@ -1,10 +1,10 @@
 """Gains of the controller: values that can be tuned, with units, bounds and defaults.
 
 With the default gains, both control loops of the Jamia hands have a gain margin of at least 6 dB
-and a phase margin of at least 45 degrees. Both margins are kept for the plant of the hand file and
-for random variants of this plant, at 500 Hz (jamia) and at 200 Hz (jamia11 on a single bus). If a
-packaged hand would not have these margins with the default gains, the folder ``packaged`` contains
-a gains file for this hand.
+and a phase margin of at least 45 degrees. Both margins hold at 500 Hz (jamia) and at 200 Hz
+(jamia11 on a single bus). They hold for the plant of the hand file, and for random variants of this
+plant. Some packaged hands do not have these margins with the default gains. For such a hand, the
+folder ``packaged`` contains a gains file.
 """
 
 from pathlib import Path
@@ -21,8 +21,8 @@ PACKAGED_GAINS_FOLDER = Path(__file__).parent / "packaged"
 class FilterGains(Document):
     """Noise that the tension filter assumes.
 
-    The disturbances represent effects that the model does not contain: friction, springs and
-    contact. The correlation times of the disturbances are those of the motions that cause them.
+    The disturbances stand for effects that are not in the model: friction, springs and contact. The
+    correlation times of the disturbances are those of the motions that cause them.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
@@ -72,7 +72,10 @@ class FilterGains(Document):
 
 
 class MotionGains(Document):
-    """Weights of the motion loop by Bryson's rule: an error, a speed error and a force that have the same cost."""
+    """Weights of the motion loop by Bryson's rule.
+
+    The weights are an excursion error, a speed error and a force. All three have the same cost.
+    """
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
     """Error of the excursion with the cost of ``speed_error_m_s`` or ``force_N`` [m]."""
@@ -94,7 +97,7 @@ class MotionGains(Document):
 
 
 class TensionGains(Document):
-    """Weights of the tension loop by Bryson's rule, and the rate at which the setpoint changes."""
+    """Weights of the tension loop by Bryson's rule, and the rate of change of the setpoint."""
 
     tension_error_N: float = Field(4.0, gt=0, le=100)
     """Error of the tension with the cost of ``speed_error_m_s`` or ``force_N`` [N]."""
@@ -122,10 +125,11 @@ class ContactGains(Document):
 
 
 class TendonForces(Document):
-    """Forces for a single tendon, which take the place of the forces for all tendons.
+    """Forces for a single tendon.
 
-    Digits of different mass need different forces: the force for a wrist that carries five fingers
-    is a thirtieth of the force for a fingertip.
+    They replace the forces for all tendons. Digits of different mass need different forces. For
+    example, the force for a wrist that carries five fingers is a thirtieth of the force for a
+    fingertip.
     """
 
     name: str
@@ -175,7 +179,7 @@ class Gains(Document):
 
 
 class GainsProvenance(Document):
-    """Origin of gains, as evidence for the quality of the gains."""
+    """Origin of gains, from which a user can judge the quality of the gains."""
 
     made: str = ""
     """Date and time at which the gains were made, ISO 8601, UTC."""
@@ -250,7 +254,7 @@ def load_gains_file(path: Path) -> GainsFile:
 
 
 def gains_text(gains: Gains, provenance: GainsProvenance) -> str:
-    """Return the text of a gains file with every value, defaults included."""
+    """Return the text of a gains file with all values, including those that equal the default."""
     provenance_fields = provenance.model_dump()
     section_texts = {
         key: value

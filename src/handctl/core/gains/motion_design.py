@@ -1,10 +1,11 @@
-"""Feedback gains of motion loop and tension loop, designed once before arming, by LQR on the discrete model.
+"""Feedback gains of the motion loop and the tension loop, designed by LQR on the discrete model.
 
-Both loops use the prediction of the tension filter, which includes the delay of the bus. The loops
-therefore have no state for the delay. Errors of the prediction grow with the prediction horizon,
-and reduce the phase margin. At control rates below 500 Hz, the force weights are therefore reduced.
-Source: Bryson's rule for the weights. The function that solves the Riccati equation comes from the
-package ``control``.
+The gains are designed before arming, and again when the gains change during a run. Both loops use
+the prediction of the tension filter, which includes the delay of the bus. The loops therefore have
+no state for the delay. Errors of the prediction grow with the prediction horizon, and reduce the
+phase margin. At control rates below 500 Hz, the force weights are therefore reduced. Source:
+Bryson's rule for the weights. The function that solves the Riccati equation comes from the package
+``control``.
 """
 
 import math
@@ -26,7 +27,7 @@ linalg = DeferredModule("scipy.linalg")
 
 @dataclass(frozen=True, slots=True)
 class MotionDesign:
-    """Feedback gains of the motion loop and the tension loop for the N tendons, each of shape (N,).
+    """Feedback gains of the motion loop and the tension loop of the N tendons, with shape (N,).
 
     Attributes:
         stiffness: acceleration per excursion error in the motion loop [1/s^2].
@@ -46,10 +47,10 @@ FULL_WEIGHT_PERIOD_S = 2e-3
 
 
 def force_weight_at_period(force: float, period_s: float) -> float:
-    """Return a force weight [N], reduced if the control period is above ``FULL_WEIGHT_PERIOD_S`` [s].
+    """Return the force weight for a control period [N].
 
-    The stiffness of a loop is proportional to the weight. The bandwidth is proportional to the
-    square root of the weight.
+    Above the period ``FULL_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
+    proportional to the weight. The bandwidth is proportional to the square root of the weight.
     """
     return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period_s))
 
@@ -123,7 +124,10 @@ def _sampled_lqr_gain(
     force: float,
     period_s: float,
 ) -> Vector:
-    """Return the LQR gain (2,) for x' = A x + B u, sampled at the period, with weights by Bryson's rule."""
+    """Return the LQR gain (2,) for the system x' = A x + B u.
+
+    The system is sampled at the control period. The weights follow from Bryson's rule.
+    """
     # The inputs are constant within a period: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     transition = linalg.expm(period_s * np.block([[A, B], [np.zeros((1, 3))]]))
     F = transition[:2, :2]
@@ -136,9 +140,10 @@ def _sampled_lqr_gain(
 
 
 def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
-    """Design the motion loop, for motor and digit as one mass on a rigid tendon.
+    """Design the motion loop.
 
-    The states are excursion error [m] and speed error [m/s].
+    In the model of this loop, motor and digit are one mass, because the tendon is rigid. The states
+    are excursion error [m] and speed error [m/s].
     """
     weights = gains.motion
     mass = float(space.motor_mass[i] + space.load_mass[i])
@@ -151,9 +156,10 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period_s: floa
 
 
 def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period_s: float) -> Vector:
-    """Design the tension loop, for a rotor on the tendon of a blocked digit.
+    """Design the tension loop.
 
-    The states are tension error [N] and tendon speed [m/s].
+    In the model of this loop, the digit is blocked, and the rotor stretches the tendon. The states
+    are tension error [N] and tendon speed [m/s].
     """
     weights = gains.tension
     mass = space.motor_mass[i]

@@ -1,4 +1,7 @@
-"""Solutions of the Riccati equation for feedback gains and for the Kalman filter, by the package ``control``."""
+"""Solutions of the Riccati equation by the package ``control``.
+
+The solutions are feedback gains, and covariances of the Kalman filter.
+"""
 
 import numpy as np
 

@@ -1,6 +1,6 @@
 """Conversion of solver failures into error messages of one line.
 
-Even if each weight is within its bounds, the weights may differ too much for a solution.
+A solver may fail although each weight is within its bounds, because the weights differ too much.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from handctl.errors import ConfigError
 
 @contextmanager
 def solver_failures_as_errors(gains_section: str) -> Iterator[None]:
-    """Convert any failure of a solver within a ``with`` block into an error with a message of one line.
+    """Convert a failure of a solver within a ``with`` block into an error with a one-line message.
 
     Args:
         gains_section: section of the gains file from which the gains are designed.

@@ -1,1 +1,4 @@
-"""Cyclic frames: tables of their signals, and conversion between frames and values of the state block."""
+"""Cyclic frames.
+
+The modules contain tables of the signals, and convert frames to values of the state block and back.
+"""

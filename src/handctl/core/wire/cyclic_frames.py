@@ -1,7 +1,7 @@
-"""Conversion of received cyclic frames into values of the state block, and of commands into frames.
+"""Conversion of received cyclic frames to values of the state block, and of commands to frames.
 
-``receive_frames`` decodes all frames of the sensor node and the feedback of steady drives, by means
-of signal tables. A drive is steady while it is enabled and its state machine (``drives.contract``)
+``receive_frames`` decodes all frames of the sensor node, and the feedback of steady drives. It uses
+tables of signals. A drive is steady while it is enabled and its state machine (``drives.contract``)
 has nothing to do. ``receive_frames`` stops at each frame that a state machine must handle. The
 caller handles this frame, and calls ``receive_frames`` again for the remaining frames.
 ``encode_commands`` encodes the commands of steady drives, and stops at each drive that is not
@@ -88,7 +88,10 @@ OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 
 @kernel_helper
 def find_key(keys: IntArray, key: Any) -> int:
-    """Return the index of a key in sorted keys, by binary search, or NO_ENTRY if the key is missing."""
+    """Return the index of a key in sorted keys, or NO_ENTRY if the key is missing.
+
+    The function uses a binary search.
+    """
     low = 0
     high = len(keys)
     while low < high:
@@ -130,7 +133,7 @@ def receive_frames(
     first_frame: int,
     min_receive_ns: int,
 ) -> int:
-    """Decode received frames from index ``first_frame`` on, until a frame that a state machine must handle.
+    """Decode received frames, from ``first_frame`` to the next frame that needs a state machine.
 
     Args:
         block: state block.
@@ -225,7 +228,7 @@ def _compare_recheck(
     ranges: IntArray,
     rechecks: WordRows,
 ) -> int:
-    """Compare a frame with the reply to the open request of a drive's repeated read-back.
+    """Compare a frame with the expected reply to the open read-back request of an enabled drive.
 
     After a reply with the required value, the next setting is requested.
 
@@ -264,17 +267,18 @@ def _compare_recheck(
 
 @kernel_helper
 def _is_recheck_due(x: StateTables, n: Any, now_ns: Any, ranges: IntArray) -> bool:
-    """Return True if a setting of an enabled drive is to be requested again in the present tick."""
+    """Return True if the next read-back request to an enabled drive is due in the present tick."""
     is_due: bool = ranges[n, 0] < ranges[n, 1] and now_ns >= x.tendon_int[s.RECHECK_DUE_NS, n]
     return is_due
 
 
 @kernel_helper
 def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
-    """Return True if compiled code, without the state machine, can send the next request for a setting.
+    """Return True if compiled code can send the next read-back request.
 
-    After a pause of a whole period, the state machine of the drive calculates the time of the next
-    request. The state machine also reports a setting for which the drive sends no reply.
+    Otherwise, the state machine of the drive must send the request. If the request is late by a
+    whole period, the state machine calculates the time of the next request. If the drive sends no
+    reply for a setting, the state machine reports this.
     """
     regular: bool = (
         now_ns < x.tendon_int[s.RECHECK_DUE_NS, n] + RECHECK_PERIOD_NS
@@ -285,7 +289,10 @@ def _is_recheck_regular(x: StateTables, n: Any, now_ns: Any) -> bool:
 
 @kernel_helper
 def _copy_record(record: Any, frame_row: Any) -> None:
-    """Copy the record of a frame into a row, without the words that follow the record."""
+    """Copy the record of a frame into a row.
+
+    The words that follow the record are not copied.
+    """
     for word in range(WORDS_PER_RECORD):
         frame_row[word] = record[word]
 
@@ -294,7 +301,7 @@ def _copy_record(record: Any, frame_row: Any) -> None:
 def _request_recheck(
     x: StateTables, n: Any, frame_row: Any, ranges: IntArray, rechecks: WordRows
 ) -> None:
-    """Write into the record of a frame the request that reads a setting of a drive again."""
+    """Write the request that reads a setting of a drive again into the record of a frame."""
     _copy_record(rechecks[ranges[n, 0] + x.tendon_int[s.RECHECK_STEP, n]], frame_row)
     x.tendon_int[s.RECHECK_DUE_NS, n] += RECHECK_PERIOD_NS
     x.tendon_int[s.RECHECK_TRIES, n] += 1
@@ -382,10 +389,10 @@ def _decode_sensor_frame(
 
 @kernel_helper
 def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
-    """Return True if a position is nearer to the predicted position than an earlier position of this tick.
+    """Return True if a position is nearer to the predicted position than the stored position.
 
-    The tension filter predicts the position for the time of the request. Before the filter has
-    started, the later position is used.
+    The stored position was received earlier in this tick. The tension filter predicts the position
+    for the time of the request. Before the filter has started, the later position is used.
     """
     travel = x.tendon[s.TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -485,7 +492,7 @@ def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) ->
 def _can_be_encoded(
     x: StateTables, n: int, signal_reals: FloatArray, first_signal: int, signals_end: int
 ) -> bool:
-    """Return True if each number of a drive's position command is within the range of its signal."""
+    """Return True if each number of a position command is within the range of its signal."""
     for i in range(first_signal, signals_end):
         if (
             not signal_reals[i, 2]

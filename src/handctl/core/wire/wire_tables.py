@@ -57,7 +57,7 @@ that are compared, index of the reply's entry, and length of the reply's payload
 
 
 class WireTables:
-    """Tables with the identifiers, signals and records of all cyclic frames of a hand.
+    """Identifiers, signals and records of all cyclic frames of a hand, in tables.
 
     Attributes:
         keys: (e,) keys bus << 32 | identifier of all frames, sorted.
@@ -162,7 +162,7 @@ class WireTables:
         self._entries_by_removed_groups: dict[tuple[int, ...], IntArray] = {}
 
     def entries_without_groups(self, removed_groups: tuple[int, ...]) -> IntArray:
-        """Return a copy of the entries, in which the state machines of the sensors handle some groups of frames."""
+        """Return a copy of the entries in which some frame groups belong to the sensors' state machines."""
         entries = self._entries_by_removed_groups.get(removed_groups)
         if entries is None:
             entries = self.entries.copy()
@@ -175,7 +175,7 @@ class WireTables:
         return entries
 
     def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
-        """Add the signals of a message to the tables. Return the range of their rows."""
+        """Add the signals of a message to the tables, and return the range of the new rows."""
         first_signal = sum(len(table.signal_integers) for table in self._signals)
         self._signals.append(SignalTable(message))
         return first_signal, first_signal + len(self._signals[-1].signal_integers)

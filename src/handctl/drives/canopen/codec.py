@@ -1,7 +1,7 @@
-"""CANopen frames that do not depend on the device profile: NMT, SDO transfers of up to four bytes, and others.
+"""CANopen frames that do not depend on the device profile, such as NMT and short SDO transfers.
 
-All fields are little-endian. Most identifiers are the sum of a base, which the service determines,
-and the node number n. A hyphen in the last column means that the frame has no payload.
+All fields are little-endian. Most identifiers are the sum of a base and the node number n. The
+service determines the base. A hyphen in the last column means that the frame has no payload.
 
     frame      identifier  to    bytes and fields
     NMT        0x000       node  0 command | 1 node number
@@ -57,19 +57,22 @@ def upload_request(index: int, subindex: int) -> bytes:
 
 
 def upload_reply(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the payload of the SDO reply with which a node sends the one to four bytes of an object."""
+    """Return the payload of an SDO reply that contains the one to four bytes of an object."""
     # 0x43 is an expedited value. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x43 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
-    """Return the payload of the SDO request that writes one to four bytes to an object."""
+    """Return the payload of an SDO request that writes one to four bytes to an object."""
     # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 class SdoReply(NamedTuple):
-    """Content of an SDO reply: object, value (empty after a write), and abort code (0 without an abort)."""
+    """Content of an SDO reply: object, value, and abort code.
+
+    The value is empty after a write. The abort code is 0 without an abort.
+    """
 
     number: int
     sub_index: int

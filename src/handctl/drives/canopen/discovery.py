@@ -1,8 +1,9 @@
-"""Discovery of CANopen drives by their heartbeats, and by their answers to an SDO read of the device type.
+"""Discovery of CANopen drives by heartbeats, and by answers to an SDO read of the device type.
 
-A request that reads an object does not make the drive do anything. A scan reads only the device
-type, serial numbers and numbers of channels. The ``canopen`` library reads all other data of a
-drive, while no controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
+A request that reads an object changes nothing in the drive, and moves no motor. A scan reads only
+the device type, serial numbers and numbers of channels. The ``canopen`` library reads all other
+data of a drive, while no controller runs (``runtime.diagnostics.canopen_identity``). Source: CiA
+301 4.2.
 """
 
 from handctl.drives.canopen import codec
@@ -131,13 +132,19 @@ def _describe_node(
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return the identifiers of frames that a node obeys: NMT, SYNC, RPDOs, and SDO requests."""
+    """Return the identifiers of frames that a node obeys.
+
+    These frames are NMT, SYNC, RPDOs, and SDO requests.
+    """
     node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDO_BASE_IDS)}
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames from another host: SYNC, NMT, and heartbeats of another handctl."""
+    """Return the received frames that come from another host.
+
+    These frames are SYNC, NMT, and heartbeats of another handctl.
+    """
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
     return tuple(frame for frame in received_frames if frame.can_id & ~REMOTE_FLAG in identifiers)
 

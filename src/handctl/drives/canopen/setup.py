@@ -1,4 +1,7 @@
-"""Set-up of a CANopen node by SDO: objects are written and read until each has its required value."""
+"""Set-up of a CANopen node by SDO.
+
+Objects are written and read until each object has its required value.
+"""
 
 import enum
 from typing import NamedTuple
@@ -20,7 +23,7 @@ SERIAL_NUMBER = 0x1018, 4
 
 
 class ObjectCheck(enum.IntEnum):
-    """Rule by which an object is written, and its value is compared with the required value."""
+    """Rule for an object: when the object is written, and which values are accepted."""
 
     EQUAL = 0
     """Read the object. The value must equal the required value."""
@@ -52,7 +55,7 @@ OPTIONAL_OBJECT_CHECKS = (
 
 
 class SetupStep(NamedTuple):
-    """One object of a node with its required value, and the rule by which the object is checked."""
+    """One object of a node, with its required value and the rule for its check."""
 
     check: ObjectCheck
     number: int
@@ -83,7 +86,10 @@ def pdo_steps(
     transmission_type: int,
     mapped_objects: tuple[int, ...],
 ) -> tuple[SetupStep, ...]:
-    """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it again."""
+    """Return the steps that set up one PDO.
+
+    The steps disable the PDO, map its objects, and enable the PDO again.
+    """
     write = ObjectCheck.WRITE
     return (
         # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
@@ -101,12 +107,15 @@ def pdo_steps(
 
 
 def is_next_request_write(cursor: ReadbackCursor, step: SetupStep) -> bool:
-    """Return True if the next request must write the object, by its rule or because its value was wrong."""
+    """Return True if the next request must write the object.
+
+    A write is required by the rule of the object, or because the value of the object was wrong.
+    """
     return cursor.writing or (step.is_written_before_read and not cursor.written)
 
 
 def _has_required_value(step: SetupStep, value: int) -> bool:
-    """Return True if an object has the required value, by the rule of the step."""
+    """Return True if the rule of a step accepts the value of the object."""
     if step.check == ObjectCheck.BITS_SET:
         return value & step.value == step.value
     return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD_EQUAL else value) == step.value
@@ -115,7 +124,7 @@ def _has_required_value(step: SetupStep, value: int) -> bool:
 def on_reply(
     cursor: ReadbackCursor, required_steps: tuple[SetupStep, ...], reply: codec.SdoReply
 ) -> tuple[ReadbackCursor, int, str]:
-    """Return the new position in the read-back after an SDO reply.
+    """Return the position in the read-back after an SDO reply.
 
     Replies to other requests have no effect.
 
@@ -154,9 +163,9 @@ def next_request(
 ) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next SDO request of the read-back, with the new cursor and a problem in words.
 
-    The payload of the request is empty while an answer of the drive is awaited. The text of the
-    problem is empty if no problem has occurred. The first object is requested again and again until
-    the drive answers.
+    The payload of the request is empty while the host waits for an answer of the drive. The text of
+    the problem is empty if no problem has occurred. The request for the first object is repeated
+    without a limit until the drive answers.
     """
     step = required_steps[cursor.step]
     cursor, send, problem = readback.request_setting(

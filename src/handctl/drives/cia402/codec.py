@@ -1,7 +1,7 @@
 """CANopen frames of a CiA 402 drive: PDOs, power states, and errors.
 
-All fields are little-endian. The identifier is a base plus the node number n. ``canopen.codec`` has
-the other frames.
+All fields are little-endian. The identifier of a frame is the sum of a base and the node number n.
+``canopen.codec`` has the other frames.
 
     frame      identifier  to     bytes and fields
     EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
@@ -86,9 +86,10 @@ def power_state(status_word: int) -> str:
 def feedback_message(
     node_id: int, counts_per_turn: int, gear_ratio: float, rated_torque: float, zero_angle: float
 ) -> CyclicMessage:
-    """Return the signal table of TPDO1: status word, position [count], torque [1/1000 of rated].
+    """Return the signal table of TPDO1.
 
-    Torque and position are measured at the shaft of the motor.
+    The signals are the status word, the position [count] and the torque [1/1000 of rated]. Torque
+    and position are measured at the shaft of the motor.
 
     Args:
         node_id: node number of the drive.
@@ -191,7 +192,10 @@ def velocity_message(node_id: int, unit: float, limit: float) -> CyclicMessage:
 
 
 def _motion_message(node_id: int, signal: Signal, limit: float, max_value: float) -> CyclicMessage:
-    """Return the signal table of RPDO1 with a target of four bytes, from ``-max_value`` to ``max_value``."""
+    """Return the signal table of RPDO1 with the control word and a target of four bytes.
+
+    The target has values from ``-max_value`` to ``max_value``.
+    """
     if not max_value / abs(signal.scale) < MAX_TARGET_COUNT:
         raise ValueError(
             f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive"

@@ -1,11 +1,12 @@
-"""State machine to configure, enable, and disable a CiA 402 drive in cyclic synchronous torque mode.
+"""State machine of a CiA 402 drive in cyclic synchronous torque mode.
 
-In each tick the host sends one RPDO (control word, target torque), and the drive sends one TPDO
-(status word, position, torque). The drive sends the TPDO at SYNC, a frame with the identifier
-0x080. On a bus with a sensor node, the SYNC for the sensor node has the same identifier, and also
-requests the TPDO. On a bus without a sensor node, handctl sends SYNC if one of the drives has the
-option ``sync``. The watchdog of the drive supervises the heartbeat of this host. Only a status word
-proves that the drive is enabled or disabled.
+The state machine configures, enables and disables the drive. In each tick the host sends one RPDO
+(control word, target torque), and the drive sends one TPDO (status word, position, torque). The
+drive sends the TPDO at SYNC, a frame with the identifier 0x080. If the SYNC of a sensor node has
+the same identifier, this SYNC also requests the TPDO. On other buses, handctl sends SYNC after the
+command to a drive with the option ``sync``. If no drive has this option, handctl selects a drive
+(``controller.run_setup``). The watchdog of the drive supervises the heartbeat of this host. Only a
+status word proves that the drive is enabled or disabled.
 """
 
 import math
@@ -224,7 +225,7 @@ class Cia402Drive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames with a rate that differs from the control rate: heartbeats and SDO requests."""
+        """Return the frames whose rate is not the control rate: heartbeats, SDO requests and SDO replies."""
         heartbeats = [(1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns)]
         if self.sends_heartbeat:
             heartbeats.append((1, False, 1e9 / self.heartbeat_period_ns))
@@ -287,7 +288,7 @@ class Cia402Drive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of the drive after this host has enabled it, or NO_STEADY_STATUS."""
+        """Return the status word of a drive that this host has enabled, or NO_STEADY_STATUS."""
         progress = progress_of(state)
         is_steady = (
             state.phase == ENABLED and progress.enable_sent and progress.disable_command_ns < 0
@@ -368,7 +369,7 @@ class Cia402Drive:
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, reply: canopen.SdoReply) -> DriveState:
-        """Compare the value of an object, read again from the enabled drive, with the required value."""
+        """Compare an object that was read again from the enabled drive with its required value."""
         step = self.rechecked_settings[state.recheck.step]
         if reply[:2] != (step.number, step.sub_index) or not (reply.raw or reply.abort):
             return state
@@ -388,10 +389,10 @@ class Cia402Drive:
         )
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Return the state of the drive after a TPDO, with the received values and the power state.
+        """Return the state of the drive after a TPDO.
 
-        The mapping of the TPDO is unknown until the read-back is complete. Values that arrive
-        before are not used.
+        The new state contains the received values and the effect of the power state. Until the
+        read-back is complete, the mapping of the TPDO is unknown, and its values are not used.
         """
         progress = progress_of(state)
         if progress.cursor.step < len(self.steps):
@@ -465,8 +466,8 @@ class Cia402Drive:
         A drive that may be enabled counts as enabled until a status word reports the state
         disabled.
 
-        The drive sends status words only in the NMT state operational. The host therefore repeats
-        the NMT start as long as no feedback arrives.
+        The drive sends status words only in the NMT state operational. While no feedback arrives,
+        the host therefore repeats the NMT start.
         """
         phase = ENABLED if progress.may_be_enabled else state.phase
         disabling_start_ns = (
@@ -522,7 +523,7 @@ class Cia402Drive:
         )
 
     def _rpdo_frame(self, control_word: int, command: float) -> Frame:
-        """Return the frame RPDO1 with the given control word and command, in the unit of ``command_limit``."""
+        """Return RPDO1 with a control word and a command, which has the unit of ``command_limit``."""
         try:
             data = struct.pack("<H", control_word) + self.command.pack(command)[2:]
         except ValueError as error:
@@ -542,7 +543,7 @@ class Cia402Drive:
         return Frame(canopen.NMT, bytes((nmt_command, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
-        """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
+        """Return the serial number in object 0x1018:4, or the node number without this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
@@ -553,7 +554,10 @@ class Cia402Drive:
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
-        """Return an RPDO with a target torque [N m at the spool], whose control word keeps the power stage off."""
+        """Return an RPDO with a target torque [N m at the spool] that does not enable the drive.
+
+        The control word keeps the power stage off.
+        """
         return (self._rpdo_frame(codec.DISABLE_VOLTAGE, torque),)
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
@@ -562,9 +566,9 @@ class Cia402Drive:
         When the node enters the NMT state pre-operational, object 0x6007 makes the drive go into
         fault.
 
-        DISABLE_VOLTAGE must be sent before NMT pre-operational. The reason is that a node reads
-        PDOs only in the NMT state operational. CiA 402-2 does not require that a drive loses its
-        torque when it enters pre-operational.
+        CiA 402-2 does not require that a drive loses its torque in the NMT state pre-operational.
+        DISABLE_VOLTAGE is therefore necessary. It must be sent first, because a node reads PDOs
+        only in the NMT state operational.
         """
         return (
             self._rpdo_frame(codec.DISABLE_VOLTAGE, 0.0),
@@ -572,7 +576,7 @@ class Cia402Drive:
         )
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
-        """Return the SDO request that ends the drive's supervision of the host's heartbeat.
+        """Return the SDO request after which the drive no longer supervises the host's heartbeat.
 
         Without this request, the drive would latch a fault, because the host sends no heartbeat
         after a run.

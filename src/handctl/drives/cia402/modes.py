@@ -1,9 +1,9 @@
 """CiA 402 drive in cyclic synchronous position mode or velocity mode.
 
 RPDO1 carries the target position (0x607A) or the target velocity (0x60FF). The maximum speed
-(0x6080) is read back before arming and while the drive is enabled, like the objects of torque mode.
-In position mode the drive supervises the following error (0x6065, 0x6066). A drive with a blocked
-shaft therefore goes into fault.
+(0x6080) is read back before arming, and again while the drive is enabled. The objects of torque
+mode are read back in the same way. In position mode the drive supervises the following error
+(0x6065, 0x6066). A drive with a blocked shaft therefore goes into fault.
 
 The unit of object 0x60FF differs between manufacturers. The option ``velocity_unit`` has the value
 rev_min (the default, as on EPOS4) or count_s. The unit of object 0x6080 is 1/min. Source: CiA
@@ -42,9 +42,10 @@ RAD_S_PER_RPM = math.tau / 60.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cia402ModeDrive(Cia402Drive):
-    """Motor on a CiA 402 drive whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """CiA 402 drive in position mode or velocity mode.
 
-    The attribute ``command_limit`` has the unit of the command.
+    The command is a position [rad] or a velocity [rad/s] at the spool. The attribute
+    ``command_limit`` has the same unit as the command.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -72,7 +73,10 @@ class Cia402ModeDrive(Cia402Drive):
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return the command that causes no motion: the present position or a velocity of zero."""
+        """Return the command that causes no motion.
+
+        The command is the present position, or a velocity of zero.
+        """
         return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:

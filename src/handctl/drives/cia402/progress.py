@@ -1,4 +1,4 @@
-"""Progress of the state machine of a CiA 402 drive, and effects of status words and heartbeats."""
+"""State of the CiA 402 state machine, and the effects of status words and heartbeats on it."""
 
 from typing import NamedTuple, cast
 
@@ -64,14 +64,14 @@ class Cia402Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or the drive reports that its power stage may be on."""
+        """Return True if this host has sent an enable command, or if the reported power stage may be on."""
         return self.enable_sent or (
             self.power != "" and self.power not in codec.STATES_WITHOUT_TORQUE
         )
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
-    """Return the CiA 402 values in the state of a drive."""
+    """Return the ``Cia402Progress`` in the state of a drive."""
     return cast(Cia402Progress, state.private)
 
 
@@ -134,8 +134,8 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     """Return the state after a heartbeat of the drive.
 
-    If the drive has left the NMT state operational, it was stopped, or it has restarted and has
-    lost its settings.
+    If the drive has left the NMT state operational, it was stopped or has restarted. A drive that
+    has restarted has lost its settings.
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
     if (

@@ -2,10 +2,10 @@
 
 The host writes the objects by SDO, and reads them back.
 
-RPDO1 has transmission type 255: the drive applies a torque when it arrives, in the tick that has
-computed it, as in the other protocols. TPDO1 has transmission type 1: at each SYNC, the drive
-measures the values of TPDO1 and sends them. If the heartbeat of the host is missing, the drive goes
-into fault (objects 0x1016, 0x6007).
+RPDO1 has transmission type 255. With this type, the drive applies a torque when the RPDO arrives.
+The torque thus takes effect in the tick that has computed it, as in the other protocols. TPDO1 has
+transmission type 1. With this type, the drive measures and sends the values of TPDO1 at each SYNC.
+If the heartbeat of the host is missing, the drive goes into fault (objects 0x1016, 0x6007).
 """
 
 from handctl.drives.canopen.codec import RPDO, TPDO
@@ -45,7 +45,7 @@ def required_steps(
     heartbeat_ms: int,
     mode: int = TORQUE_MODE,
 ) -> tuple[SetupStep, ...]:
-    """Return all objects written and read back before arming, in the order of the requests.
+    """Return all objects that are written and read back before arming, in the order of the requests.
 
     Args:
         node_id: node number of the drive.

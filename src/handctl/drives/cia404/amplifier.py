@@ -1,9 +1,10 @@
-"""State machine that sets up a CiA 404 measuring amplifier, until the amplifier answers every SYNC.
+"""State machine that sets up a CiA 404 measuring amplifier.
 
-The host sets the amplifier to the NMT state pre-operational, reads and writes its objects, and then
-starts the amplifier. Received TPDOs of the amplifier are used only after this start. If an
-amplifier restarts, the host sets it up again before the next arming. The host never sets up an
-amplifier while motors may make torque. No frame of this module moves a motor.
+After the set-up, the amplifier answers every SYNC. The host sets the amplifier to the NMT state
+pre-operational, reads and writes its objects, and then starts the amplifier. Received TPDOs of the
+amplifier are used only after this start. If an amplifier restarts, the host sets it up again before
+the next arming. The host never sets up an amplifier while motors may make torque. No frame of this
+module moves a motor.
 """
 
 from dataclasses import dataclass
@@ -71,7 +72,7 @@ class LoadCellAmplifier:
     def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
         """Return the state of the amplifier after a received frame.
 
-        Frames of other nodes, or with a wrong length, have no effect.
+        Frames of other nodes and frames with a wrong length have no effect.
         """
         if frame.bus != self.bus or state.phase == DrivePhase.FAULT:
             return state
@@ -84,9 +85,9 @@ class LoadCellAmplifier:
         return state
 
     def _on_life_sign(self, state: AmplifierState) -> AmplifierState:
-        """Return the state after a frame that shows the NMT state operational.
+        """Return the state after a frame that proves the NMT state operational.
 
-        Such a frame has an effect only after the set-up and the start of the amplifier.
+        Such a frame has an effect only if the host has set up and started the amplifier.
         """
         if state.cursor.step < len(self.steps) or state.started_ns < 0:
             return state
@@ -95,7 +96,7 @@ class LoadCellAmplifier:
     def _on_heartbeat(self, state: AmplifierState, nmt_state: int) -> AmplifierState:
         """Return the state after a heartbeat.
 
-        An amplifier that has restarted or was stopped must be set up again.
+        If an amplifier has restarted or was stopped, it must be set up again.
         """
         if nmt_state == codec.OPERATIONAL:
             return self._on_life_sign(state)

@@ -1,17 +1,17 @@
-"""Load cells on CiA 404 measuring amplifiers, and the frames that amplifiers and host exchange in a tick.
+"""Load cells on CiA 404 measuring amplifiers.
 
-The identifier of a TPDO is the sum of a base and the node number n. The hyphen in the last column
-means that SYNC has no payload.
+The amplifiers and the host exchange the following frames in a tick. The identifier of a TPDO is the
+sum of a base and the node number n. The hyphen in the last column means that SYNC has no payload.
 
     frame    identifier                 to          bytes and fields
     SYNC     0x080                      amplifiers  -
     TPDO1    0x180 + n                  host        0..3 channel 1 | 4..7 channel 2
     TPDO2-4  0x280, 0x380, 0x480 + n    host        two further channels each
 
-A channel is the process value in newton, little-endian, as INTEGER32 (object 0x9130, with decimal
-digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows which SYNC
-the frame answers. A frame is stale if it arrives before an answer to the latest SYNC can arrive. A
-later frame counts as fresh. Source: docs/facts/cia404.md.
+A channel is the process value in newton, little-endian. Its type is INTEGER32 (object 0x9130, with
+decimal digits) or REAL32 (object 0x6130). A frame has no counter, so only its arrival time shows
+which SYNC the frame answers. A frame is stale if it arrives too early to be an answer to the latest
+SYNC. All later frames count as fresh. Source: docs/facts/cia404.md.
 """
 
 from dataclasses import dataclass
@@ -65,7 +65,7 @@ class AmplifierDescription(Protocol):
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
-        """Return for each amplifier the number of channels to which a load cell is connected."""
+        """Return the number of channels with a load cell, for each amplifier."""
         ...
 
     @property
@@ -166,7 +166,7 @@ class Cia404LoadCells:
 
     @property
     def tension_frames(self) -> int:
-        """Return the number of frames, because all frames contain tensions."""
+        """Return the number of all frames, because all frames contain tensions."""
         return len(self.ids)
 
     @property
@@ -189,16 +189,19 @@ class Cia404LoadCells:
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the rated load of the load cells with both signs, as the limits of the range [N].
+        """Return the limits of the range: the negative and the positive rated load of the load cells [N].
 
-        An amplifier reports an overload as NaN or as -2^31 counts, which are both outside this
-        range.
+        If a load cell is overloaded, its amplifier sends NaN or -2^31 counts. Both values are
+        outside this range.
         """
         return -self.range_n, self.range_n
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+        """Return the tared tension above which a load cell may be saturated [N].
+
+        The threshold is valid for any accepted tare.
+        """
         return self.range_n - MAX_TARE_N
 
     @property
@@ -208,7 +211,7 @@ class Cia404LoadCells:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames of a tick, SYNC and every TPDO, as (payload bytes, frames per tick)."""
+        """Return the frames of a tick as (payload bytes, frames per tick): SYNC, then every TPDO."""
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
     @property
@@ -238,7 +241,10 @@ class Cia404LoadCells:
 
     @property
     def sync_message(self) -> CyclicMessage:
-        """Return the signal table of SYNC, without a counter: a node without object 0x1019 expects none."""
+        """Return the signal table of SYNC, which has no counter.
+
+        A node without object 0x1019 expects no counter.
+        """
         return CyclicMessage("sync", self.sync_id, 0)
 
     @property
@@ -255,7 +261,7 @@ class Cia404LoadCells:
         return Frame(self.sync_id, b"", bus=self.bus)
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
+        """Return the earliest arrival of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
         return sync_ns + MIN_ANSWER_DELAY_NS
 
     def answers(self, data: bytes, counter: int) -> bool:
@@ -270,7 +276,7 @@ class Cia404LoadCells:
         return max(0, (sync_count - 1) * len(self.ids) - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
-        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
         return self.frame_of[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:

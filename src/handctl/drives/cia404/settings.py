@@ -2,10 +2,10 @@
 
 The host checks and writes the objects by SDO transfers.
 
-Every TPDO with load cells has transmission type 1: at each SYNC, the amplifier measures the load
-cells and sends the TPDO. The host reads the unit and the number of decimal digits first. The unit
-and the number of digits are written only if they differ from the required values. Source:
-docs/facts/cia404.md.
+Every TPDO with load cells has transmission type 1. With this type, the amplifier measures the load
+cells and sends the TPDO at each SYNC. The host reads the unit and the number of decimal digits
+first. The unit and the number of digits are written only if they differ from the required values.
+Source: docs/facts/cia404.md.
 """
 
 from handctl.drives.canopen import codec
@@ -36,7 +36,7 @@ PROCESS_VALUES = {"int32": (0x9130, SignalCoding.SIGNED), "real32": (0x6130, Sig
 def required_steps(
     node_id: int, channel_count: int, process_value: str, digits: int
 ) -> tuple[SetupStep, ...]:
-    """Return all objects checked or written before arming, in the order of the requests.
+    """Return all objects that are checked or written before arming, in the order of the requests.
 
     Args:
         node_id: node number of the amplifier.

@@ -1,1 +1,4 @@
-"""Motors with the MIT protocol: Damiao motors, and CubeMars motors, whose feedback contains less data."""
+"""Motors with the MIT protocol: Damiao motors and CubeMars motors.
+
+The feedback of CubeMars motors contains less data.
+"""

@@ -6,8 +6,8 @@ Command with identifier ESC_ID, 8 bytes, big-endian, with the first field in the
     field   position           velocity           kp                kd              torque
     range   +-PMAX rad         +-VMAX rad/s       0..500 N m/rad    0..5 N m s/rad  +-TMAX N m
 
-Special command with identifier ESC_ID, 8 bytes: seven bytes FF, then FC to enable, FD to disable,
-or FB to clear an error.
+Special command with identifier ESC_ID, 8 bytes. Seven bytes FF are followed by FC to enable, FD to
+disable, or FB to clear an error.
 
 Commands of the modes in which the motor controls its own position or velocity, little-endian. The
 motor obeys each of these commands only in the mode of the command:
@@ -31,8 +31,8 @@ little-endian:
     field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
 
 Register replies have the same identifier and length as feedback. This module distinguishes them by
-the first four bytes. Feedback with the first four bytes of a register reply would mean a position
-within 0.3 % of -PMAX, which no hand can reach.
+the first four bytes. If feedback had the first four bytes of a register reply, its position would
+be within 0.3 % of -PMAX. No hand can reach such a position.
 
 Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public client programs
 (LeRobot, i2rt, openarm_can).
@@ -130,7 +130,10 @@ The motor uses position and velocity only together with the gains.
 
 
 class MotorRanges(NamedTuple):
-    """Full scale of a motor, as in its registers PMAX, VMAX, TMAX: position [rad], velocity [rad/s], torque [N m]."""
+    """Full scale of a motor: position [rad], velocity [rad/s], torque [N m].
+
+    The values are those of the registers PMAX, VMAX and TMAX of the motor.
+    """
 
     position: float
     velocity: float
@@ -149,10 +152,10 @@ FeedbackValues = tuple[int, float, float, float, float]
 def command_message(
     can_id: int, ranges: MotorRanges, direction: int = 1, flags: int = 0
 ) -> CyclicMessage:
-    """Return the signal table of the torque command, in which kp = kd = 0.
+    """Return the signal table of the torque command, which has kp = kd = 0.
 
-    The format has no code for zero torque, so 0 N m is sent as the nearest code, half a step (TMAX
-    / 4095) away.
+    The format has no code for zero torque. For 0 N m, the nearest code is sent, which is half a
+    step (TMAX / 4095) away.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
@@ -183,7 +186,9 @@ def impedance_message(
     flags: int = 0,
     gains: tuple[float, float] = (KP_MAX, KD_MAX),
 ) -> CyclicMessage:
-    """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
+    """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
+
+    The command contains position, velocity, kp, kd and torque.
 
     Args:
         can_id: identifier of the motor, ESC_ID.
@@ -341,7 +346,7 @@ def _signal_over_range(
     unit: str,
     direction: int = 1,
 ) -> Signal:
-    """Return the description of a signal whose codes cover the values from -largest to largest."""
+    """Return the description of a signal with values from -largest to largest."""
     # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
     # offset.
     scale = direction * 2 * largest / ((1 << length) - 1)
@@ -399,7 +404,7 @@ def register_bytes(register: int, value: float) -> bytes:
 
 
 def register_reply(node_id: int, operation_code: int, register: int, value: float) -> bytes:
-    """Return the payload with which a motor answers a register request, see ``register_request``."""
+    """Return the payload of a motor's answer to a register request, see ``register_request``."""
     return struct.pack("<HBB", node_id, operation_code, register) + register_bytes(register, value)
 
 
@@ -412,7 +417,7 @@ class RegisterReply(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Return the value, decoded from the four bytes with the type of the register."""
+        """Decode the four bytes of the value by the type of the register."""
         return float(_REGISTER_STRUCTS.get(self.register, _FLOAT_STRUCT).unpack(self.raw)[0])
 
 

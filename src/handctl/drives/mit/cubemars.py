@@ -1,20 +1,21 @@
 """CubeMars AK motor in MIT mode.
 
-The motor uses the command frame of Damiao motors, but its feedback has less data.
+The motor uses the command frame of Damiao motors, but its feedback contains less data.
 
-Command and special commands have the identifier and the layout of ``codec``. Feedback has the
-identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 and 7:
+The command and the special commands have the identifier and the layout that ``codec`` describes.
+Feedback has the identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 and
+7:
 
     byte    0        1, 2          3, 4 high     4 low, 5     6                   7
     field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
     range            +-12.5 rad    by model      by model     1 degC from -40     see ERROR_TEXTS
 
-The motor has no registers and no watchdog. Its feedback does not report whether the motor is
-enabled. The motor therefore counts as enabled after several answers to the enable command. The
-motor counts as disabled after several answers to the disable command, if these answers report no
-torque. The host also uses the disable command to request feedback, because every other command may
-make torque. ``unverified_protections`` lists the protections that handctl cannot verify. Source:
-CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
+The motor has no registers and no watchdog. The feedback does not show if the motor is enabled. The
+motor therefore counts as enabled after several answers to the enable command. The motor counts as
+disabled after several answers to the disable command, if these answers report no torque. The host
+also uses the disable command to request feedback, because every other command may make torque.
+``unverified_protections`` lists the protections that handctl cannot verify. Source: CubeMars AK
+Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -130,7 +131,7 @@ class CubemarsProgress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> CubemarsProgress:
-    """Return the CubeMars values in the state of a drive."""
+    """Return the ``CubemarsProgress`` in the state of a drive."""
     progress: CubemarsProgress = state.private
     return progress
 
@@ -256,7 +257,8 @@ class CubemarsDrive:
     def host_ids(self) -> frozenset[int]:
         """Return the identifier of commands.
 
-        Feedback has the same identifier, so commands of another host cannot be detected.
+        Feedback and commands have the same identifier, so commands of another host cannot be
+        detected.
         """
         return frozenset((self.node_id,))
 
@@ -306,7 +308,10 @@ class CubemarsDrive:
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of an enabled motor: the bytes of node number and error 0, joined."""
+        """Return the status in feedback of an enabled motor.
+
+        The status consists of the byte with the node number, and the byte with error 0.
+        """
         progress: CubemarsProgress = state.private
         enabled = (
             state.phase == ENABLED
@@ -406,7 +411,7 @@ class CubemarsDrive:
     ) -> DriveState:
         """Return the state after an enable or disable command was sent.
 
-        No answer to a new command has arrived yet.
+        If the command is new, the count of its answers starts at 0.
         """
         progress: CubemarsProgress = state.private
         if progress.last_command == new_command and progress.since_ns >= 0:
@@ -440,7 +445,7 @@ class CubemarsDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state without the error, and the frame of the disable command.
+        """Return the state with the error removed, and the frame of the disable command.
 
         The protocol has no frame that clears an error. If the error remains, the motor reports it
         again.

@@ -2,10 +2,10 @@
 
 A scan reads register MST_ID from every node number, then the other registers of each motor.
 
-Reading registers makes no torque. Replies have the identifiers of feedback. A scan therefore sends
-no request while another host controls the motors (``other_host_frames``). CubeMars motors have no
-registers, and cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual, register
-table.
+Reading registers makes no torque. Replies have the same identifiers as feedback. A scan therefore
+sends no request while another host controls the motors (``other_host_frames``). CubeMars motors
+have no registers. They cannot be discovered without a command. Source: Damiao DM-J4310-2EC manual,
+register table.
 """
 
 import struct
@@ -79,7 +79,7 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
 
 
 def discovered_motors(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the motors that have reported their MST_ID, if a frame with this identifier was received."""
+    """Return the motors that have reported their MST_ID in a frame with this identifier."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received_frames:
         if (
@@ -195,7 +195,10 @@ def command_ids(motor: DiscoveredNode) -> frozenset[int]:
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames that only a host sends: register requests, MIT commands, special commands."""
+    """Return the received frames that only a host sends.
+
+    These frames are register requests, MIT commands and special commands.
+    """
     return tuple(
         frame
         for frame in received_frames

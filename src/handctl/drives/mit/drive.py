@@ -1,9 +1,9 @@
-"""State machine to configure, enable, and disable a Damiao motor in MIT mode.
+"""State machine that configures, enables and disables a Damiao motor in MIT mode.
 
 A motor sends frames only as answers. The host therefore sends a request in each tick, and waits for
 one register reply at a time. Position, velocity, and torque are NaN until the full scale of the
-motor is known. Angles beyond PMAX are not unwrapped, because the travel of a hand is far smaller.
-Only feedback with state 0 or with an error proves that the motor is disabled.
+motor is known. The host does not unwrap angles beyond PMAX, because the travel of a hand is far
+smaller. A motor is proven to be disabled only by feedback with state 0 or with an error.
 """
 
 import math
@@ -151,7 +151,7 @@ class MitDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
+        """Return the requests and replies of the repeated read-back of the enabled motor."""
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
@@ -198,7 +198,7 @@ class MitDrive:
 
     @property
     def required(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers verified before arming, as pairs (register, required value)."""
+        """Return the registers that are verified before arming, as pairs (register, required value)."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return (*self._mode_registers, *ranges, (codec.TIMEOUT, self.timeout))
 
@@ -209,7 +209,7 @@ class MitDrive:
 
     @property
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers of the protections in the motor, as pairs (register, required value).
+        """Return the registers with protective settings, as pairs (register, required value).
 
         The host reads these registers again while the motor is enabled.
         """
@@ -243,7 +243,10 @@ class MitDrive:
         return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return byte 0 of feedback from an enabled motor without an error: state and node number."""
+        """Return byte 0 of feedback from an enabled motor without an error.
+
+        This byte contains the state and the node number.
+        """
         if not is_steady(state):
             return NO_STEADY_STATUS
         return codec.ENABLED << 4 | self.node_id & 0xF
@@ -302,7 +305,7 @@ class MitDrive:
         return state._replace(private=progress._replace(cursor=cursor))
 
     def _on_recheck_reply(self, state: DriveState, reply: codec.RegisterReply) -> DriveState:
-        """Compare the value of a register, read again from the enabled motor, with the required value."""
+        """Compare a register that was read again from the enabled motor with its required value."""
         register, value = self.rechecked_settings[state.recheck.step]
         is_equal = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
@@ -317,7 +320,10 @@ class MitDrive:
         )
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after a feedback frame, with the values and the effect of the state nibble."""
+        """Return the state after a feedback frame.
+
+        The new state contains the values of the frame and the effect of the state nibble.
+        """
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
@@ -440,7 +446,7 @@ class MitDrive:
         return (self._frame_to_motor(codec.special_command(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frame that clear the latched error of the drive.
+        """Return the next state, and the frame that clears the latched error of the drive.
 
         After the clear command, the host verifies the registers again.
         """

@@ -4,7 +4,7 @@ Register CTRL_MODE selects the mode. The registers of the ramps (ACC, DEC) and o
 (MAX_SPD) are written and read back before arming. MAX_SPD is read again while the motor is enabled.
 The motor keeps these values until it loses power. Source: Damiao DM-J4310-2EC manual.
 
-Register TMAX must have its required value, as in MIT mode. The manual does not state if TMAX limits
+As in MIT mode, register TMAX must have its required value. The manual does not state if TMAX limits
 the torque in the other modes. In force-position mode each command contains a current limit.
 """
 
@@ -29,7 +29,9 @@ _CONTROL_MODES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MitModeDrive(MitDrive):
-    """Damiao motor whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """Damiao motor in a position mode or in velocity mode.
+
+    The command is a position [rad] or a velocity [rad/s] at the spool.
 
     Attributes:
         mode: quantity that the motor controls.
@@ -79,7 +81,7 @@ class MitModeDrive(MitDrive):
 
     @property
     def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
-        """Return the registers of the protections in the motor, as pairs (register, required value).
+        """Return the registers with protective settings, as pairs (register, required value).
 
         The host reads these registers again while the motor is enabled.
         """

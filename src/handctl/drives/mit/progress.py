@@ -1,4 +1,4 @@
-"""Progress of the state machine of a Damiao motor, and the effect of the state nibble in its feedback."""
+"""State of the state machine of a Damiao motor, and the effect of the state nibble in feedback."""
 
 from typing import NamedTuple
 
@@ -68,12 +68,12 @@ class MitProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or the motor may make torque without one."""
+        """Return True if this host has sent an enable command, or if the motor may make torque without it."""
         return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> MitProgress:
-    """Return the MIT values in the state of a drive."""
+    """Return the ``MitProgress`` in the state of a drive."""
     progress: MitProgress = state.private
     return progress
 

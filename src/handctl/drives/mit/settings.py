@@ -1,4 +1,7 @@
-"""Read-back of the registers of a Damiao motor before arming: read each, correct a wrong value, and read it again."""
+"""Read-back of the registers of a Damiao motor before arming.
+
+The host reads each register, corrects a wrong value, and reads the register again.
+"""
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
@@ -46,7 +49,7 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, required: RequiredRegisters, node_id: int, t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next register request of the read-back, if due.
+    """Return the next register request of the read-back, if a request is due.
 
     Args:
         cursor: position in the read-back, not beyond the last register.
@@ -72,7 +75,7 @@ def next_request(
 def next_serial_request(
     cursor: ReadbackCursor, node_id: int, t_ns: int
 ) -> tuple[ReadbackCursor, bytes, bool]:
-    """Return the request for the serial number, which follows the read-back of all registers.
+    """Return the request for the serial number, which is sent after the read-back of all registers.
 
     Returns:
         the new cursor, the payload for a frame with BROADCAST_ID (empty while an answer is

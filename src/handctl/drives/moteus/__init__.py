@@ -1,1 +1,1 @@
-"""Motor controllers moteus (mjbots) with their register protocol over CAN FD."""
+"""Motor controllers of the type moteus (mjbots), with the register protocol of moteus over CAN FD."""

@@ -1,4 +1,4 @@
-"""Conversion of the frames of moteus' register protocol between bytes and values. All numbers are little-endian.
+"""Conversion of the frames of the moteus register protocol between bytes and values. All numbers are little-endian.
 
 The identifier of a request always has 29 bits. The identifier of a reply has 11 bits if it is below
 0x800, else 29 bits:
@@ -7,9 +7,10 @@ The identifier of a request always has 29 bits. The identifier of a reply has 11
     request prefix (0)     1 reply wanted    source (host)   destination (node)
     reply   prefix (0)     0                 source (node)   destination (host)
 
-A payload is a sequence of subframes, padded with bytes 50 (no operation). The type of values is 0
-for int8, 1 for int16, 2 for int32, and 3 for float32. A count of 1 to 3 values is in the lowest two
-bits of the first byte. A larger count is a varuint after this byte:
+A payload is a sequence of subframes. The rest of the payload is filled with bytes 50 (no
+operation). The type of values is 0 for int8, 1 for int16, 2 for int32, and 3 for float32. The
+lowest two bits of the first byte contain the number of values, if this number is 1 to 3. A larger
+count is a varuint after this byte:
 
     00 | type << 2 | count    register (varuint), values          write
     10 | type << 2 | count    register (varuint)                  read
@@ -198,7 +199,7 @@ def encode_varuint(value: int) -> bytes:
 
 
 def limits_subframes(torque: float, timeout_s: float) -> bytes:
-    """Return the subframes that set the torque limit [N m] and the timeout of the watchdog [s] in the drive."""
+    """Return the subframes that set the torque limit [N m] and the watchdog timeout [s] of the drive."""
     return write_floats_subframe(MAX_TORQUE, torque) + write_floats_subframe(TIMEOUT, timeout_s)
 
 
@@ -207,10 +208,11 @@ STOP_PAYLOAD = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY_SUBFRA
 
 
 def limits_request(torque: float, timeout_s: float) -> bytes:
-    """Return the payload that stores torque limit and watchdog in the command registers.
+    """Return the payload that writes torque limit and watchdog timeout into the command registers.
 
-    The stored limits have no effect until a command sets the mode. A firmware without the register
-    of the integrator refuses this write, before any torque command.
+    The written values have no effect until a command sets the mode. If a firmware has no register
+    for the integrator, it refuses this write. The problem is then known before the first torque
+    command.
     """
     return padded_payload(
         limits_subframes(torque, timeout_s)
@@ -231,7 +233,9 @@ TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT
 def command_message(
     node_id: int, torque: float, timeout_s: float, direction: int = 1
 ) -> CyclicMessage:
-    """Return the signal table of the torque command: position mode, gains 0, and feedforward torque.
+    """Return the signal table of the torque command.
+
+    The command selects position mode with gains 0 and a feedforward torque.
 
     Args:
         node_id: node number of the drive.
@@ -263,7 +267,7 @@ def command_message(
 
 
 class PositionGains(NamedTuple):
-    """Gains of the drive's own position loop: ``servo.pid_position``.
+    """Gains of the position loop in the drive, which are the configuration items ``servo.pid_position``.
 
     Attributes:
         kp: stiffness [N m/turn].
@@ -282,10 +286,11 @@ def position_message(
     direction: int = 1,
     zero: float = 0.0,
 ) -> CyclicMessage:
-    """Return the command with position, velocity, kp, kd, torque and limit, see ``signals.POSITION_COMMAND``.
+    """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
 
-    The frame contains kp and kd as fractions of the drive's gains. Until the next command, the
-    drive moves the commanded position at the commanded velocity.
+    The command contains position, velocity, kp, kd, torque and torque limit. The frame contains kp
+    and kd as fractions of the drive's gains. Until the next command, the drive moves the commanded
+    position at the commanded velocity.
 
     Args:
         torque: signal table of the torque command to the same drive.
@@ -362,7 +367,10 @@ def _float_signal(
 
 
 def joined_status(mode: int, fault: int) -> int:
-    """Return the status of feedback with a mode and a fault code, as compiled code joins its signals."""
+    """Return the status of feedback with a given mode and fault code.
+
+    Compiled code joins both signals to the same number.
+    """
     header_numbers = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
     return (
         (((header_numbers[0] << 8 | mode) << 8 | header_numbers[1]) << 8 | fault) << 16
@@ -448,7 +456,7 @@ class _SubframeReader:
         return value
 
     def varuint(self) -> int:
-        """Return the next varuint, of at most five groups of seven bits."""
+        """Return the next varuint, which has at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
             group = self.byte()

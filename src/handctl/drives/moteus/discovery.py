@@ -1,7 +1,10 @@
-"""Discovery of moteus controllers. A scan reads the mode register from every node number, then other registers.
+"""Discovery of moteus controllers.
+
+A scan first reads the mode register from every node number. It then reads other registers of the
+discovered drives.
 
 Reads make no torque, and do not restart a drive's watchdog. All requests and replies are classical
-frames of at most eight bytes, because the bus may be a classical one. A drive answers a classical
+frames of at most eight bytes, because the bus may not support CAN FD. A drive answers a classical
 frame with a classical frame. Source: docs/facts/moteus.md.
 """
 
@@ -126,9 +129,10 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the received frames that another host has sent as requests to a drive.
+    """Return the received frames that are requests from another host to a drive.
 
-    The identifier of a request has 29 bits, the reply bit, and no prefix.
+    The identifier of a request has 29 bits. In this identifier, the reply bit is set, and the
+    prefix is 0.
     """
     return tuple(
         frame

@@ -1,11 +1,12 @@
-"""State machine to configure, enable, and stop a moteus controller.
+"""State machine that configures, enables and stops a moteus controller.
 
 A drive answers requests and sends no other frame. A torque command selects position mode with gains
 0 and a feedforward torque. A position command also contains a position, a velocity, and fractions
-of the drive's gains. Both frames contain the drive's torque limit, its watchdog time, and the
-request for feedback. Every command enables the drive. An enabled drive that reports another mode is
-therefore in fault, and gets the stop command. The stop command also clears a fault of the drive.
-This host keeps the fault until the operator clears it.
+of the drive's gains. Both commands also contain the torque limit and the watchdog timeout of the
+drive, and a request for feedback. Every command enables the drive. If an enabled drive reports
+another mode, it is therefore in fault, and the host sends the stop command. The stop command also
+clears a fault of the drive. The host still regards the drive as faulty until the operator clears
+the fault.
 """
 
 import math
@@ -148,7 +149,10 @@ class MoteusDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames of the read-back of an enabled drive: two requests over the text channel, two replies."""
+        """Return the frames of the read-back of an enabled drive.
+
+        A read-back over the text channel has two requests and two replies.
+        """
         rate = readback.RECHECKS_PER_SECOND
         return ((48, True, rate), (3, True, rate), (4, True, rate), (16, True, rate))
 
@@ -259,7 +263,11 @@ class MoteusDrive:
         return self._on_setting_value(state, progress, setting, reply.values[setting.register], "")
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Return the state after feedback, with the values and the effect of the mode and fault code."""
+        """Return the state after feedback.
+
+        The new state contains the values of the feedback, and the effect of the mode and the fault
+        code.
+        """
         *status, position, velocity, torque, board, motor = self.feedback.unpack(data)
         if math.isnan(position + velocity + torque):
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
@@ -290,7 +298,7 @@ class MoteusDrive:
     def _on_text_reply(
         self, state: DriveState, progress: MoteusProgress, text: bytes
     ) -> DriveState:
-        """Return the state after a part of an answer over the text channel."""
+        """Return the state after a part of an answer was received over the text channel."""
         is_channel_read = progress.channel.request_sent_ns < 0
         channel, line = progress.channel.take(text)
         progress = progress._replace(channel=channel)
@@ -321,7 +329,7 @@ class MoteusDrive:
         value: float | None,
         text: str,
     ) -> DriveState:
-        """Return the state after the value of a setting.
+        """Return the state after the value of a setting was received.
 
         A text that is not a number counts as a wrong value.
         """
@@ -352,7 +360,10 @@ class MoteusDrive:
     def _on_serial_number(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
     ) -> DriveState:
-        """Return the state after the serial number has arrived, the last step of the configuration."""
+        """Return the state after the serial number was received.
+
+        This is the last step of the configuration.
+        """
         if state.phase != CONFIGURING or progress.cursor.step < len(self.required):
             return state
         words = [int(values.get(codec.SERIAL_NUMBER + i, 0)) & 0xFFFFFFFF for i in range(3)]
@@ -396,7 +407,10 @@ class MoteusDrive:
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the request that reads a setting of the enabled drive, or the next part of its answer, if due."""
+        """Return the next read-back request to the enabled drive, if it is due.
+
+        The request reads a setting, or the next part of the answer.
+        """
         setting = self.configuration[state.recheck.step]
         channel = progress.channel
         data = b""
@@ -466,7 +480,7 @@ class MoteusDrive:
         is_write: bool,
         t_ns: int,
     ) -> tuple[items.DiagnosticChannel, bytes]:
-        """Return the next state of the text channel, and the payload that reads or writes a setting."""
+        """Return the next state of the text channel, and the payload to read or write a setting."""
         if setting.register:
             return channel, codec.read_subframe(codec.FLOAT, setting.register)
         command = items.write_request(setting) if is_write else items.read_request(setting)
@@ -475,7 +489,10 @@ class MoteusDrive:
     def _request_serial(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number at most a few times, then continue without a serial number."""
+        """Request the serial number a few times.
+
+        If there is no answer, the configuration ends without a serial number.
+        """
         cursor, send, unanswered = readback.request_setting(
             progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
         )
@@ -507,7 +524,7 @@ class MoteusDrive:
         return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the stop command that clear the latched error.
+        """Return the next state, and the stop command that clears the latched error.
 
         After the clear command, the host reads back the settings again.
         """
@@ -537,7 +554,7 @@ class MoteusDrive:
 
 
 def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
-    """Return the gains that are written into the drive, None for a motor without a position loop.
+    """Return the gains that the host writes into the drive, or None without a position loop.
 
     A command contains kp and kd as fractions of these gains.
 

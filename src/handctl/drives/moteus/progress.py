@@ -1,4 +1,4 @@
-"""Progress of the state machine of a moteus controller, and the effect of mode and fault code in its feedback."""
+"""State of the moteus state machine, and the effect of mode and fault code in feedback."""
 
 from typing import NamedTuple
 
@@ -64,12 +64,12 @@ class MoteusProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or the drive may make torque without one."""
+        """Return True if this host has sent an enable command, or if the drive may make torque without it."""
         return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> MoteusProgress:
-    """Return the moteus values in the state of a drive."""
+    """Return the ``MoteusProgress`` in the state of a drive."""
     progress: MoteusProgress = state.private
     return progress
 
@@ -100,7 +100,7 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
 
 
 def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> DriveState:
-    """Return the state after a mode that this host does not use.
+    """Return the state after feedback with a mode that this host does not use.
 
     The drive may make torque in this mode.
     """

@@ -1,6 +1,7 @@
 """Settings of a moteus controller.
 
-Before arming, each setting is read, written if wrong, and read again.
+Before arming, the host reads each setting. If the value is wrong, the host writes the setting and
+reads it again.
 
 Torque limit and watchdog are command registers. Every torque command sets both registers. Before
 the first torque command, a request that does not move the motor sets them. The other settings are
@@ -8,7 +9,8 @@ configuration items, which the host reads and writes over the diagnostic text ch
 changes only the working memory of the drive. handctl sends no request that writes the flash.
 
 A frame with text may be lost, and an answer may come late. Each exchange therefore starts with an
-empty channel. If a request has got no answer, the host first reads until no text is left.
+empty channel. After a request without an answer, the host first reads the channel until no text is
+left.
 """
 
 import math
@@ -65,12 +67,12 @@ default that is not the required value. At most two reads therefore detect a res
 
 
 def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, ...]:
-    """Return the configuration items of a drive that closes a position loop, read again while it is enabled.
+    """Return the configuration items of a drive that closes a position loop.
 
-    With a limit of velocity or acceleration, the drive would plan its own trajectory to the
-    commanded position. With a finite slip, the drive would move the commanded position towards the
-    motor. Every second item has a default that is not the required value, see
-    ``REQUIRED_CONFIGURATION``.
+    These items are read again while the drive is enabled. With a limit of velocity or acceleration,
+    the drive would plan its own trajectory to the commanded position. With a finite slip, the drive
+    would move the commanded position towards the motor. The items are ordered so that the default
+    of every second item differs from the required value, see ``REQUIRED_CONFIGURATION``.
     """
     min_position_key, fixed_voltage, timeout_mode, max_position_key = REQUIRED_CONFIGURATION
     return (
@@ -87,9 +89,9 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 
 
 def gain_of_drive(gain: float) -> float:
-    """Return a gain per radian as one per turn, rounded up to six digits and to six decimals.
+    """Convert a gain per radian to a gain per turn, rounded up to six digits and six decimals.
 
-    The texts to and from the drive contain these digits, and a float32 keeps them.
+    The texts to and from the drive contain all these digits. A float32 also keeps them.
     """
     turn = math.tau * gain
     step = 10.0 ** max(-6, math.floor(math.log10(turn)) - 5) if turn else 1.0
@@ -153,7 +155,11 @@ class DiagnosticChannel(NamedTuple):
     text: bytes = b""
 
     def next_request_payload(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
-        """Return the next channel and the next payload: the request, or a read that empties the channel first."""
+        """Return the next channel and the next payload.
+
+        The payload is the request. If old text may still arrive, it is a read that empties the
+        channel.
+        """
         if not self.is_drained:
             return DiagnosticChannel(), codec.TEXT_REQUEST
         return DiagnosticChannel(True, t_ns), codec.text_request(command)
@@ -170,7 +176,10 @@ class DiagnosticChannel(NamedTuple):
         return self._replace(poll_count=self.poll_count + 1), codec.TEXT_REQUEST
 
     def take(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
-        """Return the next channel, and the first complete line of the answer, empty if no line is complete."""
+        """Return the next channel, and the first line of the answer.
+
+        The line is empty if the answer has no complete line yet.
+        """
         if self.request_sent_ns < 0:
             return self._replace(is_drained=not text), b""
         line, end, _ = (self.text + text).partition(b"\n")

@@ -1,7 +1,7 @@
 """Conversion of the CANSimple frames of ODrive firmware 0.6.x between bytes and values, and errors in words.
 
-An identifier has 11 bits: the node number in bits 10..5, the command in bits 4..0. Payloads are
-little-endian. An empty field (-) means that the message has no such bytes.
+An identifier has 11 bits. Bits 10..5 contain the node number, and bits 4..0 contain the command
+number. Payloads are little-endian. A hyphen in a column means that the message has no such bytes.
 
     command   name                     to     bytes 0..3                   bytes 4..7
     0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8
@@ -124,7 +124,10 @@ def message_id(node_id: int, command: int) -> int:
 
 
 def error_text(error_flags: int) -> str:
-    """Return the texts of all set error bits. An undocumented bit appears with its number."""
+    """Return the texts of all set error bits.
+
+    If a bit is not documented, its number is used as the text.
+    """
     return ", ".join(
         ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
         for bit in range(32)
@@ -274,7 +277,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 
 def decode_float_pair(data: bytes) -> tuple[float, float] | None:
-    """Decode two float32 values. Return None if one of them is not finite."""
+    """Decode two float32 values. Return None if one of the values is not finite."""
     first_value, second_value = struct.unpack("<ff", data)
     return (
         (first_value, second_value)
@@ -312,12 +315,12 @@ def encode_integers(*values: int) -> bytes:
 
 
 def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
-    """Return the payload of RxSdo, which reads or writes an endpoint."""
+    """Return the payload of a message RxSdo, which reads or writes an endpoint."""
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
 def sdo_reply(endpoint: int, value: bytes) -> bytes:
-    """Return the payload of TxSdo, with which the drive sends the value of an endpoint."""
+    """Return the payload of a message TxSdo, which contains the value of an endpoint."""
     return struct.pack("<BHB", 0, endpoint, 0) + value
 
 

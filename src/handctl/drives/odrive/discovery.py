@@ -51,8 +51,8 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
     """Return the requests of a round of the scan.
 
     Round 1 requests the message Address from all nodes. Round 2 requests the version of the
-    discovered drives. Round 3 repeats this request to drives that have not reported a version.
-    Round 3 also requests two messages of firmware 0.5 from these drives.
+    discovered drives. In round 3, this request is repeated for drives that have not reported a
+    version. Round 3 also requests two messages of firmware 0.5 from these drives.
     """
     if scan_round == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE_FLAG, b""),)
@@ -79,7 +79,10 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
 
 
 def discovered_drives(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
+    """Return the discovered drives.
+
+    These are nodes that have sent heartbeats of an ODrive, or the message Address.
+    """
     messages = {
         command: _payloads_by_node(received_frames, command)
         for command in (codec.HEARTBEAT, *_MESSAGES_SENT_ONCE)
@@ -182,7 +185,10 @@ def _firmware_06_warnings(serial: str, version: bytes) -> list[str]:
 
 
 def with_unknown_firmware(drive: DiscoveredNode) -> DiscoveredNode:
-    """Return the drive with unknown firmware, for a scan that has sent no requests."""
+    """Return the drive with an unknown firmware.
+
+    A scan that sends no requests cannot determine the firmware.
+    """
     if "firmware" not in drive.origins:
         return drive
     notes = tuple(
@@ -222,7 +228,7 @@ def _is_heartbeat(data: bytes) -> bool:
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
-    """Return all identifiers of the node and of the broadcast.
+    """Return all identifiers of the node, and all identifiers of broadcasts.
 
     The result includes 0x7ff, which is Enter_DFU_Mode.
     """
@@ -250,7 +256,7 @@ def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
 def ping_request(drive: DiscoveredNode) -> Frame:
     """Return a remote frame to a drive.
 
-    The frame requests a message that the drive rarely sends by itself.
+    The frame requests a message that the drive rarely sends without a request.
     """
     return _remote_request(drive, _ping_command(drive))
 

@@ -1,10 +1,10 @@
-"""State machine to configure, enable, and disable an ODrive with CANSimple.
+"""State machine that configures, enables and disables an ODrive with CANSimple.
 
 A remote frame in every tick requests the position, so that position and command have the same age.
 With the option ``encoder_period_ms``, the host uses the position messages that the drive sends
-periodically instead. CANSimple has no message that reads back mode and limits, or that sets the
-watchdog. The host reads and writes the watchdog and the torque limit by SDO instead, at the
-endpoints of ``settings``. Only a heartbeat reports the state of the drive.
+periodically instead. CANSimple has no message that reads back mode and limits. It also has no
+message that sets the watchdog. The host reads and writes the watchdog and the torque limit by SDO
+instead, at the endpoints of ``settings``. Only a heartbeat reports the state of the drive.
 """
 
 import math
@@ -147,7 +147,7 @@ class OdriveDrive:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, bool], ...]:
-        """Return the frames of a tick: torque command, remote frames, and the messages that these request."""
+        """Return the frames of a tick: torque command, remote frames, and the requested messages."""
         return (
             (4, False),
             *(((0, False), (8, False)) * ((not self.encoder_period_s) + self.torque_feedback)),
@@ -155,10 +155,11 @@ class OdriveDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return frames with other rates: heartbeat, unrequested position, temperature, and SDO.
+        """Return the frames whose rate is not the control rate.
 
-        With factory settings the drive sends its position periodically, even if the host does not
-        use these messages.
+        These frames are heartbeats, positions without a request, temperatures, and SDO. With
+        factory settings the drive sends its position periodically, even if the host does not use
+        these messages.
         """
         temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_PERIOD_NS
         encoder_rate = 1.0 / (self.encoder_period_s or codec.ENCODER_PERIOD_MS * 1e-3)
@@ -202,7 +203,7 @@ class OdriveDrive:
 
     @property
     def unchecked_properties(self) -> Mapping[DriveProperty, str]:
-        """Return the reason for each property that handctl cannot check without further options."""
+        """Return the reason for each property that handctl cannot check with the present options."""
         return endpoints.unchecked_properties(self.settings, self.firmware_05)
 
     @property
@@ -217,7 +218,10 @@ class OdriveDrive:
 
     @property
     def feedback_period_s(self) -> float:
-        """Return the period of the drive's unrequested position messages [s], 0 if every tick requests the position."""
+        """Return the period of position messages that the drive sends without a request [s].
+
+        The result is 0 if every tick requests the position.
+        """
         return self.encoder_period_s
 
     @property
@@ -243,7 +247,7 @@ class OdriveDrive:
         )
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time of the next step that is due [ns]: heartbeat timeout or temperature request."""
+        """Return the time of the next heartbeat timeout or temperature request, whichever is earlier [ns]."""
         progress = progress_of(state)
         temperature_rate = (
             END_OF_TIME_NS
@@ -300,7 +304,7 @@ class OdriveDrive:
         return self._on_value_message(state, command, frame)
 
     def _on_value_message(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Return the state with the values in a frame: position and velocity, torque, or temperatures."""
+        """Return the state after a frame with values: position and velocity, torque, or temperatures."""
         if (
             command == codec.TEMPERATURE
             and (hottest := codec.decode_highest_temperature(frame.data)) is not None
@@ -355,7 +359,7 @@ class OdriveDrive:
         return enter_fault(next_state, SETTING_MISMATCH_ERROR, problem) if problem else next_state
 
     def _on_recheck_reply(self, state: DriveState, data: bytes) -> DriveState:
-        """Compare the value of a setting, read again from the enabled drive, with the required value."""
+        """Compare a setting that was read again from the enabled drive with its required value."""
         setting = self.settings[state.recheck.step]
         endpoint, raw_bytes = codec.decode_sdo_reply(data)
         if endpoint != setting.endpoint or len(raw_bytes) < len(setting.raw):
@@ -407,10 +411,12 @@ class OdriveDrive:
     def _advance_configured_drive(
         self, state: DriveState, t_ns: int, target: DriveTarget
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the next state and the frames for a configured drive: request feedback, and enable it if requested.
+        """Return the next state and the frames for a configured drive.
 
-        The enable command is sent once. Torque commands of 0 N m follow, until the drive reports
-        the state enabled. A repeated enable command would also enable a drive that has restarted.
+        The frames request feedback. If enabling is requested, the frames also enable the drive. The
+        enable command is sent once. After this command, the host sends torque commands of 0 N m
+        until the drive reports the state enabled. A repeated enable command would also enable a
+        drive that has restarted.
         """
         state, requests = self._feedback_requests(state, t_ns)
         progress = progress_of(state)
@@ -436,7 +442,8 @@ class OdriveDrive:
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Do one step of the configuration.
 
-        The steps are idle, version, serial number, endpoints, mode and limits.
+        The steps in order: set the axis to idle, request the version, request the serial number,
+        verify the endpoints, and send mode and limits.
         """
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
@@ -460,9 +467,9 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the request to read or write the next endpoint.
 
-        If the drive has already sent feedback, its position is requested too. Settings are verified
-        again before an enable command. Without this request, the silence of the drive would be a
-        fault, because other drives may be enabled.
+        If the drive has already sent feedback, the host also requests the position. The reason is
+        that settings are verified again before an enable command, while other drives may be
+        enabled. Without the request, the silence of this drive would then be a fault.
         """
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         next_state = state._replace(private=progress._replace(cursor=cursor))
@@ -474,7 +481,7 @@ class OdriveDrive:
         return next_state, (*((self._data_frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup_frames(self) -> tuple[Frame, ...]:
-        """Return the frames that set control mode and limits.
+        """Return the frames that set the control mode and the limits.
 
         The drive does not confirm control mode and limits, so the host sends both before each
         enable command.
@@ -515,7 +522,10 @@ class OdriveDrive:
     def _request_serial(
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Request the serial number at most a few times, because early versions of firmware 0.6 do not answer."""
+        """Request the serial number a few times.
+
+        Early versions of firmware 0.6 do not answer this request.
+        """
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
@@ -568,7 +578,10 @@ class OdriveDrive:
         return (self._command_frame(torque),)
 
     def torque_cut_frames(self) -> tuple[Frame, ...]:
-        """Return the frame Estop, after which the drive is disabled and latches an error."""
+        """Return the frame Estop, which disables the drive.
+
+        The drive latches an error.
+        """
         return (self._data_frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:

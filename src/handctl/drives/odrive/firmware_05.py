@@ -1,13 +1,13 @@
-"""Differences of ODrive firmware 0.5.x (boards 3.x) from 0.6.x: the heartbeat and its error codes.
+"""Differences of ODrive firmware 0.5.x (boards 3.x) from 0.6.x.
 
-Heartbeat of 8 bytes, little-endian:
+The heartbeat and the error codes in the heartbeat differ. Heartbeat of 8 bytes, little-endian:
 
     byte    0..3                       4             5, bit 0      6, bit 0        7, bit 0           7, bit 7
     field   errors 32 (ERROR_TEXTS)    axis state 8  motor error   encoder error   controller error   done
 
-Over CAN this firmware reports neither version, temperature, nor torque, and has no SDO. Watchdog
-and torque limit are set over USB. Neither can be read over CAN. Source: ODrive firmware 0.5.6
-(``communication/can``) and the vendor's DBC 0.5.6.
+Over CAN, this firmware reports no version, no temperature and no torque. It also has no SDO.
+Watchdog and torque limit are set over USB. Watchdog and torque limit cannot be read over CAN.
+Source: ODrive firmware 0.5.6 (``communication/can``) and the vendor's DBC 0.5.6.
 """
 
 from handctl.drives.odrive.codec import PROCEDURE_SUCCESS, Heartbeat
@@ -40,7 +40,7 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
 
 def error_text(error_flags: int) -> str:
-    """Return the texts of all set error bits. An undocumented bit appears with its number."""
+    """Return the texts of all set error bits. If a bit is not documented, its number is used as the text."""
     return ", ".join(
         ERROR_TEXTS.get(bit, f"unknown error bit {bit}")
         for bit in range(32)

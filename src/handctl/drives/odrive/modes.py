@@ -1,8 +1,8 @@
-"""ODrive that controls its position or velocity itself, with the input mode passthrough.
+"""ODrive in position control or velocity control, with the input mode passthrough.
 
 The host sends a ramp, so the drive needs no trajectory generator. The message Set_Limits contains
 the largest speed. The drive does not confirm mode and limits, so the host sends both before each
-enable command. The endpoints of watchdog and torque limit are read back as in torque control.
+enable command. As in torque control, the endpoints of watchdog and torque limit are read back.
 """
 
 import math
@@ -23,9 +23,10 @@ _CONTROL_MODES = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: c
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdriveModeDrive(OdriveDrive):
-    """Motor on an ODrive whose command is a position [rad] or a velocity [rad/s] at the spool.
+    """ODrive in position control or velocity control.
 
-    The attribute ``command_limit`` has the unit of the command.
+    The command is a position [rad] or a velocity [rad/s] at the spool. The attribute
+    ``command_limit`` has the same unit as the command.
 
     Attributes:
         mode: quantity that the drive controls.
@@ -50,7 +51,10 @@ class OdriveModeDrive(OdriveDrive):
         return _CONTROL_MODES[self.mode]
 
     def _rest_command(self, state: DriveState) -> float:
-        """Return the command that causes no motion: the present position, or zero velocity."""
+        """Return the command that causes no motion.
+
+        The command is the present position, or a velocity of zero.
+        """
         return self.mode.rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:

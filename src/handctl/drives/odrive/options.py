@@ -1,4 +1,4 @@
-"""Options of a motor with an ODrive in the hand file."""
+"""Options in the hand file for a motor on an ODrive."""
 
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
@@ -45,7 +45,7 @@ OPTIONS = {
 
 
 class OdriveOptions(NamedTuple):
-    """Values of the options of a motor with an ODrive.
+    """Values of the options of a motor on an ODrive.
 
     Attributes:
         ratio: turns of the motor's shaft per turn of the spool.
@@ -66,7 +66,7 @@ class OdriveOptions(NamedTuple):
 
 
 def pop_options(options: MutableMapping[str, Any], key_path: str) -> OdriveOptions:
-    """Return the values of the options, and remove their keys. The keys of endpoints remain.
+    """Return the values of the options, and remove the keys of these options. The keys of endpoints remain.
 
     Args:
         options: options of the motor, modified in place.

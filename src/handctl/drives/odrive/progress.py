@@ -1,4 +1,4 @@
-"""Progress of the state machine of an ODrive, and the effect of heartbeats.
+"""State of the ODrive state machine, and the effect of heartbeats on it.
 
 Only heartbeats report the state of the drive.
 """
@@ -90,12 +90,12 @@ class OdriveProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or the axis state is neither unknown nor idle."""
+        """Return True if this host has sent an enable command, or if the axis state is known and not idle."""
         return self.enable_sent_ns >= 0 or self.axis > codec.IDLE
 
 
 def progress_of(state: DriveState) -> OdriveProgress:
-    """Return the ODrive values in the state of a drive."""
+    """Return the ``OdriveProgress`` in the state of a drive."""
     return cast(OdriveProgress, state.private)
 
 
@@ -130,8 +130,7 @@ def _state_after_error(
 ) -> DriveState:
     """Return the state after a heartbeat that reports an error.
 
-    An error disables the drive. As long as the axis state is not idle, the drive may still make
-    torque.
+    An error disables the drive. While the axis state is not idle, the drive may still make torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     fault_state = enter_fault(state, heartbeat.errors, error_text(heartbeat.errors))
@@ -238,8 +237,8 @@ def _state_when_enable_failed(
 def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """Return the state of a drive whose heartbeats have been missing for too long.
 
-    An enabled drive is then in fault. A disabled drive may have lost power, and therefore its
-    control mode.
+    An enabled drive is then in fault. A disabled drive may have lost power. In this case, it has
+    also lost its control mode.
     """
     progress = progress_of(state)
     if state.phase == ENABLED or progress.enable_sent_ns >= 0:

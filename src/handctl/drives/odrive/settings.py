@@ -1,10 +1,11 @@
 """ODrive settings for which CANSimple has no message.
 
-The host reads these settings by SDO, writes wrong values, and reads them again.
+The host reads these settings by SDO. It corrects wrong values, and reads the corrected settings
+again.
 
 The number of each endpoint differs between firmware versions and boards (``flat_endpoints.json``).
 The hand file therefore contains these numbers. Without these numbers, the operator must set the
-watchdog of the drive over USB, and handctl cannot verify it over CAN.
+watchdog of the drive over USB. handctl then cannot verify the watchdog over CAN.
 """
 
 import struct
@@ -105,9 +106,10 @@ def unverified_protections(
 def unchecked_properties(
     settings: tuple[OdriveSetting, ...], firmware_05: bool
 ) -> dict[DriveProperty, str]:
-    """Return the reason for each property that handctl cannot check, with the missing options.
+    """Return the reason for each property that handctl cannot check.
 
-    The watchdog of firmware 0.5 can be checked, because it is set over USB before the check.
+    The reason names the missing options. The watchdog of firmware 0.5 can be checked, because the
+    operator sets this watchdog over USB before the check.
     """
     if firmware_05:
         return {DriveProperty.READBACK: "firmware 0.5 has no message that reads its settings"}
@@ -149,7 +151,7 @@ def on_reply(
 def next_request(
     cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], t_ns: int
 ) -> tuple[ReadbackCursor, bytes, str]:
-    """Return the next request of the read-back: cursor, payload, and problem in words.
+    """Return the next request of the read-back, as cursor, payload, and problem in words.
 
     The payload is empty while the host waits for an answer of the drive. The text of the problem is
     empty if no problem has occurred.
@@ -170,7 +172,7 @@ def next_request(
 def value_as_text(value_bytes: bytes, setting: OdriveSetting) -> str:
     """Return the value of a setting as text.
 
-    A value of one byte is a flag, one of four bytes a float32.
+    A value of one byte is a flag. A value of four bytes is a float32.
     """
     if len(setting.raw) == 1:
         return str(value_bytes[0])

@@ -1,1 +1,4 @@
-"""RobStride motors with their private protocol, which has 29-bit identifiers, or in MIT mode."""
+"""RobStride motors, with their private protocol or in MIT mode.
+
+The private protocol has 29-bit identifiers.
+"""

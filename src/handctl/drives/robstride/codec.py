@@ -21,9 +21,9 @@ Feedback of 8 bytes, big-endian:
     field   position       velocity          torque          winding
     range   +-4 pi rad     by model          by model        0.1 degC/count
 
-Requests that read (type 0x11) or write (type 0x12) a parameter are little-endian: parameter number
-in bytes 0 and 1, value in bytes 4 to 7. If a read has failed, bits 23..16 in the identifier of its
-reply are 1. The motor answers a write with feedback.
+Requests that read (type 0x11) or write (type 0x12) a parameter are little-endian. Bytes 0 and 1
+contain the parameter number, and bytes 4 to 7 contain the value. If a read has failed, bits 23..16
+in the identifier of the reply have the value 1. The motor answers a write with feedback.
 
 Source: docs/facts/robstride.md.
 """
@@ -177,7 +177,7 @@ def motor_ids(node_id: int, host: int) -> frozenset[int]:
 
 
 def joined_status(mode: int, fault: int) -> int:
-    """Return the status with this mode and these faults, as bits 23..16 in the identifier of feedback contain it."""
+    """Return the status with a mode and faults, as in bits 23..16 of the identifier of feedback."""
     return mode << 6 | fault
 
 
@@ -186,7 +186,8 @@ def command_message(
 ) -> CyclicMessage:
     """Return the signal table of the torque command. The identifier contains the torque.
 
-    The format has no code for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
+    The format has no code for exactly 0 N m. For 0 N m, the nearest code is sent, which is half a
+    step away.
 
     Args:
         node_id: number of the motor.
@@ -213,7 +214,9 @@ def command_message(
 def impedance_message(
     node_id: int, ranges: ModelRanges, limit: float, direction: int = 1, zero: float = 0.0
 ) -> CyclicMessage:
-    """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
+    """Return the signal table of the position command, see ``signals.POSITION_COMMAND``.
+
+    The command contains position, velocity, kp, kd and torque.
 
     Args:
         node_id: number of the motor.
@@ -283,7 +286,7 @@ def feedback_message(
 def _signal_over_range(
     name: str, quantity: SignalQuantity, start: int, largest: float, unit: str, direction: int
 ) -> Signal:
-    """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
+    """Return the description of a 16-bit signal with values from -largest to largest."""
     scale = direction * 2 * largest / MAX_COUNT
     return Signal(
         name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -direction * largest, unit

@@ -1,8 +1,8 @@
 """Discovery of RobStride motors by an identity request to each motor number.
 
-The identity request (type 0) makes no torque and changes no setting. A scan reads no faults and no
-mode, because only the stop command requests feedback. A scan reads no parameters either. Source:
-docs/facts/robstride.md.
+The identity request (type 0) makes no torque and changes no setting. Mode and faults are reported
+only in feedback, and only the stop command requests feedback. A scan therefore reads no mode and no
+faults. A scan reads no parameters either. Source: docs/facts/robstride.md.
 """
 
 from handctl.drives.discovery import (

@@ -1,10 +1,11 @@
-"""State machine to configure, enable, and stop a RobStride motor.
+"""State machine that configures, enables and stops a RobStride motor.
 
-A motor sends answers to requests, and sends fault reports without a request. The identifier of
-feedback contains mode and faults. All feedback of a running motor without a fault therefore has the
-same identifier. The state machine here processes feedback with any other identifier. A stop command
-without data stops the motor, and does not clear faults. The host also sends this stop command to
-request feedback from a disabled motor, because such a motor answers no other request with feedback.
+A motor answers requests. It also sends fault reports without a request. The identifier of feedback
+contains mode and faults. All feedback of a running motor without a fault therefore has the same
+identifier. The state machine of this module processes feedback with other identifiers. A stop
+command without data stops the motor, but does not clear faults. The host also sends this stop
+command to request feedback from a disabled motor. A disabled motor answers no other request with
+feedback.
 """
 
 import struct
@@ -162,7 +163,7 @@ class RobstrideDrive:
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
-        """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
+        """Return the requests and replies of the repeated read-back of the enabled motor."""
         return ((8, False, readback.RECHECKS_PER_SECOND),) * 2
 
     @property
@@ -172,10 +173,11 @@ class RobstrideDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Return the identifiers of requests of this host, and of commands with zero torque.
+        """Return the identifiers of requests from this host, and of commands with zero torque.
 
         Commands have a different identifier for each torque, 65536 in all. The identifiers of other
-        torques are left out, because another host is also detected by its requests.
+        torques are left out, because the requests of another host are sufficient to detect this
+        host.
         """
         requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUEST_TYPES}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
@@ -233,7 +235,10 @@ class RobstrideDrive:
         )
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0 for an enabled motor, because the status is in the identifier of feedback, not in its payload."""
+        """Return 0 for an enabled motor.
+
+        The payload of feedback contains no status, because the status is in the identifier.
+        """
         if not is_steady(state):
             return NO_STEADY_STATUS
         return 0
@@ -268,7 +273,11 @@ class RobstrideDrive:
         return state._replace(phase=phase, private=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
-        """Return the state after feedback, with the values and the effect of the status in its identifier."""
+        """Return the state after feedback.
+
+        The new state contains the values of the feedback, and the effect of the status in the
+        identifier.
+        """
         position, velocity, torque, winding_temperature = self.feedback.unpack(data)
         next_state = state._replace(
             position=position,
@@ -283,7 +292,8 @@ class RobstrideDrive:
     def _on_fault_report(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a fault report.
 
-        Bytes 0 to 3 are faults, after which the motor makes no torque. Bytes 4 to 7 are warnings.
+        Bytes 0 to 3 contain faults. A motor with such a fault makes no torque. Bytes 4 to 7 contain
+        warnings.
         """
         faults = int.from_bytes(data[:4], "little")
         if not faults:
@@ -291,7 +301,10 @@ class RobstrideDrive:
         return apply_fault(state, codec.RESET_MODE, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter_reply(self, state: DriveState, data: bytes, has_failed: bool) -> DriveState:
-        """Return the state after a parameter reply, whose value is compared with the required value."""
+        """Return the state after a parameter reply.
+
+        The value in the reply is compared with the required value.
+        """
         progress = progress_of(state)
         number, raw_bytes = codec.decode_parameter_reply(data)
         if state.phase == ENABLED and state.recheck.waiting:
@@ -363,7 +376,7 @@ class RobstrideDrive:
         return state._replace(private=progress), (self._idle_request(state, progress),)
 
     def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
-        """Return the frame to a motor without torque.
+        """Return the frame that is sent to a motor without torque.
 
         The frame requests feedback, requests the identity, or clears faults.
         """
@@ -437,7 +450,7 @@ class RobstrideDrive:
         return (self._request_frame(codec.STOP),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Return the state and the stop command that clear the latched faults.
+        """Return the next state, and the stop command that clears the latched faults.
 
         After the stop command, the host reads back the parameters again.
         """

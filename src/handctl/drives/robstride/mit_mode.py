@@ -1,6 +1,7 @@
-"""RobStride motor in MIT mode, with 11-bit identifiers, the command frame of MIT motors, and no registers.
+"""RobStride motor in MIT mode.
 
-The identifier of commands and special commands is the motor's number. Both have the layout of
+In this mode, the motor has 11-bit identifiers, the command frame of MIT motors, and no registers.
+Commands and special commands have the motor's number as identifier, and the layout of
 ``mit.codec``. A special command has a second code in byte 6. This code is FF in all commands that
 handctl uses, except in the read of faults:
 
@@ -10,7 +11,7 @@ handctl uses, except in the read of faults:
     FF FF FF FF FF FF   FF       FB       clear the faults
     FF FF FF FF FF FF   00       FB       read the faults
 
-Feedback has 8 bytes, big-endian, and the host's number as identifier. The answer to the read of
+Feedback has 8 bytes, big-endian. Its identifier is the host's number. The answer to the read of
 faults has the same identifier, and the layout of the last row:
 
     byte    0         1, 2            3, 4 high     4 low, 5      6, 7
@@ -18,10 +19,10 @@ faults has the same identifier, and the layout of the last row:
     range             +-12.57 rad     by model      by model      0.1 degC/count
     faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
 
-As with CubeMars motors, the feedback does not report whether the motor is enabled. Watchdog and
-torque limit can be set and read only in the private protocol. MIT motors of other makers take a
-read of faults as a motion command. The host therefore sends this read only to disabled motors, and
-a scan never sends it.
+As with CubeMars motors, the feedback does not show if the motor is enabled. Watchdog and torque
+limit can be set and read only in the private protocol. MIT motors of other makers would obey a
+request that reads faults as a motion command. The host therefore sends this request only to
+disabled motors. A scan never sends it.
 
 Source: docs/facts/robstride.md, section MIT mode.
 """
@@ -189,7 +190,10 @@ class RobstrideMitDrive(CubemarsDrive):
         return UNCHECKED_PROPERTIES
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of an enabled motor, which is only the number of the motor."""
+        """Return the status in feedback of an enabled motor.
+
+        The status consists only of the motor's number.
+        """
         status = CubemarsDrive.steady_status(self, state)
         return status if status < 0 else self.node_id
 
@@ -212,7 +216,10 @@ class RobstrideMitDrive(CubemarsDrive):
         return self._on_answer(next_state, state.private)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
-        """Return the state after an answer to the read of faults, with the bits of the faults."""
+        """Return the state after an answer to the request that reads the faults.
+
+        The answer contains one bit for each fault.
+        """
         if not fault_bits:
             return state
         error = fault_bits << codec.REPORT_SHIFT
@@ -223,8 +230,8 @@ class RobstrideMitDrive(CubemarsDrive):
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state of the drive and the frames to send, see ``contract.Drive``.
 
-        To a disabled motor, the host sends a read of the faults instead of every eighth stop
-        command.
+        If the motor is disabled, every eighth stop command is replaced by a request that reads the
+        faults.
         """
         next_state, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
         progress: CubemarsProgress = next_state.private

@@ -1,4 +1,4 @@
-"""Progress of the state machine of a RobStride motor, and the effect of mode and faults in its feedback."""
+"""State of the RobStride state machine, and the effect of mode and faults in feedback."""
 
 from typing import NamedTuple
 
@@ -67,12 +67,12 @@ class RobstrideProgress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Return True if an enable command was sent, or the motor may make torque without one."""
+        """Return True if this host has sent an enable command, or if the motor may make torque without it."""
         return self.enable_sent or self.enabled_by_other_host
 
 
 def progress_of(state: DriveState) -> RobstrideProgress:
-    """Return the RobStride values in the state of a drive."""
+    """Return the ``RobstrideProgress`` in the state of a drive."""
     progress: RobstrideProgress = state.private
     return progress
 

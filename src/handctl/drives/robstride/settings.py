@@ -1,6 +1,7 @@
 """Parameters of a RobStride motor with required values.
 
-Before arming, each parameter is read, written if wrong, and read again.
+Before arming, the host reads each parameter. If the value is wrong, the host writes the parameter
+and reads it again.
 
 A write changes only the working memory of the motor. Frames of type 0x16 write the flash, and
 handctl never sends them.
@@ -40,9 +41,9 @@ class RequiredParameter(NamedTuple):
         return struct.pack(f"<{self.coding}", value).ljust(4, b"\0")
 
     def is_required_value(self, value_bytes: bytes) -> bool:
-        """Return True if four received bytes are the required value.
+        """Return True if four received bytes contain the required value.
 
-        If the value is shorter than four bytes, the remaining bytes are ignored.
+        If the value has fewer than four bytes, the remaining received bytes are ignored.
         """
         size = struct.calcsize(self.coding)
         return value_bytes[:size] == self.raw[:size]

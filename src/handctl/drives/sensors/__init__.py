@@ -1,1 +1,4 @@
-"""Sensor node of a hand on CAN, with load cells and joint encoders."""
+"""Sensor node of a hand on CAN.
+
+The node has load cells and joint encoders.
+"""

@@ -1,7 +1,6 @@
 """Interface of the sensors of a hand.
 
-Each protocol of load cells implements this interface, which the controller, the log and the tools
-use.
+Each protocol of load cells implements this interface. The controller, the log and the tools use it.
 """
 
 from typing import Protocol
@@ -32,7 +31,7 @@ class SensorInterface(Protocol):
 
     @property
     def sync_id(self) -> int:
-        """Return the identifier of the SYNC frame, at which the sensors sample."""
+        """Return the identifier of the SYNC frame, which makes the sensors take a sample."""
         ...
 
     @property
@@ -60,12 +59,12 @@ class SensorInterface(Protocol):
 
     @property
     def amplifiers(self) -> tuple[LoadCellAmplifier, ...]:
-        """Return the measuring amplifiers for the host to set up."""
+        """Return the measuring amplifiers that the host must set up."""
         ...
 
     @property
     def group_ranges(self) -> tuple[range, ...]:
-        """Return the indices in ``ids`` of the frames from each amplifier."""
+        """Return for each amplifier the indices of its frames in ``ids``."""
         ...
 
     @property
@@ -85,12 +84,18 @@ class SensorInterface(Protocol):
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the lowest and the highest reading, before tare, at which a load cell is saturated [N]."""
+        """Return the readings at both ends of a load cell's range, without a tare [N].
+
+        At these readings, the load cell is saturated.
+        """
         ...
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+        """Return the tared tension above which a load cell may be saturated [N].
+
+        The threshold is valid for any accepted tare.
+        """
         ...
 
     @property
@@ -100,12 +105,15 @@ class SensorInterface(Protocol):
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames that a tick exchanges with the sensors, SYNC first, as (payload bytes, frames per tick)."""
+        """Return the frames that a tick exchanges with the sensors.
+
+        Each frame is given as (payload bytes, frames per tick). SYNC comes first.
+        """
         ...
 
     @property
     def background_frames(self) -> tuple[tuple[int, float], ...]:
-        """Return frames whose rate is not the control rate, as (payload bytes, frames per second)."""
+        """Return the frames whose rate is not the control rate, as (payload bytes, frames per second)."""
         ...
 
     @property
@@ -124,7 +132,7 @@ class SensorInterface(Protocol):
         ...
 
     def counter(self, k: int) -> int:
-        """Return the counter byte of the SYNC in tick k, 0 if the SYNC has no counter."""
+        """Return the counter byte of the SYNC in tick k, or 0 if the SYNC has no counter."""
         ...
 
     def sync(self, k: int) -> Frame:
@@ -132,7 +140,7 @@ class SensorInterface(Protocol):
         ...
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
-        """Return the earliest time at which the answer to a SYNC sent after ``sync_ns`` can arrive [ns]."""
+        """Return the earliest arrival of an answer to a SYNC that was sent after ``sync_ns`` [ns]."""
         ...
 
     def answers(self, data: bytes, counter: int) -> bool:
@@ -144,9 +152,9 @@ class SensorInterface(Protocol):
         ...
 
     def group_of_tendon(self, tendon_index: int) -> int:
-        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
         ...
 
     def group_of_joint(self, joint_index: int) -> int:
-        """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
+        """Return the index of the frame with the encoder of a joint, or -1 without an encoder."""
         ...

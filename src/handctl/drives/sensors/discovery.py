@@ -2,9 +2,10 @@
 
 An answer contains the low four bits of the counter in the SYNC.
 
-SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
-A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4.
-The ``command_ids`` of these drives include the identifier of SYNC. Source: ``sensor_node``.
+SYNC does not move a motor that handctl has set up. But other CANopen drives may obey stored PDOs at
+SYNC. A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node
+number 4. For these drives, the result of ``command_ids`` contains the identifier of SYNC. Source:
+``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
@@ -25,16 +26,20 @@ MAX_FRAME_BYTES = 8
 
 
 def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return the requests of a round of the scan: two SYNC frames in round 3, none in the others."""
+    """Return the requests of a round of the scan.
+
+    Round 3 has two SYNC frames. The other rounds have no requests.
+    """
     return (
         tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if scan_round == 3 else ()
     )
 
 
 def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
-    """Return the discovered sensor nodes: the identifiers with an answer to both SYNC frames.
+    """Return the discovered sensor nodes.
 
-    Consecutive identifiers count as one node.
+    A node is found by its identifiers, from which both SYNC frames were answered. Consecutive
+    identifiers belong to one node.
     """
     ids = sorted(
         {
@@ -48,7 +53,7 @@ def discovered_sensor_nodes(received_frames: ReceivedFrames) -> tuple[Discovered
 
 
 def _answers_both_sync_frames(received_frames: ReceivedFrames, can_id: int) -> bool:
-    """Return True if the frames with an identifier repeat the counters of both SYNC frames, in the order sent."""
+    """Return True if the frames with an identifier repeat the counters of both SYNC frames in order."""
     counters = [
         frame.data[0] & 0xF
         for frame in received_frames
@@ -69,12 +74,15 @@ def _describe_node(can_id: int, received_frames: ReceivedFrames) -> DiscoveredNo
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
-    """Return an empty set, because SYNC makes the node sample and moves no motor."""
+    """Return an empty set, because SYNC only makes the node take a sample and moves no motor."""
     return frozenset()
 
 
 def other_host_frames(received_frames: ReceivedFrames) -> tuple[Frame, ...]:
-    """Return no frames, because the discovery of CANopen drives already reports a SYNC of another host."""
+    """Return no frames.
+
+    The discovery of CANopen drives already reports the SYNC of another host.
+    """
     return ()
 
 
@@ -89,7 +97,7 @@ def ping_request(node: DiscoveredNode) -> Frame:
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is an answer of the node to ``ping_request``, with the counter of ``ping_request``."""
+    """Return True if the frame is an answer of the node with the counter of ``ping_request``."""
     return (
         frame.can_id == node.node_id
         and len(frame.data) >= 2

@@ -1,7 +1,8 @@
 """Sensor node with load cells and joint encoders. handctl defines the frames of the node (``sensor_node.dbc``).
 
-The host sends SYNC with one byte, the counter. The node answers with frames of 2 to 8 bytes. The
-fields of these frames are little-endian, and packed from the lowest bit:
+The host sends SYNC frames. A SYNC frame has one byte, which is the counter. The node answers with
+frames of 2 to 8 bytes. The fields of these frames are little-endian, and packed from the lowest
+bit:
 
     bits    0..3       4..15       16..27      28..39      40..51      52..63
     field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
@@ -11,12 +12,12 @@ fields of these frames are little-endian, and packed from the lowest bit:
     angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
     position    50 um              -102.4 to 102.35 mm   base_id + 0x10, 0x11, ..
 
-The channel of a joint is an angle, or the position of a prismatic joint.
+The channel of a joint contains an angle. For a prismatic joint, it contains a position.
 
-The node measures all channels at SYNC. Every frame of its answer contains the low four bits of the
-counter, so that the host does not take an old frame for a fresh one. The counters do not count up,
-see ``sync_counters``. The node sends angle frames after each SYNC whose counter is a multiple of
-``joint_decimation``.
+The node measures all channels at SYNC. Every frame of the answer contains the low four bits of the
+counter. The host can therefore distinguish an old frame from a fresh frame. The counters of
+successive SYNC frames do not count up, see ``sync_counters``. The node sends angle frames after
+each SYNC whose counter is a multiple of ``joint_decimation``.
 """
 
 import functools
@@ -108,7 +109,7 @@ class SensorDescription(Protocol):
 
     @property
     def joint_decimation(self) -> int:
-        """Return the number of SYNC frames for each answer with joint angles."""
+        """Return the number of SYNC frames per answer with joint angles."""
         ...
 
 
@@ -208,12 +209,15 @@ class SensorNode:
 
     @property
     def cell_range(self) -> tuple[float, float]:
-        """Return the tensions of the lowest and the highest count, at which a load cell is saturated [N]."""
+        """Return the tensions of the lowest and the highest count [N].
+
+        At these counts, the load cell is saturated.
+        """
         return TENSION_ZERO_N, TENSION_MAX_N
 
     @property
     def background_frames(self) -> tuple[tuple[int, float], ...]:
-        """Return an empty tuple, because the node sends nothing but answers."""
+        """Return an empty tuple, because the node sends only answers."""
         return ()
 
     @property
@@ -225,7 +229,7 @@ class SensorNode:
 
     @property
     def has_counter(self) -> bool:
-        """Return True, because every frame has the counter of its SYNC."""
+        """Return True, because every frame contains the counter of its SYNC."""
         return True
 
     def earliest_answer_time_ns(self, sync_ns: int) -> int:
@@ -238,7 +242,10 @@ class SensorNode:
 
     @property
     def tension_rail(self) -> float:
-        """Return the tared tension above which a load cell may be saturated, for any accepted tare [N]."""
+        """Return the tared tension above which a load cell may be saturated [N].
+
+        The threshold is valid for any accepted tare.
+        """
         return TENSION_RAIL_N
 
     @property
@@ -252,10 +259,11 @@ class SensorNode:
 
     @property
     def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
-        """Return the frames that a tick exchanges with the node, SYNC first, as (payload bytes, frames per tick).
+        """Return the frames that a tick exchanges with the node.
 
-        For an angle frame, the number of frames per tick is the fraction of ticks in which the node
-        sends it.
+        Each frame is given as (payload bytes, frames per tick). SYNC comes first. The node sends an
+        angle frame only in some ticks. The number of frames per tick is then the fraction of these
+        ticks.
         """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
             len(self.ids) - self.tension_frames
@@ -308,11 +316,11 @@ class SensorNode:
         return max(0, (sync_count - 1) * self.tension_frames - accepted_count - stale_count)
 
     def group_of_tendon(self, tendon_index: int) -> int:
-        """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
+        """Return the index of the frame with the load cell of a tendon, or -1 without a load cell."""
         return self.frame_of[tendon_index]
 
     def group_of_joint(self, joint_index: int) -> int:
-        """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
+        """Return the index of the frame with the encoder of a joint, or -1 without an encoder."""
         groups = range(self.tension_frames, len(self.ids))
         return next((g for g in groups if joint_index in self.channels[g]), -1)
 
@@ -333,15 +341,16 @@ def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
 
 @functools.lru_cache(maxsize=16)
 def sync_counters(decimation: int) -> bytes:
-    """Return the counter bytes of the SYNC frames for a period of about ``COUNTER_PERIOD`` ticks.
+    """Return the counter bytes of the SYNC frames for about ``COUNTER_PERIOD`` ticks.
 
-    A counter of four bits that counts up has the same value 16 or 32 ticks later. A frame of that
-    age would then seem fresh. The counters of handctl are pseudo-random instead. Two ticks less
-    than ``DISTINCT_COUNTERS`` apart differ in the low four bits of the counter. Ticks further apart
-    have equal bits only by chance. The counter modulo ``decimation`` equals the tick modulo
-    ``decimation``, because the node sends angle frames by this remainder. With a decimation of 8 or
-    more, fewer than three values of the four bits have the same remainder. Near ticks may then have
-    equal bits.
+    If a counter of four bits counted up, it would have the same value again after 16 or 32 ticks. A
+    frame of this age would then seem fresh. The counters of handctl are pseudo-random instead. If
+    the distance of two ticks is less than ``DISTINCT_COUNTERS``, the low four bits of their
+    counters differ. At a larger distance, these bits are equal only by chance. The node sends angle
+    frames by the remainder of the counter modulo ``decimation``. This remainder therefore equals
+    the tick modulo ``decimation``. With some decimations, such as multiples of 8, at most two
+    values of the four bits have the same remainder. The bits of ticks at a small distance may then
+    be equal.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     byte_by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
@@ -365,7 +374,7 @@ def sync_counters(decimation: int) -> bytes:
 
 
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
-    """Return the channels in groups. Each group is the content of one frame."""
+    """Return the channels in groups. Each group contains the channels of one frame."""
     return [
         tuple(channels[first_channel : first_channel + CHANNELS_PER_FRAME])
         for first_channel in range(0, len(channels), CHANNELS_PER_FRAME)

@@ -1,16 +1,16 @@
-"""Types for faults and for rows of the fault catalogue, and functions to declare them.
+"""Types for faults and for rows of the fault catalogue, and functions that declare faults and rows.
 
-A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue, or a
-stage of a row, that the controller checks in every tick. Each row and each fault is declared once,
-in the module of its kind: ``bus``, ``node``, ``tendon``, ``host``. The tables in the documents, the
-deadlines in the fault campaign, the event texts and the reactions are all derived from the
-declarations.
+A row of the fault catalogue describes a possible failure. A fault is a row of the catalogue or a
+stage of a row. The controller checks each fault in every tick. Each row and each fault is declared
+once. The declaration is in the module of its kind: ``bus``, ``node``, ``tendon`` or ``host``. The
+tables in the documents, the deadlines in the fault campaign, the event texts and the reactions all
+come from these declarations.
 
-The declaration of a fault may have the argument ``fault_places``, which lists the parts that the fault can
-affect, such as motors or tendons. Compiled code in ``core.detectors`` detects such a fault. The
-declaration of such a fault returns the row of the fault in the detectors' table of results, which
-is used as in ``evidence[N07, motor]``. The declaration of a fault may instead have the argument
-``reports``. A bus, the host or the recorder reports such a fault.
+There are two ways to find a fault. A fault with the argument ``fault_places`` is detected by
+compiled code in ``core.detectors``. This argument lists the parts that the fault can affect, such
+as motors or tendons. The declaration returns the row of the fault in the detectors' table of
+results. Detectors use this row as in ``evidence[N07, motor]``. A fault with the argument
+``reports`` is reported by a bus, the host or the recorder.
 """
 
 from dataclasses import dataclass
@@ -92,15 +92,15 @@ class CatalogueRow(NamedTuple):
     counted_from_event: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return how a drive protocol shows the failure.
+        """Return the visibility of the failure with a drive protocol.
 
-        The protocol is one of ``VERIFIABLE_PROTOCOLS``.
+        The argument is one of ``VERIFIABLE_PROTOCOLS``.
         """
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
     def max_reaction_ms(self, rate_hz: float) -> float:
-        """Return the longest time from the failure to the reaction at a control rate [ms].
+        """Return the longest time from the failure to the reaction, for a control rate [ms].
 
         This time does not include ``odrive_extra_ms``.
         """
@@ -109,7 +109,9 @@ class CatalogueRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault: a row of the catalogue, or a stage of a row, that the controller checks in every tick.
+    """Fault that the controller checks in every tick.
+
+    A fault is a row of the catalogue, or a stage of a row.
 
     Attributes:
         id: identifier of the row, followed by a letter if the row has stages.
@@ -159,7 +161,7 @@ class Fault:
 
     @property
     def latched(self) -> bool:
-        """Return True if the reaction stays until an operator clears the fault."""
+        """Return True if the reaction lasts until an operator clears the fault."""
         return self.cleared_by == CLEARED_BY_OPERATOR
 
     @property

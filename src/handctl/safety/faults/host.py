@@ -1,4 +1,4 @@
-"""Rows H01 to H15 and I01 to I11 of the fault catalogue: faults of the host, and of files and inputs."""
+"""Rows H01 to H15 (host) and I01 to I11 (files and inputs) of the fault catalogue."""
 
 from handctl.safety.faults.fault import (
     CHECKED_BEFORE_ARMING,

@@ -1,4 +1,4 @@
-"""Generation of Markdown tables and sections for the documents, from the fault declarations."""
+"""Markdown tables and sections for the documents, generated from the declarations of faults."""
 
 from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, CatalogueRow, Fault
@@ -38,7 +38,7 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
 def catalogue_markdown(rows: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the fault catalogue as Markdown.
 
-    For each drive protocol, the table says how each failure shows.
+    The table contains the visibility of each failure with each drive protocol.
     """
     names = [PROTOCOL_TRAITS[protocol].title for protocol in VERIFIABLE_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
@@ -75,15 +75,18 @@ def _ticks_text(row: CatalogueRow) -> int:
 
 
 def reacts_too_late(row: CatalogueRow) -> bool:
-    """Return True if the reaction to the failure of a row takes more ticks than the project's fault catalogue allows.
+    """Return True if a row has a later reaction than the project's fault catalogue allows.
 
-    The result is False if the catalogue gives no time.
+    If the catalogue states no time for the row, the result is False.
     """
     return 0 < row.required < _ticks_text(row)
 
 
 def late_reaction_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
-    """Return, as Markdown, the rows whose reaction is later than the project's fault catalogue allows, with reasons."""
+    """Return as Markdown all rows with a later reaction than allowed, with the reasons.
+
+    The project's fault catalogue states the allowed reaction times.
+    """
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
         f"| {e.max_reaction_ms(RATE_HZ):g} ms | {e.why} |"

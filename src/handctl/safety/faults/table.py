@@ -1,4 +1,4 @@
-"""Fault table and catalogue with all declarations, and arrays for the compiled detectors."""
+"""Fault table and fault catalogue, which contain all declarations, and arrays for compiled detectors."""
 
 import numpy as np
 
@@ -27,7 +27,7 @@ FAULTS_BY_EVENT_KIND: dict[str, tuple[Fault, ...]] = {
 
 
 def remedy_for(text: str) -> str:
-    """Return the remedy for the fault in an event text.
+    """Return the remedy for the fault that an event text reports.
 
     The result is empty if the text does not begin with a fault id.
     """
