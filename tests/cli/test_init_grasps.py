@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
+from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth_record import read_truth
@@ -175,6 +176,14 @@ def test_no_bus_is_slower_than_250_hz(
         "each",
     )
     assert default_control_rate(load_hand("mine.toml")) >= 250.0
+
+
+@pytest.mark.parametrize("cells", ["all", "none"])
+@pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
+def test_a_hand_of_any_protocol_is_valid(work_folder: Path, protocol: str, cells: str) -> None:
+    """Without load cells, the file has the options with which the drives report their torque."""
+    write_initial_hand("--protocol", protocol, "--cells", cells)
+    assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(

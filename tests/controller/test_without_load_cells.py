@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.run_setup import make_controller
+from handctl.campaign.run_stages import hand_with_drives
+from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import MARGIN_SIGMAS_WITHOUT_CELL, HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.commission import CommissionProgram, calibration_of_result
@@ -217,6 +219,36 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
         for _, out in run.run_ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
         assert run.state.mode == HandMode.ACTIVE
+
+
+@pytest.mark.parametrize(
+    ("tendons_without_cells", "options", "is_valid"),
+    [
+        ((), {}, False),
+        (("index_tendon",), {}, False),
+        (("index_tendon",), {"torque_feedback": False}, False),
+        (("index_tendon",), {"torque_feedback": True}, True),
+        ((), {"torque_feedback": True}, True),
+    ],
+)
+def test_a_tendon_without_a_load_cell_needs_a_torque_report(
+    tendons_without_cells: tuple[str, ...], options: dict[str, Any], is_valid: bool
+) -> None:
+    """Without load cell and torque report, nothing shows that a drive pulls too hard."""
+    hand = hand_with_drives(hand_without_cells(*tendons_without_cells), "odrive")
+    motors = tuple(motor.model_copy(update={"options": options}) for motor in hand.motor)
+    hand = hand.model_copy(update={"motor": motors})
+    if is_valid:
+        assert len(make_drives(hand)) == len(motors)
+        return
+    with pytest.raises(ConfigError, match="torque_feedback: false; expected true") as caught:
+        make_drives(hand)
+    assert "index_tendon" in str(caught.value)
+
+
+def test_replaced_drives_report_their_torque() -> None:
+    hand = hand_with_drives(hand_without_cells("index_tendon"), "odrive")
+    assert len(make_drives(hand)) == len(hand.motor)
 
 
 def test_cia402_drives_have_their_sync_without_sensors() -> None:

@@ -213,7 +213,9 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
     for motor, drive in zip(motors, drives, strict=True):
         _check_position_loop(motor, drive)
-    for motor, tendon, has_cell in zip(motors, hand.tendon_names, hand.has_cell.tolist(), strict=True):
+    for motor, tendon, has_cell in zip(
+        motors, hand.tendon_names, hand.has_cell.tolist(), strict=True
+    ):
         if not has_cell:
             _check_torque_report(motor, tendon)
     sensors = make_sensors(hand)

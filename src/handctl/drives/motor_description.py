@@ -47,7 +47,8 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "odrive": ProtocolTraits("ODrive", options={
         "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
         "endpoint_torque_max": 203, "endpoint_torque_min": 204,
-    }, torque_option="torque_feedback", no_position_loop_reason="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
+    }, torque_option="torque_feedback",
+    no_position_loop_reason="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
     "cia402": ProtocolTraits(
         "CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
         no_position_loop_reason="CiA 402 standardises no gains of position loops, "

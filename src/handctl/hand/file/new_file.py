@@ -506,7 +506,11 @@ def options_line(protocol: str, given_options: Mapping[str, Any], has_cells: boo
     """
     if protocol == "odrive":
         line = "\n# options: the endpoints of your firmware, from its flat_endpoints.json; config check names them"
-        return line if has_cells else f"\noptions = {{ torque_feedback = true }}   # no load cells{line}"
+        return (
+            line
+            if has_cells
+            else f"\noptions = {{ torque_feedback = true }}   # no load cells{line}"
+        )
     if not given_options:
         return ""
     values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in given_options.items())
