@@ -124,7 +124,7 @@ class RepeatAfterStall:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        """Store the start of a test on the real clock."""
+        """Store the time at which a test started."""
         if item.get_closest_marker("realtime"):
             self.pause_meter = self.pause_meter or ComputerPauseMeter()
             self._test = item.nodeid

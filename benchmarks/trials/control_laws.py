@@ -150,7 +150,7 @@ class AblationLaw:
     with_raw_tension: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Return gains with two given LQR weights for a control rate.
+        """Return the gains of this control law for two LQR weights and a control rate.
 
         This module defines all other gains, so they do not depend on the packaged gains.
         """

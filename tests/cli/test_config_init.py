@@ -130,7 +130,7 @@ def test_sensors_springs_and_protocol_are_asked_for(
 ) -> None:
     """Reproduce a defect.
 
-    The questions ended after the breaking force. The command then wrote the protocol `mit` and a
+    The last question was that about the breaking force. The command then wrote the protocol `mit` and a
     load cell for every tendon, and did not report this.
     """
     answers = iter(

@@ -20,7 +20,7 @@ def make_env(environment_id: str, **environment_options: Any) -> Any:
 
 
 def closed_picture(environment: Any, seed: int, step_count: int = 40) -> Any:
-    """Return the picture of an episode whose digits have closed for some steps."""
+    """Close the digits for some steps of an episode, and return the picture of the hand."""
     environment.reset(seed=seed)
     action = np.full(environment.action_space.shape, -1.0, np.float32)
     action[: len(environment.names)] = -0.3

@@ -114,9 +114,9 @@ def close_stream(model: HandModel, state: ControllerState) -> None:
 def bring_to_rest(
     model: HandModel, state: ControllerState, streamed_digits_only: bool = False
 ) -> ProgramProgress:
-    """Return the progress of the program with new goals.
+    """Replace the goals of all moving digits by goals at which these digits come to rest.
 
-    With these goals, all moving digits come to rest.
+    Return the progress of the program with these goals.
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)

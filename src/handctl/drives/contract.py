@@ -7,8 +7,9 @@ Each protocol is one class. Each object of the class is the immutable descriptio
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
 ``receive`` of each drive for every received frame. The controller then calls ``advance`` of each
 drive once, with the requested drive state. While a drive is enabled and its state machine has
-nothing to do, compiled code in ``core.wire.cyclic_frames`` does this work. The compiled code uses
-the tables of ``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the
+nothing to do, the controller calls neither of them. Compiled code in ``core.wire.cyclic_frames``
+then decodes the feedback and encodes the commands. The compiled code uses the tables of
+``cyclic_messages`` and ``rechecks``. The controller calls ``advance`` again if the
 status in the feedback differs from ``steady_status``, or when the time ``due_ns`` is reached. No
 function here reads a clock or a socket.
 """

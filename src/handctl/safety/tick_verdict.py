@@ -125,7 +125,7 @@ def judge_tick(
 
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
-    """Return the identifier and the place of a finding, as a latched fault."""
+    """Return the latched fault of a finding: the fault's identifier and its place."""
     return LatchedFault(finding.fault.id, finding.instance)
 
 
