@@ -269,8 +269,8 @@ def borrowed_array(
     Numba does not count the references to the returned array. If a function is called with an
     array, numba counts the references to the array with atomic operations. Kernels pass dozens of
     tables to the functions that they call. Counting the references to these tables would take longer
-    than all computations. A borrowed array has no reference count, so the caller of the kernel must keep the memory alive.
-    If Python interprets the kernel, the borrowed array is an ordinary view.
+    than all computations. A borrowed array has no reference count, so the caller of the kernel must
+    keep the memory alive. If Python interprets the kernel, the borrowed array is an ordinary view.
 
     Args:
         flat_array: contiguous array.

@@ -448,7 +448,7 @@ def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
 
 
 def test_a_time_limit_of_a_filter_stays_the_same_time_at_a_fast_control_rate():
-    """At 500 Hz and below, the limit is ``max_ticks``. The limit of other rows is the same number of ticks at every rate."""
+    """At 500 Hz and below, the limit is ``max_ticks``. Other rows have the same limit at every rate."""
     for row in FAULT_MATRIX:
         fixed_row = row._replace(max_extra_ms=0.0, extra_ms={}, extra_ticks={})
         slow = [fixed_row.bound_ticks("mit", period_ms) for period_ms in (5.0, 2.5, 2.0)]
