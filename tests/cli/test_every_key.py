@@ -7,6 +7,7 @@ tested.
 """
 
 import os
+import re
 import tomllib
 
 import pytest
@@ -134,7 +135,7 @@ def content_without_key(file_content, key_path, renamed_value=None):
     for key in key_path[:-1]:
         parent = parent[key]
     del parent[key_path[-1]]
-    if renamed_value:
+    if renamed_value is not None:
         parent[key_path[-1] + "_x"] = renamed_value
     return file_content
 
@@ -148,6 +149,13 @@ def mistake_cases():
                 yield from ((name, path, kind) for kind in KEY_MISTAKES)
 
 
+def text_with_repeated_key(text, key):
+    """Return TOML text in which one key and its value occur twice, in a line or in an inline table."""
+    entry = re.search(rf"(?<![\w-]){re.escape(key)} = (\[[^\]]*\]|[^,}}\n]*[^,}}\s])", text)
+    separator = "\n" if text[: entry.start()].rpartition("\n")[2] == "" else ", "
+    return text[: entry.end()] + separator + entry.group() + text[entry.end() :]
+
+
 def text_with_mistake(file_content, key_path, mistake_kind):
     """Return the content as TOML text with one mistake.
 
@@ -158,12 +166,7 @@ def text_with_mistake(file_content, key_path, mistake_kind):
         for key in key_path:
             old = old[key]
         if mistake_kind == "twice":
-            line = next(
-                line
-                for line in toml_text_of(file_content).splitlines()
-                if line.startswith(f"{key_path[-1]} = ")
-            )
-            return toml_text_of(file_content).replace(line, f"{line}\n{line}", 1)
+            return text_with_repeated_key(toml_text_of(file_content), str(key_path[-1]))
         return toml_text_of(
             content_without_key(file_content, key_path, old if mistake_kind == "renamed" else None)
         )
@@ -179,6 +182,13 @@ def text_with_mistake(file_content, key_path, mistake_kind):
             else NUMBER_CHANGES[mistake_kind](old),
         )
     )
+
+
+def counted_key_path(key_path):
+    """Return a key path with the indices of list entries."""
+    return "".join(
+        f"[{key}]" if isinstance(key, int) else f".{key}" for key in key_path
+    ).removeprefix(".")
 
 
 class BusOpenedError(Exception):
@@ -236,13 +246,15 @@ def test_every_wrong_key_is_refused(work_folder, capsys, content_name, key_path,
         assert "TOML" in line
     elif mistake_kind in INVALID_NUMBERS or mistake_kind == "renamed":
         assert "file.toml: " in line, "the message names the file"
-        named_key = (
-            key_path_text(content_without_key(content, key_path), key_path[:-1])
-            if mistake_kind == "renamed"
-            else key_path_text(content, key_path)
-        )
-        assert named_key in line
+        if mistake_kind == "renamed":
+            content, key_path = content_without_key(content, key_path), key_path[:-1]
+        # Errors in hand files name the entries of a list, and errors in task files count them.
+        assert key_path_text(content, key_path) in line or counted_key_path(key_path) in line
         assert "expected" in line
-    elif line:
+    elif line and not line.startswith(("handctl: grasp: phase", "handctl: gains: filter: no cont")):
+        # A changed hand may be valid and too small for the angles of the task, or no filter can be designed for it.
+        # Then the line names the task or the gains.
         assert "file.toml" in line
-        assert any(key in line for key in key_path if isinstance(key, str))
+        # A wrong time of a trajectory is a wrong speed of its angles.
+        allowed_keys = ("time_s", "angle_deg") if content_name == "trajectory" else key_path
+        assert any(key in line for key in allowed_keys if isinstance(key, str))

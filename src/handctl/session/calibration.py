@@ -19,7 +19,7 @@ from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.runtime.buses.bus_opening import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
 from handctl.session.run import RunFunction, RunOutcome, make_controller
-from handctl.session.run_plan import RunPlan
+from handctl.session.run_plan import RunPlan, check_gain_margins
 from handctl.session.time_scale_advice import pace_advice
 
 MAX_CALIBRATION_AGE_S = 24 * 3600.0
@@ -213,6 +213,7 @@ def ensure_calibration(
     Raises:
         DriveError: see ``run_commissioning``.
     """
+    check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     calibration, _ = run_commissioning(plan, log, runner)
     previous_parameters = previous_identified_parameters(

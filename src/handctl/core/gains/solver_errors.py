@@ -30,7 +30,10 @@ def solver_failures_as_errors(gains_section: str) -> Iterator[None]:
         ArithmeticError,
         TypeError,
     ) as error:  # the exceptions above are those of scipy, numpy and control
-        expected = "weights nearer to the packaged ones (handctl gains show)"
+        expected = (
+            "weights nearer to the packaged ones (handctl gains show), "
+            "or values in the hand file nearer to those of a packaged hand"
+        )
         raise ConfigError(
             "no controller follows from these values", f"gains: {gains_section}", expected
         ) from error

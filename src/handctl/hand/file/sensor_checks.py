@@ -35,6 +35,9 @@ MAX_TARE_N = 6.0
 MAX_COUNT = (1 << 31) - 1
 """Largest value of the CANopen type INTEGER32."""
 
+MIN_TENSION_NOISE_N = 1e-3
+"""Smallest standard deviation of a load-cell sample with which the tension filter can be designed [N]."""
+
 
 def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
     """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
@@ -47,6 +50,9 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
         if key in node.model_fields_set and value != ():
             expected = f'no such key, it belongs to protocol = "{protocol}"'
             yield FileMistake("given", f"sensor_node.{key}", expected)
+    if node.tendons and node.tension_noise_N < MIN_TENSION_NOISE_N:
+        expected = f"at least {MIN_TENSION_NOISE_N:g} N: the tension filter needs the noise of the load cells"
+        yield FileMistake(f"{node.tension_noise_N:g}", "sensor_node.tension_noise_N", expected)
     if node.is_cia404:
         yield from _check_amplifiers(node)
         yield from _check_range(hand)
