@@ -18,6 +18,9 @@ from handctl.hand.file.error_text import key_path, toml_spelling
 from handctl.hand.hand_loading import read_toml
 from handctl.printing import similar_name
 
+EXPECTED_SEPARATOR = "; expected "
+"""Text in the error of a validator between the problem and the valid values."""
+
 
 class Document(BaseModel):
     """Base class of the data models of all TOML files.
@@ -95,12 +98,13 @@ def _error_line(
             f"{where}.{key}",
             "one of " + error_detail["ctx"]["expected_tags"],
         )
+    expected = error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    # A validator of a whole table also says what is wrong, because the table itself says nothing.
+    problem_text, separator, right = expected.partition(EXPECTED_SEPARATOR)
+    if separator:
+        return ConfigError(problem_text, where, right)
     problem_text = "a table" if isinstance(value, Mapping) else toml_spelling(value)
-    return ConfigError(
-        problem_text,
-        where,
-        error_detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "),
-    )
+    return ConfigError(problem_text, where, expected)
 
 
 def _without_tags(

@@ -104,7 +104,10 @@ class HoldPhase(Document):
     @model_validator(mode="after")
     def _require_one_target(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
-            raise ValueError("give either tension_N or tip_force_N")
+            given_count_text = "neither" if self.tension_N is None else "both"
+            raise ValueError(
+                f"{given_count_text} of tension_N and tip_force_N; expected either tension_N or tip_force_N"
+            )
         return self
 
 
@@ -142,17 +145,19 @@ class FollowPhase(Document):
     @model_validator(mode="after")
     def _require_rising_times(self) -> "FollowPhase":
         if self.time_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.time_s)):
-            raise ValueError("time_s must rise from 0")
+            raise ValueError("time_s does not rise; expected rising times, the first of them 0")
         for digit, angles in self.angle_deg.items():
             if len(angles) != len(self.time_s):
                 raise ValueError(
-                    f"{digit} must have an angle for each of the {len(self.time_s)} times"
+                    f"angle_deg.{digit} has {len(angles)} angles; expected one for each of the "
+                    f"{len(self.time_s)} values of time_s"
                 )
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
             # The comparison is negated so that it also refuses NaN.
             if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(
-                    f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}"
+                    f"angle_deg.{digit} reaches {peak:.0f} deg/s; expected at most "
+                    f"{FOLLOW_SPEED_DEG_S:g} deg/s between two values of time_s"
                 )
         return self
 
@@ -234,6 +239,8 @@ def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str)
     file = validate_content(file_content, TrajectoryFile, source_name)
     first_angles = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow_phase = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
+    # The location of an error in the phase is then its key in the trajectory file.
+    validate_content(follow_phase, FollowPhase, source_name)
     phases = [
         {"kind": "move", "name": "to the start", "angle_deg": first_angles, "duration_s": 1.5},
         follow_phase,
