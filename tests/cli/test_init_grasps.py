@@ -41,10 +41,11 @@ HAND_CASES = [
     for tendons in ("one", "each")
     if tendons == "one" or "," in links
 ]
-SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1)]
-"""Regression: both of these hands dropped the cylinder.
+SAMPLE_CASES = [(1, "70,50", "one", 0), (2, "50,30,20", "each", 1), (2, "24,16", "each", 0)]
+"""Reproduce defects: the first two hands dropped the cylinder, and the last hand reported N04 during the release.
 
-The size of the cylinder did not depend on the hand, so the fingertips touched each other.
+The size of the cylinder did not depend on the hand, so the fingertips touched each other. In the last
+hand, friction held a motor at rest, while the motor of another tendon changed the tension.
 """
 MAX_SLIP_MM = 5.0
 

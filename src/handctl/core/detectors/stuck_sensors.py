@@ -94,11 +94,13 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
 def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension that is the reference for the encoder of a motor [N].
 
-    Return NaN if other motors also change this tension.
-
-    In a digit with surplus tendons, an antagonist can stretch a tendon whose own motor is at rest.
+    Return NaN if other motors also change this tension. This is the case in every digit with several
+    tendons. The motor of another tendon turns a joint that both tendons pass. The tension then
+    changes, although friction holds the motor of the tendon at rest.
     """
-    return math.nan if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] else x.tendon[s.RESIDUAL + TENSION, n]
+    d = c.tendon_int[h.DIGIT_OF_TENDON, n]
+    has_other_tendons = c.digit_int[h.END_TENDON, d] - c.digit_int[h.FIRST_TENDON, d] > 1
+    return math.nan if has_other_tendons else x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @kernel_helper
