@@ -256,8 +256,10 @@ class Digit(Section):
     Each link has a joint at its start. The frame of a link has its origin in the link's joint, and
     its x axis is along the link. Without ``joint_axis`` and ``joint_rpy_deg``, all hinges are along
     z. A positive angle flexes towards y. A prismatic joint (``joint_type``) moves its link along
-    the joint's axis. A key with an angle in its unit has one value per revolute joint. The
-    corresponding key in metres has one value per prismatic joint.
+    the joint's axis.
+
+    A key with an angle in its unit has one value per revolute joint. The corresponding key in
+    metres has one value per prismatic joint.
     """
 
     name: qty.Name
