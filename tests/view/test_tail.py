@@ -35,14 +35,14 @@ def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
-    seed: int, jamia_path: Path, tmp_path: Path
+    seed: int, jamia_log_path: Path, tmp_path: Path
 ) -> None:
     whole_content, path, part = (
-        jamia_path.read_bytes(),
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
-    run = run_info_of(jamia_path)
+    run = run_info_of(jamia_log_path)
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
     for size in growing_file_sizes(whole_content, seed):
         path.write_bytes(whole_content[:size])
@@ -56,7 +56,7 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
     assert times > 4
     shown_entities, expected = (
         read_entities(chunks),
-        read_entities(chunks_of_log(jamia_path, TopicConverters(run), "whole")),
+        read_entities(chunks_of_log(jamia_log_path, TopicConverters(run), "whole")),
     )
     assert shown_entities.keys() == expected.keys()
     for name in shown_entities.keys() - {"/tension/limit"}:
@@ -69,9 +69,9 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
         assert repr(shown_entities[name].rows) == repr(expected[name].rows), name
 
 
-def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
+def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_path: Path) -> None:
     whole_content, path, part = (
-        jamia_path.read_bytes(),
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
@@ -84,11 +84,11 @@ def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path:
 
 
 def test_a_call_reads_no_record_again(
-    jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
     whole_content, path, part = (
-        jamia_path.read_bytes(),
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
@@ -115,8 +115,8 @@ def test_a_call_reads_no_record_again(
     assert offsets == []
 
 
-def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
-    data, path = bytearray(jamia_path.read_bytes()), tmp_path / "run.mcap"
+def test_another_file_is_an_error(jamia_log_path: Path, tmp_path: Path) -> None:
+    data, path = bytearray(jamia_log_path.read_bytes()), tmp_path / "run.mcap"
     data[0] = 0
     path.write_bytes(data)
     with pytest.raises(LogError, match="not an MCAP file"):

@@ -244,10 +244,12 @@ def test_time_slices_do_not_change_the_recording(
 
 @pytest.mark.parametrize("log_fraction", [0.3, 0.5, 0.73, 0.9])
 def test_a_log_that_ends_early_is_shown_up_to_there(
-    log_fraction: float, jamia_path: Path, tmp_path: Path
+    log_fraction: float, jamia_log_path: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: int(log_fraction * jamia_path.stat().st_size)])
+    cut.write_bytes(
+        jamia_log_path.read_bytes()[: int(log_fraction * jamia_log_path.stat().st_size)]
+    )
     with RunLog(cut) as half:
         shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
@@ -262,13 +264,13 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
 
 
 def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
-    jamia_path: Path, tmp_path: Path
+    jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    file, scan = LogFile(jamia_path), RecordScan()
+    file, scan = LogFile(jamia_log_path), RecordScan()
     scan_records(file, scan)
     file.close()
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
+    cut.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
         shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         assert (
@@ -278,10 +280,10 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
         )
 
 
-def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> None:
+def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_log_path: Path) -> None:
     from dataclasses import replace
 
-    header = run_info_of(jamia_path).header
+    header = run_info_of(jamia_log_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
             RunInfo.from_header(replace(header, hand_toml=text), "run")
