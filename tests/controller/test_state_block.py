@@ -113,8 +113,8 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
     for field in schema.fields:
         field_view = layout.view(count, field.name)
         field_view += np.ones_like(field_view) if field_view.dtype == np.float64 else 0
-    element_numbers = np.arange(layout.size, dtype=np.float64)
-    all_positions = np.concatenate([layout.view(element_numbers, f.name).ravel() for f in schema.fields
+    all_positions = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel()
+                                    for f in schema.fields
                                     if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
     assert len(set(all_positions.tolist())) == len(all_positions) == layout.size - 4
     assert (count[: layout.start("tendon_int")] == 1.0).all()
