@@ -38,8 +38,8 @@ def _log_with_chunks(small_log: Path, chunks: bytes) -> bytes:
 
 def _zstd_compressed_zero_bytes(size: int) -> bytes:
     compressor = zstandard.ZstdCompressor(level=1).compressobj()
-    part = bytes(1 << 20)
-    return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
+    zero_bytes = bytes(1 << 20)
+    return b"".join(compressor.compress(zero_bytes) for _ in range(size >> 20)) + compressor.flush()
 
 
 def hostile_files(small_log: Path) -> dict[str, bytes]:
@@ -48,8 +48,8 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     Most hostile files begin like a real log.
     """
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
-    other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
-    many = (message + other) * (MAX_CHUNK_BYTES // 62)
+    message_of_other_channel = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
+    many = (message + message_of_other_channel) * (MAX_CHUNK_BYTES // 62)
     zero_bytes = bytes(MAX_CHUNK_BYTES)
     channels = b"".join(
         struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)

@@ -148,8 +148,8 @@ class SyntheticMonitor:
         """Set rows of the state by name."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
-                for index, one in value.items():
-                    self.view(name)[index] = one
+                for index, element in value.items():
+                    self.view(name)[index] = element
             else:
                 self.view(name)[...] = value
 
@@ -277,13 +277,13 @@ def _uncompiled(kernel_helper: Any) -> Any:
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper
     code = kernel_helper.py_func
-    known = dict(code.__globals__)
-    known |= {
-        name: _uncompiled(known[name])
+    global_names = dict(code.__globals__)
+    global_names |= {
+        name: _uncompiled(global_names[name])
         for name in code.__code__.co_names
-        if hasattr(known.get(name), "py_func")
+        if hasattr(global_names.get(name), "py_func")
     }
-    return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
+    return FunctionType(code.__code__, global_names, code.__name__, code.__defaults__)
 
 
 def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:

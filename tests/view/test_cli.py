@@ -76,9 +76,9 @@ def test_a_time_outside_of_the_run_is_refused(
 def test_view_refuses_a_file_that_is_not_a_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = tmp_path / "x.mcap"
-    other.write_bytes(b"no log at all")
-    for path in (other, tmp_path / "missing.mcap", tmp_path):
+    text_file = tmp_path / "x.mcap"
+    text_file.write_bytes(b"no log at all")
+    for path in (text_file, tmp_path / "missing.mcap", tmp_path):
         assert main(["view", str(path), "--save", str(tmp_path / "x.rrd")]) == 2
         assert str(path) in error_line(capsys)
     assert not (tmp_path / "x.rrd").exists()

@@ -117,8 +117,8 @@ def test_viewer_ignores_streams_of_other_programs(
     assert not running.url.endswith(":9876/proxy"), (
         "the viewer does not use the default port of Rerun"
     )
-    (shown,) = client.get_state().recordings
-    assert "handctl" not in str(shown.store_id), "the picture is no recording of a follower"
+    (recording,) = client.get_state().recordings
+    assert "handctl" not in str(recording.store_id), "the picture is no recording of a follower"
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,12 +136,14 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
         return Timeline("run_time", "duration", 0, end)
 
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
-    left = iter([state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))])
+    remaining_states = iter(
+        [state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))]
+    )
 
     class ClientWithoutTimes:
         def get_state(self) -> ViewerState:
-            return next(left)
+            return next(remaining_states)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
     wait_until_loaded(ClientWithoutTimes(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
-    assert next(left, None) is None
+    assert next(remaining_states, None) is None

@@ -22,7 +22,10 @@ SCENE_SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
     "table": {"shape": "box", "size_m": [0.2, 0.2, 0.01], "position_m": [0.02, 0.0, -0.05]},
 }
-TRUTH_COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")), "support")
+TRUTH_COLUMNS = (
+    *(f"object/{pose_column}" for pose_column in ("x", "y", "z", "qw", "qx", "qy", "qz")),
+    "support",
+)
 
 
 def truth_of(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
@@ -48,15 +51,15 @@ def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_log_path: Path) -> None:
-    made = drawn_entities(jamia_log_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
-    assert made.keys() == {
+    entities = drawn_entities(jamia_log_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
+    assert entities.keys() == {
         f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")
     }
-    body, table = made["/true/object_pose"], made["/true/table_pose"]
+    body, table = entities["/true/object_pose"], entities["/true/table_pose"]
     assert body.times[0] == 0
-    place = np.array([row[0] for row in body.rows["Transform3D:translation"]])
-    assert place[0] == pytest.approx([0.0, 0.0, 0.004], abs=1e-6)
-    assert np.diff(place[:, 2]) == pytest.approx(0.01 * 0.02, abs=1e-6)
+    position = np.array([row[0] for row in body.rows["Transform3D:translation"]])
+    assert position[0] == pytest.approx([0.0, 0.0, 0.004], abs=1e-6)
+    assert np.diff(position[:, 2]) == pytest.approx(0.01 * 0.02, abs=1e-6)
     sunk = np.array([row[0] for row in table.rows["Transform3D:translation"]])
     assert sunk[0] == pytest.approx([0.02, 0.0, -0.07], abs=1e-6)
 
