@@ -148,7 +148,7 @@ def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: i
     """Measure the alternatives one after another, and yield the name and the times of each."""
     sys.path.insert(0, str(BENCHMARKS_FOLDER))
     from exchange.package_clients import CLIENT_BY_PACKAGE
-    from exchange.simulated_motors import MOTORS_BY_MEDIUM, open_simulated_motors
+    from exchange.simulated_motors import MOTORS_AND_INTERFACE_BY_BUS_KIND, open_simulated_motors
     from exchange.torque_exchanges import EXCHANGE_BY_NAME
 
     warnings.simplefilter("ignore")  # The clients print warnings.
@@ -156,7 +156,11 @@ def measure_round(bus_kind: str, c_program: str, motor_count: int, tick_count: i
         yield (
             C_REFERENCE_LABEL,
             measure_c_program(
-                c_program, bus_kind, MOTORS_BY_MEDIUM[bus_kind][2], motor_count, tick_count
+                c_program,
+                bus_kind,
+                MOTORS_AND_INTERFACE_BY_BUS_KIND[bus_kind][2],
+                motor_count,
+                tick_count,
             ),
         )
         if bus_kind == "local":

@@ -17,8 +17,10 @@ if __name__ == "__main__":
 else:
     # Python searches the folder of this script first. In this folder, ``import control`` would find
     # this script instead of the package ``control``.
-    sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
-        str(Path(__file__).parent)
-    ]
+    sys.path = [
+        search_path
+        for search_path in sys.path
+        if Path(search_path).resolve() != Path(__file__).parent
+    ] + [str(Path(__file__).parent)]
     del sys.modules[__name__]
     sys.modules[__name__] = import_module(__name__)

@@ -48,11 +48,12 @@ def cpu_time_fractions(profiled_work: Callable[[], None]) -> dict[str, float]:
     stats = pstats.Stats(profile).stats
     total: dict[str, float] = defaultdict(float)
     for function, (_, _, self_s, _, _) in stats.items():
-        for part, fraction in _parts_of_function(stats, function, 6):
-            total[part] += self_s * fraction
+        for code_part, fraction in _parts_of_function(stats, function, 6):
+            total[code_part] += self_s * fraction
     total_time = sum(total.values())
     return {
-        part: value / total_time for part, value in sorted(total.items(), key=lambda row: -row[1])
+        code_part: value / total_time
+        for code_part, value in sorted(total.items(), key=lambda row: -row[1])
     }
 
 
@@ -66,17 +67,17 @@ def _parts_of_function(
     times.
     """
     name = f"{function[0]}/{function[2]}"
-    part = next(
+    code_part = next(
         (
-            part
-            for part, function_marks in CODE_MARKS_BY_PART.items()
+            marked_part
+            for marked_part, function_marks in CODE_MARKS_BY_PART.items()
             if any(mark in name for mark in function_marks)
         ),
         None,
     )
     callers = profile_stats[function][4]
-    if part or not callers or not depth:
-        yield part or "other", 1.0
+    if code_part or not callers or not depth:
+        yield code_part or "other", 1.0
         return
     callers_time = sum(times[3] for times in callers.values()) or 1.0
     for caller, times in callers.items():

@@ -233,7 +233,10 @@ def tabulate_regimes(results: list[dict]) -> dict[str, dict[str, float]]:
             np.mean([row["innovation lag 1"] for row in seeds])
             / np.mean([row["innovation"] for row in seeds])
         )
-        row |= {f"{column} / {other}": row[column] / row[other] for column, other in RATIO_COLUMNS}
+        row |= {
+            f"{column} / {compared_estimator}": row[column] / row[compared_estimator]
+            for column, compared_estimator in RATIO_COLUMNS
+        }
         table[regime] = row
     return table
 
@@ -243,7 +246,10 @@ def _means_of_quantities(sums: dict[str, list[float]]) -> dict[str, float]:
 
     Each list in ``sums`` has the form [sum, count, sum, count, ..].
     """
-    return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
+    return {
+        name: sum(sums_and_counts[::2]) / max(sum(sums_and_counts[1::2]), 1.0)
+        for name, sums_and_counts in sums.items()
+    }
 
 
 def measure_estimators(
@@ -288,7 +294,7 @@ def print_results(result: dict) -> None:
         *ESTIMATOR_NAMES,
         "limit",
         "limit now",
-        *(f"{estimator} / {other}" for estimator, other in RATIO_COLUMNS),
+        *(f"{estimator} / {compared_estimator}" for estimator, compared_estimator in RATIO_COLUMNS),
         "nis",
         "whiteness",
     )

@@ -79,7 +79,7 @@ def main() -> None:
 
 def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
     """Measure the parts of the benchmark that the options select."""
-    parts = args.parts.split(",")
+    part_names = args.parts.split(",")
     seeds = range(args.seeds)
     hands = MEASURED_HANDS[:1] if args.quick else MEASURED_HANDS
     selected_parts = (
@@ -87,12 +87,12 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
     )
     selected_parts = [i for i in selected_parts if GRASP_CASES[i].grasp in args.grasps.split(",")]
     result: dict[str, Any] = {}
-    if "success" in parts:
+    if "success" in part_names:
         grasp_jobs = [(hand, i, seed) for seed in seeds for i in selected_parts for hand in hands]
         result["success"] = list(
             collect_results(grasp_success.measure_grasp, grasp_jobs, plan).values()
         )
-    if "payload" in parts and not args.quick:
+    if "payload" in part_names and not args.quick:
         loads = [
             (hand, load_direction, seed)
             for seed in seeds
@@ -100,7 +100,7 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
             for load_direction in payload.LOAD_DIRECTIONS
         ]
         result["payload"] = list(collect_results(payload.measure_payload, loads, plan).values())
-    if "slip" in parts and not args.quick:
+    if "slip" in part_names and not args.quick:
         slip_rows = [
             (hand, has_slip_reaction, seed)
             for seed in seeds
@@ -108,12 +108,12 @@ def measure_grasps(args: argparse.Namespace, plan: JobPlan) -> dict[str, Any]:
             for has_slip_reaction in (False, True)
         ]
         result["slip"] = list(collect_results(slip_reaction.measure_slip, slip_rows, plan).values())
-    if "tip" in parts:
+    if "tip" in part_names:
         results = collect_results(
             tip_force.measure_tip_force, [(hand, seed) for seed in seeds for hand in hands], plan
         )
         result["tip"] = [row for rows in results.values() for row in rows]
-    if "contact" in parts:
+    if "contact" in part_names:
         simulated_minutes = args.minutes_free or (0.1 if args.quick else 10.0 if args.full else 0.5)
         result["contact"] = _measure_contact_detection(
             hands, args.seeds * (2 if args.quick else 4), simulated_minutes, plan

@@ -147,7 +147,7 @@ All numbers are means over the seeds, with their spread.
 
 def _benefit_text(result: dict) -> str:
     """Describe the benefit of gravity compensation for each hand, pair of laws and speed."""
-    parts = []
+    hand_texts = []
     for hand, laws in result.items():
         names = list(laws)
         for without, compensated in zip(names[::2], names[1::2], strict=True):
@@ -155,10 +155,10 @@ def _benefit_text(result: dict) -> str:
                 f"{speed} {_reduction_text(laws[without][speed], laws[compensated][speed])}"
                 for speed in MEASURED_SPEEDS
             ]
-            parts.append(f"{hand}, {compensated}: {', '.join(texts)}")
+            hand_texts.append(f"{hand}, {compensated}: {', '.join(texts)}")
     return (
         "Reduction of the RMSE by gravity compensation: "
-        + "; ".join(parts)
+        + "; ".join(hand_texts)
         + ". The control laws of the first pair of each hand do not compensate friction, so that the fingers "
         "lag behind "
         "their setpoint. Uncompensated gravity pulls the fingers in the direction of the motion, and reduces "

@@ -201,10 +201,10 @@ def measure_digit(
         if name in DIGIT_KEYS
     }
     row["parameters"] = [
-        compare_parameter(name, tendon, true_value, shared_parameters.get(name, one))
-        for tendon, one in result.items()
+        compare_parameter(name, tendon, true_value, shared_parameters.get(name, tendon_fit))
+        for tendon, tendon_fit in result.items()
         for name, true_value in true_parameters(hand, tendon, factors).items()
-        if name not in DIGIT_KEYS or one is shared_parameters.get(name, one)
+        if name not in DIGIT_KEYS or tendon_fit is shared_parameters.get(name, tendon_fit)
     ]
     return row
 

@@ -141,13 +141,13 @@ def repeat_rollout(lockstep_stack: LockstepStack, rollout: BodyRollout) -> list[
     table = engine._data.mocap_pos
     step_times = []
     read_cpu_time = time.process_time
-    for torque, slope, place in zip(
+    for torque, slope, table_position in zip(
         rollout.torque, rollout.damping, rollout.table_height, strict=True
     ):
         start_time_s = read_cpu_time()
         applied_torque[:] = torque
         damping[:] = slope
-        table[:] = place
+        table[:] = table_position
         step()
         step_times.append(read_cpu_time() - start_time_s)
     if not np.array_equal(engine.q, rollout.final_angles):

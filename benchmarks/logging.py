@@ -16,12 +16,20 @@ if (
     import importlib.machinery
     import importlib.util
 
-    elsewhere = [place for place in sys.path if Path(place or ".").resolve() != BENCHMARKS_FOLDER]
+    elsewhere = [
+        search_path
+        for search_path in sys.path
+        if Path(search_path or ".").resolve() != BENCHMARKS_FOLDER
+    ]
     spec = importlib.machinery.PathFinder.find_spec("logging", elsewhere)
     sys.modules["logging"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
 else:
-    sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != BENCHMARKS_FOLDER]
+    sys.path[:] = [
+        search_path
+        for search_path in sys.path
+        if Path(search_path or ".").resolve() != BENCHMARKS_FOLDER
+    ]
     sys.path[:0] = [str(BENCHMARKS_FOLDER.parent), str(BENCHMARKS_FOLDER.parent / "tests" / "log")]
 
     from benchmarks.writers.measure_writers import main

@@ -86,8 +86,8 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
         tick_outputs.append(tick_output)
     start_cpu_s = cpu()
     equal_tick_count = sum(
-        are_outputs_equal(one, numbers, out)
-        for (one, numbers), out in zip(logged_ticks, tick_outputs, strict=True)
+        are_outputs_equal(logged, numbers, out)
+        for (logged, numbers), out in zip(logged_ticks, tick_outputs, strict=True)
     )
     return {
         "read": read,
@@ -100,12 +100,14 @@ def execute_once(log: RunLog, controller: Controller) -> dict:
 def print_results(result: dict) -> None:
     """Print the results as text."""
     for name, row in result.items():
-        parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
+        stage_times = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
         print(
             f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal"
         )
-        print(f"  us a tick: {parts}")
-        for who, fraction in sorted(row["spent"].items(), key=lambda item: -item[1]):
+        print(f"  us a tick: {stage_times}")
+        for who, fraction in sorted(
+            row["spent"].items(), key=lambda share_of_function: -share_of_function[1]
+        ):
             print(f"    {100 * fraction:5.1f} %  {who}")
 
 

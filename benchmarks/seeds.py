@@ -176,7 +176,12 @@ def main() -> None:
             with args.results.open("a") as file:
                 file.write(json.dumps(results[-1]) + "\n")
     order = {(hand, protocol): i for i, (hand, protocol, _) in enumerate(cases)}
-    results.sort(key=lambda one: (order.get((one["hand"], one["protocol"]), -1), one["seed"]))
+    results.sort(
+        key=lambda seed_result: (
+            order.get((seed_result["hand"], seed_result["protocol"]), -1),
+            seed_result["seed"],
+        )
+    )
     text = results_table(results)
     if args.table:
         args.table.write_text(text)

@@ -346,11 +346,11 @@ def hand_process(
             commissioned first.
     """
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
-        one = HandProcess(Path(folder), bus_name, time_scale, commissioned_hand)
+        process = HandProcess(Path(folder), bus_name, time_scale, commissioned_hand)
         try:
-            yield one
+            yield process
         finally:
-            one.close()
+            process.close()
 
 
 # Part 1: clients that misbehave
@@ -373,11 +373,11 @@ def measure_clients(
     groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
     for group in filter(None, groups):
-        with hand_process(bus_name, time_scale, commissioned_hand) as place:
-            windows, start_ns = _run_clients(place, group)
-            place.close()
-            truth = read_truth(place.truth)
-            with RunLog(place.log) as log:
+        with hand_process(bus_name, time_scale, commissioned_hand) as process:
+            windows, start_ns = _run_clients(process, group)
+            process.close()
+            truth = read_truth(process.truth)
+            with RunLog(process.log) as log:
                 rows |= {
                     name: _client_row(log, truth, window, start_ns)
                     for name, window in windows.items()
@@ -519,23 +519,23 @@ def measure_tracking(
     states how late the ticks were, because late ticks show that the machine was busy.
     """
     began_ns: dict[str, int] = {}
-    with hand_process(bus_name, time_scale, commissioned_hand) as place:
-        task = place.folder / "sine.toml"
+    with hand_process(bus_name, time_scale, commissioned_hand) as process:
+        task = process.folder / "sine.toml"
         task.write_text(_sine_task(), "utf-8")
-        with place.connect() as hand:
+        with process.connect() as hand:
             for interpolation in INTERPOLATION_NAMES:
                 hand.move({STREAMED_DIGIT: SINE_MIDDLE_DEG}, duration_s=0.5)
                 with hand.stream(
                     STREAM_RATE_HZ, "digit", [STREAMED_DIGIT], interpolation
                 ) as stream:
                     client = MisbehavingClient(hand, stream, time_scale)
-                    began_ns[interpolation] = place.simulated_time_ns(round(client.began_s * 1e9))
+                    began_ns[interpolation] = process.simulated_time_ns(round(client.began_s * 1e9))
                     client.send_good_targets(TRACKED_DURATION_S)
-            start_ns = run_start_ns(hand, place)
+            start_ns = run_start_ns(hand, process)
             hand.grasp(task)
-        place.close()
-        truth = read_truth(place.truth)
-        with RunLog(place.log) as log:
+        process.close()
+        truth = read_truth(process.truth)
+        with RunLog(process.log) as log:
             began_ns["trajectory"] = start_ns + next(
                 phase.t_ns for phase in log.phases if phase.name == "follow"
             )
@@ -589,7 +589,7 @@ def measure_latency(bus_name: str, duration_s: float) -> dict[str, Any]:
 
     Return their percentiles p50 and p99 in unscaled time [ms].
     """
-    with hand_process(bus_name, 1.0) as place, place.connect() as hand:
+    with hand_process(bus_name, 1.0) as process, process.connect() as hand:
         rows = {
             "tick to client, observations": _observation_ages_ms(hand, duration_s),
             "tick to client, status socket": _status_ages_ms(hand, duration_s),
@@ -742,17 +742,17 @@ def main() -> None:
         parser.error(
             f"no part {min(unknown_parts)!r}; expected some of {', '.join(BENCHMARK_PARTS)}"
         )
-    parts = args.part or BENCHMARK_PARTS
+    part_names = args.part or BENCHMARK_PARTS
     with tempfile.TemporaryDirectory(prefix="h-") as short_folder:
         os.environ["HANDCTL_RUN_DIR"] = short_folder
         result: dict[str, Any] = {
             "tension_trip_N": min(tendon.tension_trip_N for tendon in load_hand("jamia").tendon)
         }
-        if "clients" in parts:
+        if "clients" in part_names:
             result["clients"] = measure_clients(args.only, args.bus, args.time_scale)
-        if "tracking" in parts:
+        if "tracking" in part_names:
             result["tracking"] = measure_tracking(args.bus, args.time_scale)
-        if "latency" in parts:
+        if "latency" in part_names:
             result["latency"] = measure_latency(
                 args.bus, QUICK_LATENCY_DURATION_S if args.quick else LATENCY_DURATION_S
             )

@@ -30,10 +30,10 @@ def line_looks(line_names):
     """
     digits = [name.partition("_")[0] for name in line_names]
     colours = {digit: f"C{number}" for number, digit in enumerate(dict.fromkeys(digits))}
-    parts = [digits[:i].count(digit) for i, digit in enumerate(digits)]
+    numbers_in_digit = [digits[:i].count(digit) for i, digit in enumerate(digits)]
     return [
-        {"color": colours[digit], "linestyle": LINE_STYLES[part % len(LINE_STYLES)]}
-        for digit, part in zip(digits, parts, strict=True)
+        {"color": colours[digit], "linestyle": LINE_STYLES[number_in_digit % len(LINE_STYLES)]}
+        for digit, number_in_digit in zip(digits, numbers_in_digit, strict=True)
     ]
 
 

@@ -58,14 +58,14 @@ for stiffness in (0.0, 30.0):
     controller = make_controller(
         hand, Gains(), 500.0, TaskProgram(push_task(stiffness)), None, arm_at_once=True
     )
-    force, place = [], []
+    force, object_position = [], []
     with SimulatorSettings(hand, PUSH_SCENE, homed=True).begin_run(controller) as run:
         for entry, _ in run.run_ticks(PUSH_START_S + LARGEST_PUSH_N / PUSH_RATE_N_PER_S):
             force.append(max(0.0, PUSH_RATE_N_PER_S * (entry.t_ns / 1e9 - PUSH_START_S)))
-            place.append(run.simulated_hand.world.plant.engine.object_pose()[0])
+            object_position.append(run.simulated_hand.world.plant.engine.object_pose()[0])
     pushed = np.array(force) > 0.0
     force_now = np.array(force)[pushed]  # [N]
-    moved_mm = 1e3 * (np.array(place)[pushed] - place[int(np.argmax(pushed))])
+    moved_mm = 1e3 * (np.array(object_position)[pushed] - object_position[int(np.argmax(pushed))])
     given_way = int(np.argmax(moved_mm > SHOWN_MOTION_MM))
     axes.plot(
         moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon"

@@ -77,7 +77,7 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
             {name: retargeted_tip(digits[name], name, 0.0) for name in SEGMENT_FRACTIONS}
         )
     )
-    first = hand.observe().k
+    first_tick = hand.observe().k
     distances_m = []
     with hand.stream(RATE_HZ, "fingertip", list(SEGMENT_FRACTIONS)) as stream:
         began_s = hand.observe().t_s
@@ -92,7 +92,7 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
             distances_m.append(stream.fingertips.distances_m.copy())
             stream.sleep()
         print(stream.status)
-        last = hand.observe().k
+        last_tick = hand.observe().k
 distances_mm = 1e3 * np.array(distances_m)
 print(
     f"error of the inverse kinematics: {distances_mm.mean():.2f} mm on average, {distances_mm.max():.2f} mm at most"
@@ -101,7 +101,7 @@ print(
 with RunLog(
     hand.result["log"]
 ) as log:  # the log has all ticks, but this program has observed only some of them
-    streamed = (log.k > first) & (log.k < last)
+    streamed = (log.k > first_tick) & (log.k < last_tick)
     names = log.names("q")
     times = log.times[streamed]
     q = log.field("q")[streamed]

@@ -24,14 +24,14 @@ def arrived_lines():
 
     Stop at the end of the standard input.
     """
-    rest = b""
+    incomplete_line = b""
     while True:
         if select.select([0], [], [], 0.0)[0]:
-            part = os.read(0, 4096)
-            if not part:
+            input_bytes = os.read(0, 4096)
+            if not input_bytes:
                 return
-            rest += part
-        *complete, rest = rest.split(b"\n")
+            incomplete_line += input_bytes
+        *complete, incomplete_line = incomplete_line.split(b"\n")
         yield [line.decode() for line in complete]
 
 
@@ -42,16 +42,16 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
         angles = np.zeros(len(names))
         largest = SPEED_DEG_S / stream.rate_Hz
         source = arrived_lines()
-        new = next(source, None)
-        while new is not None or not np.allclose(angles, list(targets.values())):
-            for word in " ".join(new or []).split():
+        new_lines = next(source, None)
+        while new_lines is not None or not np.allclose(angles, list(targets.values())):
+            for word in " ".join(new_lines or []).split():
                 name, _, value = word.partition("=")
                 if name in targets:
                     targets[name] = float(value)
             angles += np.clip(np.array(list(targets.values())) - angles, -largest, largest)
             stream.send(angles)
             stream.sleep()
-            if new is not None:
-                new = next(source, None)
+            if new_lines is not None:
+                new_lines = next(source, None)
         print("at the end:", hand.observe().q_deg.round(1))
         print(stream.status)

@@ -40,15 +40,17 @@ assert isinstance(env, handctl.gym.TrackEnv)
 names = np.array([name.partition("[")[0] for name in env.layout.names])
 
 
-def policy_action(policy, seen):
+def policy_action(policy, observation):
     """Return the action of a policy for an observation.
 
     A policy is an array of weights (inputs + 1,). The last weight belongs to the constant 1.
     """
-    parts = [np.degrees(seen[names == name]) for name in INPUT_NAMES]
+    input_angles = [np.degrees(observation[names == name]) for name in INPUT_NAMES]
     # this matrix converts joint angles to digit angles
-    parts[-1] = env.coordinates_of_joints(parts[-1])
-    scaled = [2.0 * (part - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for part in parts]
+    input_angles[-1] = env.coordinates_of_joints(input_angles[-1])
+    scaled = [
+        2.0 * (angles - env.low_deg) / (env.high_deg - env.low_deg) - 1.0 for angles in input_angles
+    ]
     return np.clip(policy @ [*scaled, np.ones(len(env.names))], -1.0, 1.0).astype(np.float32)
 
 
@@ -57,10 +59,10 @@ def run_episode(policy, seed):
 
     Return the mean reward, and the angles and references of the digits in each step [deg].
     """
-    seen, _ = env.reset(seed=seed)
+    observation, _ = env.reset(seed=seed)
     rewards, rows, ended, is_truncated = [], [], False, False
     while not (ended or is_truncated):
-        seen, reward, ended, is_truncated, _ = env.step(policy_action(policy, seen))
+        observation, reward, ended, is_truncated, _ = env.step(policy_action(policy, observation))
         rewards.append(reward)
         rows.append([np.degrees(env.coordinates_of_joints(env.true_q)), env.reference_deg(env.t_s)])
     return sum(rewards) / env.max_steps, np.array(rows)
@@ -68,7 +70,7 @@ def run_episode(policy, seed):
 
 rng = np.random.default_rng(0)
 policy = np.zeros(len(INPUT_NAMES) + 1)
-first = policy.copy()
+first_policy = policy.copy()
 curve = []
 for iteration in range(ITERATION_COUNT):
     directions = rng.standard_normal((DIRECTION_COUNT, len(policy)))
@@ -90,12 +92,12 @@ for iteration in range(ITERATION_COUNT):
     )
 
 np.save("policy.npy", policy)
-before, after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first, policy))
+rows_before, rows_after = (run_episode(p, TEST_SEEDS[0])[1] for p in (first_policy, policy))
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
 axes[0].plot(range(1, ITERATION_COUNT + 1), curve, ".-")
 axes[0].set(xlabel="iteration", ylabel="mean reward", ylim=(0, 1), title="Test episodes")
 t = env.step_s * np.arange(1, env.max_steps + 1)
-for axis, rows, title in ((axes[1], before, "Before"), (axes[2], after, "After")):
+for axis, rows, title in ((axes[1], rows_before, "Before"), (axes[2], rows_after, "After")):
     for d, name in enumerate(env.names):
         axis.plot(t[: len(rows)], rows[:, 0, d], color=LINE_COLORS[d], label=name)
         axis.plot(t[: len(rows)], rows[:, 1, d], "--", color=LINE_COLORS[d], linewidth=1.0)

@@ -559,8 +559,8 @@ def _parse_digit(digit_section: dict[str, Any]) -> Digit:
             problem_text = (
                 f"digit {digit_section['name']}: {key} has {len(digit_section[key])} values"
             )
-            right = "link" if number == count else "joint of its type"
-            raise SimulatorError(f"{problem_text}; expected {number}, one per {right}")
+            counted_part = "link" if number == count else "joint of its type"
+            raise SimulatorError(f"{problem_text}; expected {number}, one per {counted_part}")
     axes = [(0.0, 1.0, 0.0) if slide else (0.0, 0.0, 1.0) for slide in is_prismatic]
     return Digit(
         name=digit_section["name"],

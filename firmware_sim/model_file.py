@@ -112,7 +112,7 @@ def _parsed_root(path: str, file_format: str) -> ET.Element:
         raise SimulatorError(
             f"{path}: not XML: {error}; expected {_format_name(file_format)}"
         ) from None
-    if any("xacro" in str(part.tag) for part in root.iter()):
+    if any("xacro" in str(element.tag) for element in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
     if root.tag != ROOT_TAGS[file_format]:
         other_tag = next(
@@ -178,7 +178,7 @@ def _name_mesh_files(model_spec: Any, xml_root: ET.Element, folder: Path) -> Non
     MuJoCo itself finds no files in ROS packages, and ignores the folder in the name of a mesh.
     """
     path_by_name = {
-        PurePath(name).name: place for name, place in urdf_files(xml_root, folder).items()
+        PurePath(name).name: mesh_path for name, mesh_path in urdf_files(xml_root, folder).items()
     }
     for mesh in model_spec.meshes:
         mesh.file = str(path_by_name.get(PurePath(mesh.file).name, mesh.file))
@@ -214,12 +214,12 @@ def _remove_meshes(model_spec: Any) -> bool:
     If the model has no such shapes or images, return False.
     """
     shapes = [geom for geom in model_spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
-    parts = [*shapes, *model_spec.meshes, *model_spec.textures]
+    mesh_parts = [*shapes, *model_spec.meshes, *model_spec.textures]
     for geom in model_spec.geoms:
         geom.material = ""
-    for part in [*parts, *model_spec.materials]:
-        model_spec.delete(part)
-    return bool(parts)
+    for model_part in [*mesh_parts, *model_spec.materials]:
+        model_spec.delete(model_part)
+    return bool(mesh_parts)
 
 
 def _first_line(mujoco_error: Exception) -> str:
@@ -345,11 +345,11 @@ def _mesh_values(
     for mesh in meshes:
         if mesh.body in members:
             axes = model_data.xmat[mesh.body].reshape(3, 3)
-            place = model_data.xpos[mesh.body] + axes @ mesh.position - link_origin
+            mesh_position = model_data.xpos[mesh.body] + axes @ mesh.position - link_origin
             mesh_sections.append({
                 "file": str(mesh.file),
                 "scale": mesh.scale.tolist(),
-                "position": (link_rotation.T @ place).tolist(),
+                "position": (link_rotation.T @ mesh_position).tolist(),
                 "rotation": (link_rotation.T @ axes @ mesh.rotation).tolist(),
             })  # fmt: skip
     return mesh_sections
@@ -401,8 +401,8 @@ def _frame_origins(
                 model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.site_pos[site]
             )
     return {
-        name: (link_rotation.T @ (place - link_origin)).tolist()
-        for name, place in origin_by_body.items()
+        name: (link_rotation.T @ (body_origin - link_origin)).tolist()
+        for name, body_origin in origin_by_body.items()
         if name
     }
 
@@ -427,9 +427,12 @@ def _shape_corners(
             continue
         centre, half_sizes = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = model_data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
-        place = model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
+        geom_position = (
+            model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
+        )
         corners.append(
-            (place + (centre + BOX_CORNERS * half_sizes) @ axes.T - link_origin) @ link_rotation
+            (geom_position + (centre + BOX_CORNERS * half_sizes) @ axes.T - link_origin)
+            @ link_rotation
         )
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         width = (
@@ -452,15 +455,18 @@ def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
     for tendon in range(model.ntendon):
         name = model.tendon(tendon).name or f"tendon_{tendon + 1}"
         first_wrap = int(model.tendon_adr[tendon])
-        parts = range(first_wrap, first_wrap + int(model.tendon_num[tendon]))
-        if any(model.wrap_type[part] != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
+        wrap_indices = range(first_wrap, first_wrap + int(model.tendon_num[tendon]))
+        if any(
+            model.wrap_type[wrap_index] != mujoco.mjtWrap.mjWRAP_JOINT
+            for wrap_index in wrap_indices
+        ):
             notes.append(
                 f"tendon {name} is not read: its path is given by points, and its moment arms change"
             )
             continue
         arms = {
-            _joint_name(model, int(model.wrap_objid[part])): float(model.wrap_prm[part])
-            for part in parts
+            _joint_name(model, int(model.wrap_objid[wrap_index])): float(model.wrap_prm[wrap_index])
+            for wrap_index in wrap_indices
         }
         motors = [
             actuator

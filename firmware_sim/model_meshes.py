@@ -48,15 +48,18 @@ def _urdf_path(name: str, folder: Path) -> Path:
     """
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(FILE_SCHEME_PREFIX)
-    package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
+    package, *path_parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
     possible_paths = [
-        parent_folder.joinpath(*parts)
+        parent_folder.joinpath(*path_parts)
         for parent_folder in (folder, *folder.parents)
         if parent_folder.name == package
     ]
-    possible_paths += [above.joinpath(package, *parts) for above in (folder, *folder.parents)]
+    possible_paths += [above.joinpath(package, *path_parts) for above in (folder, *folder.parents)]
     possible_paths.append(folder / PurePath(name).name)
-    return next((place for place in possible_paths if place.is_file()), folder.joinpath(*parts))
+    return next(
+        (possible_path for possible_path in possible_paths if possible_path.is_file()),
+        folder.joinpath(*path_parts),
+    )
 
 
 def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[BodyMesh]:
@@ -75,14 +78,16 @@ def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[Body
             if mesh is None or not mesh.get("filename"):
                 continue
             origin = visual.find("origin")
-            place = {} if origin is None else origin.attrib
+            origin_attributes = {} if origin is None else origin.attrib
             turn = np.zeros(4)
-            mujoco.mju_euler2Quat(turn, _three_numbers(place.get("rpy", "0 0 0")), "XYZ")
+            mujoco.mju_euler2Quat(
+                turn, _three_numbers(origin_attributes.get("rpy", "0 0 0")), "XYZ"
+            )
             yield BodyMesh(
                 body=max(body, 0),
                 file=files[mesh.get("filename", "")],
                 scale=_three_numbers(mesh.get("scale", "1 1 1")),
-                position=_three_numbers(place.get("xyz", "0 0 0")),
+                position=_three_numbers(origin_attributes.get("xyz", "0 0 0")),
                 rotation=rotation_of(turn),
             )
 

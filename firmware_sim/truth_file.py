@@ -67,14 +67,18 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
         (f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"
     ]
     column_names += [(f"object/{axis}", "m") for axis in "xyz"]
-    column_names += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
+    column_names += [
+        (f"object/{quaternion_component}", "1") for quaternion_component in ("qw", "qx", "qy", "qz")
+    ]
     column_names += [("slip", "m/s")]
     if plant.can_table_sink:
         column_names += [("support", "m")]
     if plant.load:
         column_names += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
     column_names += [
-        (f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")
+        (f"tension/{pair.name}/{tendon_of_pair}", "N")
+        for pair in hand.pairs
+        for tendon_of_pair in ("first", "second")
     ]
     return column_names
 

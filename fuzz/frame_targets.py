@@ -116,11 +116,11 @@ def recorded_inputs(drive_name: str, folder: Path) -> list[bytes]:
     own_identifiers = selectable_identifiers(motor, recorded_states)
     inputs = []
     for i, (_, _, received_frames) in enumerate(recorded_states):
-        parts = [
+        operations = [
             bytes((own_identifiers.index(frame.can_id), *_payload_header(frame.data))) + frame.data
             for frame in received_frames[:MAX_FRAMES]
         ]
-        inputs.append(bytes((i,)) + b"".join(parts))
+        inputs.append(bytes((i,)) + b"".join(operations))
     return [data for data in inputs if len(data) > 1]
 
 

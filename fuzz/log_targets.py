@@ -80,8 +80,8 @@ def log_target(folder: Path) -> FuzzTarget:
 
     Most of the changed records have a valid length.
     """
-    parts = _log_parts(write_small_log(folder))
-    joined = [_join_records(i, part) for i, part in enumerate(parts)]
+    log_parts = _log_parts(write_small_log(folder))
+    joined = [_join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)]
     path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
@@ -90,15 +90,15 @@ def log_target(folder: Path) -> FuzzTarget:
         for _ in range(MAX_EDITS):
             if source.is_empty:
                 break
-            i = source.take_number(len(parts))
-            records = changed_records.setdefault(i, parts[i].copy())
+            i = source.take_number(len(log_parts))
+            records = changed_records.setdefault(i, log_parts[i].copy())
             at = source.take_number(len(records))
             records[at] = _changed_record(records[at], source)
         path.write_bytes(
             b"".join(
                 [
                     _join_records(i, changed_records[i]) if i in changed_records else joined[i]
-                    for i in range(len(parts))
+                    for i in range(len(log_parts))
                 ]
             )
         )
@@ -116,7 +116,7 @@ def _log_parts(path: Path) -> list[list[bytes]]:
     result = RecordScan()
     scan_records(file, result)
     raw_bytes = path.read_bytes()
-    contents = [bytes(file.chunk_content(place)) for place in result.chunks]
+    contents = [bytes(file.chunk_content(chunk_location)) for chunk_location in result.chunks]
     file.close()
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in FUZZED_TOPICS}

@@ -40,9 +40,10 @@ def main() -> int:
         judged_total += judged_count
         killed_count = judged_count - survived - untested
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
-        left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
+        counts = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(
-            f"{name:32} {killed_count:4} of {judged_count:4} killed {100 * killed_count / judged_count:5.1f} %  {left}"
+            f"{name:32} {killed_count:4} of {judged_count:4} killed "
+            f"{100 * killed_count / judged_count:5.1f} %  {counts}"
         )
         unexplained_mutants += [
             key

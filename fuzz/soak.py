@@ -86,10 +86,13 @@ def memory_slope(samples: list[MemorySample], warm_up_s: float = WARM_UP_S) -> f
         return None
     window_count = (warm_samples[-1].time_s - warm_samples[0].time_s) // PEAK_WINDOW_S
     windows = groupby(
-        warm_samples, lambda one: (one.time_s - warm_samples[0].time_s) // PEAK_WINDOW_S
+        warm_samples,
+        lambda warm_sample: (warm_sample.time_s - warm_samples[0].time_s) // PEAK_WINDOW_S,
     )
     peak_samples = [
-        max(part, key=lambda one: one.rss_mib) for number, part in windows if number < window_count
+        max(samples_of_window, key=lambda warm_sample: warm_sample.rss_mib)
+        for number, samples_of_window in windows
+        if number < window_count
     ]
     return float(
         np.polyfit(
@@ -187,8 +190,8 @@ class SoakTest:
                     self.errors.append(f"run {self.run_number}: log {log.warning}")
         elif code == 0:
             self.errors.append(f"run {self.run_number}: no log; {output_text[-100:]}")
-        for left in Path().glob(f"{self.run_number}.*"):
-            left.unlink()
+        for remaining_file in Path().glob(f"{self.run_number}.*"):
+            remaining_file.unlink()
 
     def ensure_controller(self) -> None:
         """Ensure that a controller runs and holds the hand.
@@ -238,7 +241,7 @@ class SoakTest:
     def soak_result(self) -> dict[str, object]:
         """Return the result of the test: counts of events, growth of memory, open file descriptors, and all errors."""
         memory_slopes = {
-            name: [memory_slope(life_samples) for life_samples in lives if life_samples]
+            name: [memory_slope(life) for life in lives if life]
             for name, lives in self.samples_by_process.items()
         }
         known_slopes = {
@@ -251,10 +254,10 @@ class SoakTest:
                 for text in found_slopes
                 if text > MAX_GROWTH_MIB_PER_H
             ]
-        memory_rise = {name: max((one[-1].rss_mib - one[0].rss_mib for one in lives if one), default=0) for name,
+        memory_rise = {name: max((life[-1].rss_mib - life[0].rss_mib for life in lives if life), default=0) for name,
         lives in
                 self.samples_by_process.items()}  # fmt: skip
-        descriptors = {name: sorted({s.descriptors for one in lives for s in one}) for name, lives in
+        descriptors = {name: sorted({s.descriptors for life in lives for s in life}) for name, lives in
                        self.samples_by_process.items()}  # fmt: skip
         simulators = [sample for sample in self.samples_by_process["simulator"] if sample]
         if any(

@@ -75,15 +75,15 @@ def write_sample(folder: Path, seed: int, count: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     chance = random.Random(seed)
     key = {}
-    for part, find_lines in (("names", names_in_file), ("sentences", sentences_in_file)):
+    for sample_part, find_lines in (("names", names_in_file), ("sentences", sentences_in_file)):
         lines = [
-            *draw_lines(our_files(part == "sentences"), find_lines, count, chance),
+            *draw_lines(our_files(sample_part == "sentences"), find_lines, count, chance),
             *draw_lines(other_files(), find_lines, count, chance),
         ]
         chance.shuffle(lines)
         numbered = [f"{number}. {line.text}" for number, line in enumerate(lines, 1)]
-        (folder / f"{part}.txt").write_text("\n".join(numbered) + "\n", encoding="utf-8")
-        key[part] = lines
+        (folder / f"{sample_part}.txt").write_text("\n".join(numbered) + "\n", encoding="utf-8")
+        key[sample_part] = lines
     (folder / "key.json").write_text(json.dumps(key, indent=1), encoding="utf-8")
 
 
@@ -150,13 +150,13 @@ def draw_lines(
 def names_in_file(path: Path) -> list[str]:
     """Return all names that a file defines, each with its kind. Tests of pytest are left out."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    named = [
+    definitions = [
         ("module", path.stem),
         *(pair for node in ast.walk(tree) for pair in defined_names(node)),
     ]
     return sorted({
         f"`{name}` ({kind})"
-        for kind, name in named
+        for kind, name in definitions
         if len(name) >= SHORTEST_NAME
         and name not in ("self", "cls")
         and not name.startswith(("__", "test_"))

@@ -78,11 +78,11 @@ class FolderTally:
     totals: Counter[str] = field(default_factory=Counter)
     places: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, count_name: str, place: str, finding: str, times: int = 1) -> None:
+    def add(self, count_name: str, location: str, finding: str, times: int = 1) -> None:
         """Add findings of one kind at one place."""
         self.counts[count_name] += times
         if times:
-            self.places[count_name].append(f"{place}: {finding}")
+            self.places[count_name].append(f"{location}: {finding}")
 
     def ratio(self, count_name: str) -> float:
         """Return how often something occurs, for example per 1000 words.
@@ -97,12 +97,12 @@ class FolderTally:
         )
 
 
-def count_prose(tally: FolderTally, text: str, place: str) -> None:
+def count_prose(tally: FolderTally, text: str, location: str) -> None:
     """Count the words of a docstring or document, and the hard phrases in it."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE_PATTERNS.items():
         matches = pattern.findall(text)
-        tally.add(name, place, f"{len(matches)} in the text", len(matches))
+        tally.add(name, location, f"{len(matches)} in the text", len(matches))
 
 
 def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> None:
@@ -124,19 +124,19 @@ def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> 
             len(line) > LONG_LINE_CHARACTERS,
         )
     for node in ast.walk(tree):
-        place = f"{name}:{getattr(node, 'lineno', 1)}"
+        location = f"{name}:{getattr(node, 'lineno', 1)}"
         for defined in _defined_names(node):
             words = [word.lower() for word in _WORD_PATTERN.findall(defined)]
             tally.totals["name words"] += len(words)
             for word in words:
                 tally.add(
                     "names",
-                    place,
+                    location,
                     f"{defined}: say {LANGUAGE_TERMS['names'].get(word)}",
                     word in LANGUAGE_TERMS["names"],
                 )
-        tally.add("tuples", place, "assignments in parallel", _is_parallel(node))
-        _count_docstring(tally, node, place)
+        tally.add("tuples", location, "assignments in parallel", _is_parallel(node))
+        _count_docstring(tally, node, location)
     for text in _attribute_docs(tree):
         count_prose(tally, text, name)
 
@@ -163,7 +163,7 @@ def _is_parallel(node: ast.AST) -> bool:
     return False
 
 
-def _count_docstring(tally: FolderTally, node: ast.AST, place: str) -> None:
+def _count_docstring(tally: FolderTally, node: ast.AST, location: str) -> None:
     """Count the docstring of a module, class or function.
 
     Docstrings of functions must begin with a verb.
@@ -171,14 +171,14 @@ def _count_docstring(tally: FolderTally, node: ast.AST, place: str) -> None:
     if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
         return
     text = ast.get_docstring(node) or ""
-    count_prose(tally, text, place)
-    first = re.match(r"\W*([A-Za-z-]+)", text)
-    if first and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-        word = first[1].lower()
+    count_prose(tally, text, location)
+    first_word = re.match(r"\W*([A-Za-z-]+)", text)
+    if first_word and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        word = first_word[1].lower()
         tally.totals["docstrings"] += 1
         tally.add(
             "openers",
-            place,
+            location,
             f"begins with {word!r}",
             not {word, word.removesuffix("s")} & _DOCSTRING_VERBS,
         )
@@ -188,8 +188,8 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
     """Yield the documentation strings below constants and attributes."""
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
-        for part in body[1:] if isinstance(body, list) else ():
-            match part:
+        for statement in body[1:] if isinstance(body, list) else ():
+            match statement:
                 case ast.Expr(value=ast.Constant(value=str(text))):
                     yield text
 

@@ -42,7 +42,7 @@ def _grouped_rows(
 def _success_table(rows: list[dict[str, Any]]) -> str:
     hands = list(dict.fromkeys(row["hand"] for row in rows))
     table = []
-    for (grasp, thing), trial_rows in _grouped_rows(rows, "grasp", "object").items():
+    for (grasp, grasped_object), trial_rows in _grouped_rows(rows, "grasp", "object").items():
         cells = []
         for hand in hands:
             hand_rows = [row for row in trial_rows if row["hand"] == hand]
@@ -53,7 +53,7 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
                 if hand_rows
                 else "-"
             )
-        table.append([grasp, thing, *cells])
+        table.append([grasp, grasped_object, *cells])
     total_row = []
     for grasp in dict.fromkeys(row["grasp"] for row in rows):
         for hand in hands:
@@ -62,7 +62,7 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
                 f"{hand} {grasp} {100 * np.mean([row['ok'] for row in hand_rows]):.0f} % of {len(hand_rows)}"
             )
     failures = []
-    for (hand, grasp, thing), failed_rows in _grouped_rows(
+    for (hand, grasp, grasped_object), failed_rows in _grouped_rows(
         [row for row in rows if row["why"]], "hand", "grasp", "object"
     ).items():
         rows_by_reason = _grouped_rows(failed_rows, "why")
@@ -70,7 +70,7 @@ def _success_table(rows: list[dict[str, Any]]) -> str:
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
             for (reason,), selected in rows_by_reason.items()
         ]
-        failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(reasons)}")
+        failures.append(f"* {hand}, {grasp}, {grasped_object}: {'; '.join(reasons)}")
     failures_text = "\n\nFailed runs:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
     column_titles = [
         "grasp",

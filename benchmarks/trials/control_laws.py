@@ -48,13 +48,13 @@ def torque_without_gravity(
     digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
 ) -> tuple[float, ...]:
     """Return the feedforward torque of the inverse dynamics without gravity."""
-    parts = zip(
+    torques_of_joints = zip(
         required_torque(digit, q, dq, ddq),
         static_torque(digit, q),
         spring_torque(digit, q),
         strict=True,
     )
-    return tuple(full_torque - static + spring for full_torque, static, spring in parts)
+    return tuple(full_torque - static + spring for full_torque, static, spring in torques_of_joints)
 
 
 def misprinted_torque(
@@ -88,7 +88,10 @@ def misprinted_torque(
         : digit.joint_count
     ]
     passive_torques = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
-    return tuple(tau + sum(parts) for tau, parts in zip(joint, passive_torques, strict=True))
+    return tuple(
+        tau + sum(passive_torques_of_joint)
+        for tau, passive_torques_of_joint in zip(joint, passive_torques, strict=True)
+    )
 
 
 MOTION_FORCE_WEIGHT_N = 20.0

@@ -23,22 +23,25 @@ def write_part(part_name: str, part_text: str) -> None:
 
     All other parts of the page stay unchanged.
     """
-    parts = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
-    parts[part_name] = part_text.strip()
+    text_by_part = _page_parts(PAGE_FILE.read_text("utf-8")) if PAGE_FILE.exists() else {}
+    text_by_part[part_name] = part_text.strip()
     ordered_parts = sorted(
-        parts, key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER)
+        text_by_part,
+        key=lambda name: PART_ORDER.index(name) if name in PART_ORDER else len(PART_ORDER),
     )
-    blocks = [f"<!-- {name} -->\n{parts[name]}\n<!-- end of {name} -->\n" for name in ordered_parts]
+    blocks = [
+        f"<!-- {name} -->\n{text_by_part[name]}\n<!-- end of {name} -->\n" for name in ordered_parts
+    ]
     PAGE_FILE.write_text("\n".join([PAGE_HEAD, *blocks]), "utf-8")
 
 
 def _page_parts(page_text: str) -> dict[str, str]:
     """Split the page into its parts, and return them by name."""
-    parts = {}
+    text_by_part = {}
     for block in page_text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")
-        parts[name] = body.strip()
-    return parts
+        text_by_part[name] = body.strip()
+    return text_by_part
 
 
 def markdown_table(column_titles: list[str], rows: list[list[str]]) -> str:

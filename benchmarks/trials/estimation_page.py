@@ -33,7 +33,7 @@ NIS_RANGE = (0.8, 1.3)
 
 def page_section(result: dict) -> str:
     """Return the Markdown section of a result of ``estimation.measure_estimators``."""
-    parts = ["## The tension estimate", ""]
+    paragraphs = ["## The tension estimate", ""]
     min_seed_count = min(result["seeds"].values())
     max_seed_count = max(result["seeds"].values())
     seeds = (
@@ -41,7 +41,7 @@ def page_section(result: dict) -> str:
         if min_seed_count == max_seed_count
         else f"{min_seed_count} to {max_seed_count}"
     )
-    parts += [
+    paragraphs += [
         "`python benchmarks/estimation.py --page` writes this section. The error is the estimated "
         "minus the true tension at the load cell. All numbers are root mean square "
         "errors (RMSE) "
@@ -70,7 +70,7 @@ def page_section(result: dict) -> str:
             [regime, *(f"{row[c]:.2f}" for c in KEY_BY_COLUMN.values())]
             for regime, row in plants["as known"].items()
         ]
-        parts += ["", markdown_table([hand, *KEY_BY_COLUMN], rows)]
+        paragraphs += ["", markdown_table([hand, *KEY_BY_COLUMN], rows)]
         other_plants = [plant for plant in plants if plant != "as known"]
         if other_plants:
             regimes = [
@@ -83,14 +83,14 @@ def page_section(result: dict) -> str:
                 for regime in regimes
             ]
             column_titles = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
-            parts += [
+            paragraphs += [
                 "",
                 markdown_table(
                     column_titles,
                     [_wrong_plant_row(plant, plants[plant], regimes) for plant in other_plants],
                 ),
             ]
-    parts += [
+    paragraphs += [
         "",
         _conclusion(result),
         "",
@@ -98,7 +98,7 @@ def page_section(result: dict) -> str:
         "",
         "![Tension errors by regime](../figures/control-estimation.png)",
     ]
-    return "\n".join(parts)
+    return "\n".join(paragraphs)
 
 
 def _wrong_plant_row(plant_name: str, regimes_table: dict, regimes: list[str]) -> list[str]:
@@ -145,8 +145,8 @@ def _conclusion(result: dict) -> str:
         f"- {_regimes_worse_than_raw(result, ratio)}" for ratio in RATIO_INSTANT_TEXTS
     )
     heading = "Comparison of the filter with the load cell alone:"
-    parts = (text.strip(), heading, raw_text, _wrong_plant_text(result), *EXPLANATION_TEXTS)
-    return "\n\n".join(part for part in parts if part)
+    paragraphs = (text.strip(), heading, raw_text, _wrong_plant_text(result), *EXPLANATION_TEXTS)
+    return "\n\n".join(paragraph for paragraph in paragraphs if paragraph)
 
 
 EXPLANATION_TEXTS = (

@@ -15,8 +15,8 @@ COLUMN_BY_FIGURE = {
 
 def page_section(result: dict[str, Any]) -> str:
     """Return the Markdown section of a result of ``force.measure_force``."""
-    parts = ["## A step of force", ""]
-    parts += [
+    paragraphs = ["## A step of force", ""]
+    paragraphs += [
         "`python benchmarks/control.py --parts force --page` writes this section. The digits hold a cylinder "
         "with 15 N per tendon. The command then steps to 40 N (limited to 5000 N/s) and back to 15 N. The "
         "error is the true tension at the load cell minus the command, during both steps. The table shows means "
@@ -28,12 +28,12 @@ def page_section(result: dict[str, Any]) -> str:
     ]
     for hand, plants in result["hands"].items():
         rows = [_loop_row(law, row) for law, row in plants.get("as known", {}).items()]
-        parts += ["", markdown_table([hand, *COLUMN_BY_FIGURE.values(), "seeds"], rows)]
+        paragraphs += ["", markdown_table([hand, *COLUMN_BY_FIGURE.values(), "seeds"], rows)]
         other_plants = [plant for plant in plants if plant != "as known"]
         if other_plants:
             laws = list(plants["as known"])
             column_titles = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
-            parts += [
+            paragraphs += [
                 "",
                 markdown_table(
                     column_titles,
@@ -43,7 +43,7 @@ def page_section(result: dict[str, Any]) -> str:
                     ],
                 ),
             ]
-    return "\n".join([*parts, "", _conclusion(result)])
+    return "\n".join([*paragraphs, "", _conclusion(result)])
 
 
 def _loop_row(loop_name: str, row: dict[str, Any]) -> list[str]:

@@ -79,11 +79,11 @@ def _run_jobs(run_job: JobFunction, jobs: list[Any], worker_count: int, end_time
                 yield job, run_job(job)
         return
     job_by_future: dict[Future[Any], Any] = {}
-    left = iter(jobs)
+    remaining_jobs = iter(jobs)
     with ProcessPoolExecutor(worker_count) as pool:
         while True:
             while len(job_by_future) < worker_count and time.monotonic() < end_time_s:
-                job = next(left, None)
+                job = next(remaining_jobs, None)
                 if job is None:
                     break
                 job_by_future[pool.submit(run_job, job)] = job

@@ -335,14 +335,14 @@ def print_results(result: dict) -> None:
         "tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]"
     )
     shown_rows = [
-        (hand, *item)
+        (hand, *plant_and_value)
         for hand, plants in result["tracking"]["hands"].items()
-        for item in plants.items()
+        for plant_and_value in plants.items()
     ]
     rows_with_margins = [
-        (hand, *item)
+        (hand, *plant_and_value)
         for hand, plants in result["tracking"]["careful"].items()
-        for item in plants.items()
+        for plant_and_value in plants.items()
     ]
     for weights, rows in (
         ("best weights", shown_rows),

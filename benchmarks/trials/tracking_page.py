@@ -25,8 +25,8 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
         compared_laws: names of four control laws: PD alone, springs and gravity, the complete law, and the
             misprinted equations.
     """
-    parts = ["## Tracking: benefit of each part of the control law", ""]
-    parts += [
+    paragraphs = ["## Tracking: benefit of each part of the control law", ""]
+    paragraphs += [
         "`python benchmarks/control.py --parts tracking --page` writes this section. The benchmark moves "
         "every digit from 0 to 60 degrees and back at three speeds: slow (1.5 s), medium (0.5 s) and fast "
         "(0.15 s). Each row of a table adds one part to the control law of the row before. The error is the "
@@ -56,21 +56,24 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
-        parts += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
+        paragraphs += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
         rows_with_margins = result["careful"].get(hand, {})
         if "as known" in rows_with_margins:
             nominal = rows_with_margins["as known"]
             heading = f"{hand}, weights that keep their margins"
-            parts += [
+            paragraphs += [
                 "",
                 _laws_table(heading, nominal),
                 "",
                 _comparison_of_laws(nominal, compared_laws) + ".",
             ]
         if len(rows_with_margins) > 1:
-            parts += ["", _wrong_plants_table(hand, rows_with_margins, compared_laws)]
-    parts += ["", "![Tracking error at the fast motion, by law](../figures/control-tracking.png)"]
-    return "\n".join(parts)
+            paragraphs += ["", _wrong_plants_table(hand, rows_with_margins, compared_laws)]
+    paragraphs += [
+        "",
+        "![Tracking error at the fast motion, by law](../figures/control-tracking.png)",
+    ]
+    return "\n".join(paragraphs)
 
 
 def _laws_table(title: str, laws: dict) -> str:
@@ -298,7 +301,9 @@ def draw_picture(result: dict) -> None:
             (rows_with_margins, 0.2, "#cc6677", "best weights that keep margins"),
         ):
             values = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
-            finite_rows = [(place, row) for place, row in values if np.isfinite(row["rmse_deg"])]
+            finite_rows = [
+                (bar_position, row) for bar_position, row in values if np.isfinite(row["rmse_deg"])
+            ]
             mean, spread = (
                 [row[key] for _, row in finite_rows] for key in ("rmse_deg", "rmse_spread_deg")
             )
@@ -311,11 +316,11 @@ def draw_picture(result: dict) -> None:
                 label=label,
                 capsize=2,
             )
-            for place, row in values:
+            for bar_position, row in values:
                 value = row["rmse_deg"]
                 text = f"{value:.2f}" if np.isfinite(value) else RUN_ENDED_TEXT
                 end = value + row["rmse_spread_deg"] if np.isfinite(value) else MIN_SHOWN_ERROR_DEG
-                axis.annotate(text, (end, place), (4, -3),
+                axis.annotate(text, (end, bar_position), (4, -3),
                               textcoords="offset points", fontsize=8)  # fmt: skip
         axis.set_yticks(bar_positions, list(laws))
         axis.set_xscale("log")

@@ -235,9 +235,12 @@ def _processor_s(pid: int) -> float:
 
 def _lateness_figures(*loop_stats: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
-    us = np.concatenate([np.array(part.tick_lateness_ns) for part in loop_stats]) / 1e3
-    missed_fraction = sum(part.missed_ticks for part in loop_stats) / sum(
-        part.ticks + part.missed_ticks for part in loop_stats
+    us = (
+        np.concatenate([np.array(stats_of_loop.tick_lateness_ns) for stats_of_loop in loop_stats])
+        / 1e3
+    )
+    missed_fraction = sum(stats_of_loop.missed_ticks for stats_of_loop in loop_stats) / sum(
+        stats_of_loop.ticks + stats_of_loop.missed_ticks for stats_of_loop in loop_stats
     )
     return {
         name: float(np.percentile(us, percentile))

@@ -149,20 +149,22 @@ class TimedPort:
         """
         for link, controller in self._clients.items():
             arrival_count, reported_count = self._queues[link]
-            left = arrival_count - len(controller.queue)
-            if left != reported_count:
+            departed_count = arrival_count - len(controller.queue)
+            if departed_count != reported_count:
                 dropped_count = link.dropped_record_count
                 link.deliver(
                     pack_record(
                         Frame(
                             QUEUE_REPORT,
-                            _QUEUE_STRUCT.pack(left & 0xFFFFFFFF, self.wire.options.queue),
+                            _QUEUE_STRUCT.pack(
+                                departed_count & 0xFFFFFFFF, self.wire.options.queue
+                            ),
                         )
                     )
                 )
                 self._queues[link] = (
                     arrival_count,
-                    left if link.dropped_record_count == dropped_count else -1,
+                    departed_count if link.dropped_record_count == dropped_count else -1,
                 )
 
     def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:

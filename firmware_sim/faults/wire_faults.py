@@ -82,22 +82,22 @@ def released_frames(active_faults: Sequence[ActiveFault], t_ns: int) -> list[Fra
 
 def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop the frames hit by the fault."""
-    passed_frames = [frame for frame in frames if not active.affects_frame()]
-    if len(passed_frames) < len(frames):
+    unaffected_frames = [frame for frame in frames if not active.affects_frame()]
+    if len(unaffected_frames) < len(frames):
         active.count_effect(t_ns)
-    return passed_frames
+    return unaffected_frames
 
 
 def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Store the frames hit by the fault, until their delay is over."""
-    passed_frames = []
+    unaffected_frames = []
     for frame in frames:
         if active.affects_frame():
             active.delayed_frames.append((t_ns + round(active.fault.size * 1e6), frame))
             active.count_effect(t_ns)
         else:
-            passed_frames.append(frame)
-    return passed_frames
+            unaffected_frames.append(frame)
+    return unaffected_frames
 
 
 def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:

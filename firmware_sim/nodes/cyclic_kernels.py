@@ -174,7 +174,7 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     """Apply a command to an MIT drive, and write the feedback of the drive."""
     node.watchdog_fed_ns = t_ns
     if node.state == ENABLED_STATE:
-        apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
+        apply_command(node, rotor.own_servo, _payload_as_integer(frame.data))
     temperatures = node.temperatures
     word = feedback_word(
         node, rotor, encoder_angle(rotor.theta), temperatures.mosfet, temperatures.winding
@@ -228,7 +228,7 @@ def _answer_odrive(
     if frame.can_id & REMOTE_FLAG:
         _write_encoder_frame(node, rotor, frame.bus, answer_frames[count])
         return count + 1
-    set_torque(node, rotor.servo_row, _read_float(frame.data), t_ns)
+    set_torque(node, rotor.own_servo, _read_float(frame.data), t_ns)
     schedule_odrive(node)
     return count
 
@@ -282,7 +282,7 @@ def _answer_cia402(
         torque = int(data[2] | data[3] << 8)
         # Conversion of 16 bits to a signed number (two's complement).
         values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
-        apply_torque(node, rotor.servo_row)
+        apply_torque(node, rotor.own_servo)
     schedule_cia402(node, t_ns, False)
     return count
 
@@ -769,8 +769,8 @@ def merge(host_frames: Any, other_frames: Any, merged_frames: Any) -> None:
         frame = host_frames[i] if i < count else other_frames[i - count]
         # The loop is an insertion sort. It is fast because both arrays are almost sorted, and it
         # keeps the order of equal times.
-        place = i
-        while place > 0 and merged_frames[place - 1].t_ns > frame.t_ns:
-            merged_frames[place] = merged_frames[place - 1]
-            place -= 1
-        merged_frames[place] = frame
+        insertion_index = i
+        while insertion_index > 0 and merged_frames[insertion_index - 1].t_ns > frame.t_ns:
+            merged_frames[insertion_index] = merged_frames[insertion_index - 1]
+            insertion_index -= 1
+        merged_frames[insertion_index] = frame

@@ -96,10 +96,10 @@ class Camera:
         # Another camera of this process may have made its own graphics context the current one.
         self._gl.make_current()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        place = mujoco.MjrRect(0, 0, self.width_px, self.height_px)
-        mujoco.mjr_render(place, self._scene, self._context)
+        picture_rectangle = mujoco.MjrRect(0, 0, self.width_px, self.height_px)
+        mujoco.mjr_render(picture_rectangle, self._scene, self._context)
         picture = np.empty((self.height_px, self.width_px, 3), np.uint8)
-        mujoco.mjr_readPixels(picture, None, place, self._context)
+        mujoco.mjr_readPixels(picture, None, picture_rectangle, self._context)
         # OpenGL returns the lowest row of the picture first.
         return np.ascontiguousarray(picture[::-1])
 

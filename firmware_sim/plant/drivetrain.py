@@ -267,7 +267,7 @@ def compute_command(rotor: Any) -> None:
     Some drives move their position setpoint themselves. Such a setpoint is first moved to its value
     at the end of the step.
     """
-    servo = rotor.servo_row
+    servo = rotor.own_servo
     filter_fraction = rotor.lag
     gain = rotor.gain
     smoothed_sign = math.tanh(rotor.omega / COULOMB_SPEED)

@@ -411,9 +411,9 @@ def _loopback_texts(hand: Hand, digit: Digit) -> dict[str, str]:
     """
     if not digit.coupling or not hand.has_spool_pairs(digit):
         return {}
-    left, values, _ = np.linalg.svd(np.array(digit.coupling))
+    left_vectors, values, _ = np.linalg.svd(np.array(digit.coupling))
     tendons = {}
-    for i, row in enumerate(left[:, len(values) :].T.tolist()):
+    for i, row in enumerate(left_vectors[:, len(values) :].T.tolist()):
         joints = "".join(
             f'<joint joint="{joint}" coef="{factor}"/>'
             for joint, factor in zip(digit.joints, row, strict=True)

@@ -45,7 +45,7 @@ class Motor:
         heat: integral of the squared torque since the node last updated its temperatures [N2 m2 s].
         servo: setpoints and gains of the drive. A fault can replace this servo by the servo of
             another motor.
-        servo_row: setpoints and gains in the memory of the rotor, for kernels.
+        own_servo: setpoints and gains of the motor itself in the memory of the rotor, for kernels.
         inertia: inertia of the rotor [kg m2].
         viscous: viscous friction of the rotor [N m s/rad].
         coulomb: Coulomb friction of the rotor [N m].
@@ -70,7 +70,7 @@ class Motor:
         faulty: True if the encoder or the power stage has a fault.
     """
 
-    servo_row: Servo
+    own_servo: Servo
     number = 0
     _encoder_fault: Callable[[float], float] | None
     _power_stage_fault: Callable[[float], float] | None
@@ -82,7 +82,7 @@ class Motor:
             spec: description of the motor.
             step_s: time step of the plant [s].
         """
-        self.servo_row = Servo()
+        self.own_servo = Servo()
         self._set_parameters(spec, step_s)
 
     def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
@@ -97,7 +97,7 @@ class Motor:
         self.set_step_duration(step_s)
         self.load = self.angle = self.command = self.drag = self.impedance = 0.0
         self.steps_alone = False
-        self.servo = self.servo_row
+        self.servo = self.own_servo
         self._encoder_fault = self._power_stage_fault = None
         self.faulty = False
 

@@ -89,7 +89,9 @@ class Plant:
         # The key of this dict is the index of the first tendon of each spool pair, and the value is
         # the index of the second tendon.
         first_of_pair = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
-        self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(first_of_pair)}
+        self._antagonist = {
+            i: len(hand.tendons) + pair_index for pair_index, i in enumerate(first_of_pair)
+        }
         self.motors = {
             spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
         }

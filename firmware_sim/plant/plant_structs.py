@@ -74,7 +74,7 @@ class RotorStruct(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "impedance")),
         *((name, ctypes.c_double) for name in ("top_speed", "stall_torque")),
         *((name, ctypes.c_int64) for name in ("steps_alone", "faulty")),
-        ("servo_row", ServoStruct),
+        ("own_servo", ServoStruct),
     ]
 
 

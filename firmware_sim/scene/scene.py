@@ -98,7 +98,7 @@ def packaged_scenes() -> list[str]:
     """List the names of the scenes packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(
-        item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")
+        file.name.removesuffix(".toml") for file in folder.iterdir() if file.name.endswith(".toml")
     )
 
 

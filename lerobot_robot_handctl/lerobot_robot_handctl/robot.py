@@ -87,8 +87,8 @@ class HandctlRobot(Robot):
         hand = handctl.connect(self.config.hand, self.config.bus, *self.config.options).open()
         try:
             if hand.description.joints != self.description.joints:
-                right = f"the hand on the bus, {hand.description.name}"
-                raise ValueError(f"robot.hand: {self.config.hand}; expected {right}")
+                expected_hand = f"the hand on the bus, {hand.description.name}"
+                raise ValueError(f"robot.hand: {self.config.hand}; expected {expected_hand}")
             for camera in self.cameras.values():
                 camera.connect()
         except BaseException:
@@ -107,14 +107,14 @@ class HandctlRobot(Robot):
 
     def get_observation(self) -> dict[str, Any]:
         """Return the latest observation: joint angles [rad], tensions [N] and camera images."""
-        seen = self._connected().observe()
+        observation = self._connected().observe()
         tendons = self.description.tendon_names
         tensions = {
             f"{name}{TENSION}": float(value)
-            for name, value in zip(tendons, seen.tension_N, strict=True)
+            for name, value in zip(tendons, observation.tension_N, strict=True)
         }
         pictures = {name: camera.async_read() for name, camera in self.cameras.items()}
-        return {**named(self._names, seen.q_rad), **tensions, **pictures}
+        return {**named(self._names, observation.q_rad), **tensions, **pictures}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         """Limit the angles of an action to the ranges and speed limits of the joints.

@@ -284,9 +284,9 @@ if NUMBA_INSTALLED:
     _borrow: Any = intrinsic(_without_owner)
 
     @overload(borrowed_array, inline="always")
-    def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
-        def implementation(flat: Any, first: Any, shape: Any) -> Any:
-            return _borrow(flat, first, shape)
+    def _compiled_borrow(flat: Any, first_element: Any, shape: Any) -> Any:
+        def implementation(flat: Any, first_element: Any, shape: Any) -> Any:
+            return _borrow(flat, first_element, shape)
 
         return implementation
 
@@ -319,16 +319,24 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     """
     require_extra("a controller", "numba")
     report = progress or _ignore_progress
-    all_of_them = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
-    waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
-    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, waiting) < len(waiting):
-        _compile_together(_CACHE_FOLDER, waiting, report)
-    for compiled_count, one in enumerate(waiting):
-        report(compiled_count, len(waiting))
+    all_kernels = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
+    uncompiled_kernels = [
+        known_kernel
+        for known_kernel in all_kernels
+        if not getattr(known_kernel.code, "signatures", True)
+    ]
+    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(
+        uncompiled_kernels
+    ):
+        _compile_together(_CACHE_FOLDER, uncompiled_kernels, report)
+    for compiled_count, uncompiled_kernel in enumerate(uncompiled_kernels):
+        report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
-            load_kernel(one.code, one.types)
-        one.code.compile(one.types)  # this call does nothing if the code was loaded from the disk
-        one.code.disable_compile()
+            load_kernel(uncompiled_kernel.code, uncompiled_kernel.types)
+        uncompiled_kernel.code.compile(
+            uncompiled_kernel.types
+        )  # this call does nothing if the code was loaded from the disk
+        uncompiled_kernel.code.disable_compile()
 
 
 def _ignore_progress(done: int, total: int) -> None:
@@ -376,8 +384,8 @@ def _compile_together(
         with _cached_in(
             folder
         ):  # only a compilation needs the compiled code of the functions that kernels call
-            for part in _INNER_DISPATCHERS:
-                part.enable_caching()
+            for inner_dispatcher in _INNER_DISPATCHERS:
+                inner_dispatcher.enable_caching()
         read_end, write_end = os.pipe()
         os.write(
             write_end, bytes(order)

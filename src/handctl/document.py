@@ -116,16 +116,16 @@ def _without_tags(
     last part is this key.
     """
     path: list[str | int] = []
-    for position, part in enumerate(key_location):
+    for position, key_or_index in enumerate(key_location):
         is_missing_key = kind == "missing" and position == len(key_location) - 1
-        is_known_part = isinstance(part, int) or (
-            isinstance(file_content, Mapping) and part in file_content
+        is_known_part = isinstance(key_or_index, int) or (
+            isinstance(file_content, Mapping) and key_or_index in file_content
         )
         if not is_known_part and not (is_missing_key and isinstance(file_content, Mapping)):
             continue
-        path.append(part)
+        path.append(key_or_index)
         try:
-            file_content = file_content[part]
+            file_content = file_content[key_or_index]
         except (KeyError, IndexError, TypeError):
             file_content = None
     return tuple(path)

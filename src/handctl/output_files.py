@@ -76,8 +76,8 @@ def path_with_suffix(path: Path, suffix: str) -> Path:
 
 def write_text_atomically(path: Path, text: str, must_be_new: bool = False) -> None:
     """Write text to a file atomically, see ``atomic_path``."""
-    with atomic_path(path, must_be_new) as part:
-        part.write_text(text, encoding="utf-8")
+    with atomic_path(path, must_be_new) as temporary_path:
+        temporary_path.write_text(text, encoding="utf-8")
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
@@ -92,8 +92,8 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
         "svg": {"Creator": creator, "Date": None},
         "pdf": {"Creator": creator},
     }
-    with atomic_path(path) as part:
-        figure.savefig(part, dpi=dpi, format=kind, metadata=metadata[kind])
+    with atomic_path(path) as temporary_path:
+        figure.savefig(temporary_path, dpi=dpi, format=kind, metadata=metadata[kind])
 
 
 def check_output(path: Path, content_name: str, *read_paths: Path | None) -> None:

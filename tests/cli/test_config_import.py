@@ -124,13 +124,18 @@ def reimport_packaged_hand(format_option: str, hand_name: str) -> Hand:
     import_description(format_option, exported_file)
     packaged_content = with_meshes_from(load_hand(hand_name).content, hand_path(hand_name).parent)
     digits = []
-    for digit, known in zip(
+    for digit, packaged_digit in zip(
         hand_content("mine.toml")["digit"], packaged_content["digit"], strict=True
     ):
         missing_keys = {key for key, value in digit.items() if value == "TODO"}
         assert missing_keys <= {*JOINT_KEYS, "coupling"}
         digits.append(
-            digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known}
+            digit
+            | {
+                key: packaged_digit[key]
+                for key in (*JOINT_KEYS, "coupling")
+                if key in packaged_digit
+            }
         )
     content = packaged_content | {"digit": digits}
     Path("mine.toml").write_text(toml_text(content))
@@ -144,24 +149,35 @@ def test_an_exported_hand_is_imported_unchanged(
 ) -> None:
     hand, packaged_content = reimport_packaged_hand(format_option, hand_name), load_hand(hand_name)
     assert hand.digit_names == packaged_content.digit_names
-    for digit, known in zip(hand.digit, packaged_content.digit, strict=True):
-        assert digit.mount_on == known.mount_on
-        assert digit.link_length_m == pytest.approx(known.link_length_m, abs=1e-9)
-        assert digit.link_radius_m == pytest.approx(known.link_radius_m)
-        assert digit.joint_min_deg == pytest.approx(known.joint_min_deg, abs=1e-6)
-        assert digit.joint_max_deg == pytest.approx(known.joint_max_deg, abs=1e-6)
-        assert digit.joint_damping_N_m_s_per_rad == pytest.approx(known.joint_damping_N_m_s_per_rad)
-        assert joint_axes(digit) == pytest.approx(joint_axes(known), abs=1e-9)
+    for digit, packaged_digit in zip(hand.digit, packaged_content.digit, strict=True):
+        assert digit.mount_on == packaged_digit.mount_on
+        assert digit.link_length_m == pytest.approx(packaged_digit.link_length_m, abs=1e-9)
+        assert digit.link_radius_m == pytest.approx(packaged_digit.link_radius_m)
+        assert digit.joint_min_deg == pytest.approx(packaged_digit.joint_min_deg, abs=1e-6)
+        assert digit.joint_max_deg == pytest.approx(packaged_digit.joint_max_deg, abs=1e-6)
+        assert digit.joint_damping_N_m_s_per_rad == pytest.approx(
+            packaged_digit.joint_damping_N_m_s_per_rad
+        )
+        assert joint_axes(digit) == pytest.approx(joint_axes(packaged_digit), abs=1e-9)
         for i in range(len(digit.joints)):
             assert np.hstack(
-                [np.ravel(part) for part in link_placement(digit, i)]
+                [np.ravel(vector_or_matrix) for vector_or_matrix in link_placement(digit, i)]
             ) == pytest.approx(
-                np.hstack([np.ravel(part) for part in link_placement(known, i)]), abs=1e-8
+                np.hstack(
+                    [
+                        np.ravel(vector_or_matrix)
+                        for vector_or_matrix in link_placement(packaged_digit, i)
+                    ]
+                ),
+                abs=1e-8,
             )
-            assert digit.link_mass_kg[i] == pytest.approx(known.link_mass_kg[i], rel=1e-6)
-            assert centre_of_mass(digit, i) == pytest.approx(centre_of_mass(known, i), abs=1e-9)
+            assert digit.link_mass_kg[i] == pytest.approx(packaged_digit.link_mass_kg[i], rel=1e-6)
+            assert centre_of_mass(digit, i) == pytest.approx(
+                centre_of_mass(packaged_digit, i), abs=1e-9
+            )
             assert link_inertia(digit, i) == pytest.approx(
-                link_inertia(known, i), abs=1e-6 * np.trace(link_inertia(known, i))
+                link_inertia(packaged_digit, i),
+                abs=1e-6 * np.trace(link_inertia(packaged_digit, i)),
             )
     assert not inspect_content(hand.content).mistakes
     if NIGHTLY or hand_name in ("t42", "orca_like"):

@@ -118,13 +118,18 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
     copy_t42_with_meshes: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (copy_t42_with_meshes.parent / "t42" / "outer.stl").write_text("solid outer\n" * 20)
-    right = 'link_mesh[1]: "t42/outer.stl": an STL in text form; expected a binary STL, which MuJoCo reads as well'
+    expected_message = (
+        'link_mesh[1]: "t42/outer.stl": an STL in text form; '
+        "expected a binary STL, which MuJoCo reads as well"
+    )
     assert refusal_line(capsys, "config", "check", "--hand", str(copy_t42_with_meshes)).endswith(
-        f"default.digit.{right}\n"
+        f"default.digit.{expected_message}\n"
     )
     messages: list[str] = []
     plan = make_plan(RunChoice(copy_t42_with_meshes), show_notice=messages.append)
-    assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
+    assert messages == [
+        f"handctl: caution: digit[{digit}].{expected_message}" for digit in ("left", "right")
+    ]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
 
@@ -259,8 +264,11 @@ def test_meshes_of_a_package_are_imported(
         position, rotation = frames.get(link["parent"], (np.zeros(3), np.eye(3)))
         frames[i] = (position + rotation @ link["position"], rotation @ link["rotation"])
         for mesh in link["meshes"]:
-            own = (frames[i][0] + frames[i][1] @ mesh["position"], frames[i][1] @ mesh["rotation"])
-            places[link["joint"]] = own
+            mesh_pose = (
+                frames[i][0] + frames[i][1] @ mesh["position"],
+                frames[i][1] @ mesh["rotation"],
+            )
+            places[link["joint"]] = mesh_pose
     compared = 0
     for digit in described.digits:
         position, rotation = digit.position, digit.rotation
@@ -270,8 +278,8 @@ def test_meshes_of_a_package_are_imported(
                 rotation = rotation @ digit.turns[i - 1]
             if mesh:
                 expected_position, expected_rotation = places.pop(digit.joints[i])
-                found = origin + palm @ (position + rotation @ mesh.position)
-                assert found == pytest.approx(expected_position, abs=1e-9)
+                imported_position = origin + palm @ (position + rotation @ mesh.position)
+                assert imported_position == pytest.approx(expected_position, abs=1e-9)
                 assert palm @ rotation @ mesh.rotation == pytest.approx(expected_rotation, abs=1e-9)
                 compared += 1
     assert compared
@@ -326,8 +334,11 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
     mujoco.mj_kinematics(model, data)
     for link, geom in ((0, 1), (1, 3)):
         mesh = model.geom_dataid[geom]
-        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        corners = model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
+        first_vertex, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = (
+            model.mesh_vert[first_vertex : first_vertex + count]
+            @ data.geom_xmat[geom].reshape(3, 3).T
+        )
         expected = corners + data.geom_xpos[geom] - data.xanchor[link]
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
         shown_mesh = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))

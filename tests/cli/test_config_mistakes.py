@@ -119,9 +119,9 @@ HAND_FILE_MISTAKES = {
 def write_changed_jamia11(work_folder: Path, *text_replacements: tuple[str, str]) -> None:
     """Replace some texts in the hand file of jamia11, and write the result to the file mine.toml."""
     text = hand_path("jamia11").read_text("utf-8")
-    for old, new in text_replacements:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
+    for old_text, new_text in text_replacements:
+        assert text.count(old_text) == 1, old_text
+        text = text.replace(old_text, new_text)
     (work_folder / "mine.toml").write_text(text)
 
 
@@ -137,10 +137,10 @@ def error_lines(capsys: pytest.CaptureFixture[str], *check_options: str) -> list
 def test_a_mistake_is_one_line_that_names_the_key(
     work_folder: Path, capsys: pytest.CaptureFixture[str], mistake_name: str
 ) -> None:
-    old, new, start = HAND_FILE_MISTAKES[mistake_name]
-    write_changed_jamia11(work_folder, (old, new))
+    old_text, new_text, expected_start = HAND_FILE_MISTAKES[mistake_name]
+    write_changed_jamia11(work_folder, (old_text, new_text))
     messages = error_lines(capsys)
-    assert messages[0].startswith(start)
+    assert messages[0].startswith(expected_start)
     assert len(messages) == 1, messages
     assert all("expected" in line for line in messages)
 
@@ -213,14 +213,14 @@ def test_a_missing_section_is_named_with_its_forms(
     work_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (work_folder / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
-    found = {line.partition(":")[0]: line for line in error_lines(capsys)}
-    assert found["tendon"].startswith(
+    line_by_key = {line.partition(":")[0]: line for line in error_lines(capsys)}
+    assert line_by_key["tendon"].startswith(
         "tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: "
     )
-    assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
-    assert "sensor_node" not in found, "a sensor node is optional"
+    assert line_by_key["mount"].startswith("mount: missing; expected a section [mount]: ")
+    assert "sensor_node" not in line_by_key, "a sensor node is optional"
     expected = "expected a value: Radius of the links, whose shapes are capsules"
-    assert found["digit[left].link_radius_m"].endswith(expected)
+    assert line_by_key["digit[left].link_radius_m"].endswith(expected)
 
 
 def test_an_object_inside_the_hand_comes_with_the_others(

@@ -58,10 +58,17 @@ def test_a_good_drive_in_another_process_passes(protocol, protocol_options):
 @pytest.mark.parametrize("protocol", ["odrive", "cia402"])
 def test_conformance_leaves_no_error_in_a_drive(protocol):
     """Reproduce a defect: after the checks, a drive had a latched error, so `commission` refused the hand."""
-    more = ENDPOINT_OPTIONS if protocol == "odrive" else []
+    protocol_options = ENDPOINT_OPTIONS if protocol == "odrive" else []
     with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = run_handctl(
-            *CONFORMANCE_OPTIONS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more
+            *CONFORMANCE_OPTIONS,
+            "--protocol",
+            protocol,
+            "--node",
+            "33",
+            "--yes",
+            "--json",
+            *protocol_options,
         )
         assert done.returncode == 0
         time.sleep(0.5)

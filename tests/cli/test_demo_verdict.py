@@ -41,8 +41,8 @@ def two_fingers():
     Both fingers close in the same direction, so the hand cannot lift objects.
     """
     content = jamia_content()
-    for part in ("digit", "tendon", "motor"):
-        content[part] = content[part][:2]
+    for section in ("digit", "tendon", "motor"):
+        content[section] = content[section][:2]
     node = content["sensor_node"]
     node["tendons"] = node["tendons"][:2]
     node["joints"] = [joint for joint in node["joints"] if joint.startswith(("index", "middle"))]

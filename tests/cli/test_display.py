@@ -37,8 +37,10 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     lines = capfd.readouterr().err.splitlines()
     for text in errors:
         assert remedy_for(text) == FAULT_BY_ID[text.split()[0]].remedy
-        first = next(i for i, line in enumerate(lines) if line.endswith(f"error  {text}"))
-        assert lines[first + 1].strip() == f"what to do: {remedy_for(text)}"
+        fault_line_index = next(
+            i for i, line in enumerate(lines) if line.endswith(f"error  {text}")
+        )
+        assert lines[fault_line_index + 1].strip() == f"what to do: {remedy_for(text)}"
     for advice in {remedy_for(event.text) for event in faults}:
         assert sum(line.endswith(f"what to do: {advice}") for line in lines) <= 1
 

@@ -162,24 +162,26 @@ def text_with_mistake(file_content, key_path, mistake_kind):
     The mistake is of the given kind, and is at the given key.
     """
     if mistake_kind in KEY_MISTAKES:
-        old = file_content
+        original_value = file_content
         for key in key_path:
-            old = old[key]
+            original_value = original_value[key]
         if mistake_kind == "twice":
             return text_with_repeated_key(toml_text_of(file_content), str(key_path[-1]))
         return toml_text_of(
-            content_without_key(file_content, key_path, old if mistake_kind == "renamed" else None)
+            content_without_key(
+                file_content, key_path, original_value if mistake_kind == "renamed" else None
+            )
         )
-    old = file_content
+    original_value = file_content
     for key in key_path:
-        old = old[key]
+        original_value = original_value[key]
     return toml_text_of(
         content_with_value(
             file_content,
             key_path,
             INVALID_NUMBERS[mistake_kind]
             if mistake_kind in INVALID_NUMBERS
-            else NUMBER_CHANGES[mistake_kind](old),
+            else NUMBER_CHANGES[mistake_kind](original_value),
         )
     )
 
@@ -209,9 +211,9 @@ def refusal_of_file(capsys, file_option, file_name):
 
     Return an empty text if the command accepts the file and opens the bus.
     """
-    others = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
+    task_options = [] if {"--task", "--trajectory"} & {*file_option} else ["--task", "grasp"]
     try:
-        code = main(["run", "--bus", ABSENT_BUS, *file_option, file_name, *others])
+        code = main(["run", "--bus", ABSENT_BUS, *file_option, file_name, *task_options])
     except BusOpenedError:
         capsys.readouterr()
         return ""

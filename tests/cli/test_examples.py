@@ -113,7 +113,7 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(
         if words != "fault inject":  # the injected fault would disturb the run of this example
             run_example(run_in_shell, words)
     for words in sorted(
-        EXAMPLES_WITH_RUNNING_HAND, key=lambda one: one == "stop"
+        EXAMPLES_WITH_RUNNING_HAND, key=lambda example_name: example_name == "stop"
     ):  # ``stop`` is last
         if words == EXAMPLES_WITH_RUNNING_HAND[0]:
             start_in_background(run)

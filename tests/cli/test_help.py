@@ -37,12 +37,14 @@ def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
 
 def leaf_parsers() -> dict[str, VerbParser]:
     """Return the parsers of all sub-commands, and of the commands that have no sub-commands, by name."""
-    found = {}
+    parser_by_words = {}
     for verb in VERB_HELP:
         parser = verb_parser(verb)
-        leaf_by_words = {f"{verb} {name}": one for name, one in sub_parsers(parser).items()}
-        found.update(leaf_by_words or {verb: parser})
-    return found
+        leaf_by_words = {
+            f"{verb} {name}": sub_parser for name, sub_parser in sub_parsers(parser).items()
+        }
+        parser_by_words.update(leaf_by_words or {verb: parser})
+    return parser_by_words
 
 
 def test_help_shows_21_verbs_in_groups(capsys):
@@ -69,8 +71,8 @@ def test_every_help_ends_with_an_example_of_its_verb(capsys, command_words):
 def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(command_words):
     options = set(leaf_parsers()[command_words]._option_string_actions)
     assert {"-v", "--verbose", "-q", "--quiet"} <= options
-    for name, others in OTHER_NAMES_OF_OPTION.items():
-        assert not options & others, f"{command_words}: {name} is the name"
+    for name, unused_names in OTHER_NAMES_OF_OPTION.items():
+        assert not options & unused_names, f"{command_words}: {name} is the name"
 
 
 @pytest.mark.parametrize(
@@ -93,14 +95,16 @@ def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, command_words,
 
 
 RENAMED_OPTION_ROWS = [
-    (verb, old, new) for verb, options in RENAMED_OPTIONS.items() for old, new in options.items()
+    (verb, old_name, new_name)
+    for verb, options in RENAMED_OPTIONS.items()
+    for old_name, new_name in options.items()
 ]
 
 
 @pytest.mark.parametrize(
     ("cli_verb", "old_option", "new_option"),
     RENAMED_OPTION_ROWS,
-    ids=[f"{verb} {old}" for verb, old, _ in RENAMED_OPTION_ROWS],
+    ids=[f"{verb} {old_name}" for verb, old_name, _ in RENAMED_OPTION_ROWS],
 )
 def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, cli_verb, old_option, new_option):
     assert new_option in leaf_parsers()[cli_verb]._option_string_actions
@@ -239,8 +243,8 @@ def test_the_doctor_measures_wake_ups(
     monkeypatch.setattr(doctor.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(doctor.time, "sleep", lambda s: now.__setitem__(0, now[0] + s + late_s))
     monkeypatch.setattr(doctor, "_processor_ticks", lambda: next(ticks))
-    what, is_good, fix = doctor._check_wakeups()
-    assert (expected_message in what, is_good) == (True, is_ready)
+    message, is_good, fix = doctor._check_wakeups()
+    assert (expected_message in message, is_good) == (True, is_ready)
     assert "--time-scale" in fix
 
 

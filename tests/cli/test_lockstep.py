@@ -34,8 +34,8 @@ def run_demos(result_folder, *hand_names, task_file=""):
     running = []
     for number, hand in enumerate(hand_names):
         time.sleep(1.1 * number)  # the two runs start in different seconds of the wall clock
-        place = result_folder / str(number)
-        place.mkdir()
+        demo_folder = result_folder / str(number)
+        demo_folder.mkdir()
         command = [
             sys.executable,
             "-m",
@@ -47,18 +47,23 @@ def run_demos(result_folder, *hand_names, task_file=""):
             "run.mcap",
         ]
         if task_file:
-            (place.parent / "task.toml").write_text(task_file)
+            (demo_folder.parent / "task.toml").write_text(task_file)
             command += ["--task", "../task.toml", "--scene", "none"]
-        options = {"cwd": place, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        options = {
+            "cwd": demo_folder,
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.PIPE,
+            "text": True,
+        }
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         running.append(
-            (place, subprocess.Popen([*command, "--hand", hand], env=environment, **options))
+            (demo_folder, subprocess.Popen([*command, "--hand", hand], env=environment, **options))
         )
     results = []
-    for place, process in running:
+    for demo_folder, process in running:
         out, err = process.communicate(timeout=280)
         assert process.returncode == 0, err
-        results.append((place, json.loads(out)))
+        results.append((demo_folder, json.loads(out)))
     return results
 
 
@@ -101,8 +106,11 @@ DEMO_FILES = {"run.mcap", "run.truth", "run.png", "run.commission.mcap", "run.ca
 
 @pytest.mark.parametrize("file_name", sorted(DEMO_FILES))
 def test_two_runs_write_the_same_bytes(equal_demos, file_name):
-    (first, _), (second, _) = equal_demos
-    content, other_content = (first / file_name).read_bytes(), (second / file_name).read_bytes()
+    (first_folder, _), (second_folder, _) = equal_demos
+    content, other_content = (
+        (first_folder / file_name).read_bytes(),
+        (second_folder / file_name).read_bytes(),
+    )
     assert len(content) == len(other_content)
     differing_positions = (
         [i for i, (a, b) in enumerate(zip(content, other_content, strict=True)) if a != b]
@@ -115,16 +123,16 @@ def test_two_runs_write_the_same_bytes(equal_demos, file_name):
 
 
 def test_lockstep_demo_writes_exactly_its_files(equal_demos):
-    for place, _ in equal_demos:
-        assert {path.name for path in place.iterdir()} == DEMO_FILES
+    for demo_folder, _ in equal_demos:
+        assert {path.name for path in demo_folder.iterdir()} == DEMO_FILES
     assert len(messages_of(equal_demos[0][0] / "run.mcap")) > (50_000 if NIGHTLY else 10_000)
 
 
 def test_two_lockstep_runs_print_equal_results(equal_demos):
-    (_, one), (_, other) = equal_demos
+    (_, first_result), (_, second_result) = equal_demos
     wall = ("wall_s", "times_real_time")
-    assert {key: value for key, value in one.items() if key not in wall} == {
-        key: value for key, value in other.items() if key not in wall
+    assert {key: value for key, value in first_result.items() if key not in wall} == {
+        key: value for key, value in second_result.items() if key not in wall
     }
 
 
@@ -170,11 +178,11 @@ def test_the_demo_with_one_motor_per_joint_meets_its_requirements(jamia11_demo):
 def test_ros_reads_every_message(equal_demos):
     path = equal_demos[0][0] / "run.mcap"
     with AnyReader([path]) as reader:
-        seen = 0
+        message_count = 0
         for connection, _, raw in reader.messages():
             assert reader.deserialize(raw, connection.msgtype) is not None
-            seen += 1
-    assert seen == len(messages_of(path))
+            message_count += 1
+    assert message_count == len(messages_of(path))
 
 
 def test_rerun_finds_the_moving_hand(equal_demos):
@@ -186,19 +194,22 @@ def test_rerun_finds_the_moving_hand(equal_demos):
 
 def test_a_report_aligns_the_log_with_the_truth_file(equal_demos, capsys):
     """Reproduce a defect: without ``--truth``, the report did not use the truth file next to the log."""
-    place, result = equal_demos[0]
+    demo_folder, result = equal_demos[0]
     tension = f"{result['tension_rmse_n']:.2f} N rms"
-    for words in (("--truth", str(place / "run.truth")), ()):
-        page = place / "page.html"
-        assert main(["report", str(place / "run.mcap"), *words, "--output", str(page)]) == 0
+    for words in (("--truth", str(demo_folder / "run.truth")), ()):
+        page = demo_folder / "page.html"
+        assert main(["report", str(demo_folder / "run.mcap"), *words, "--output", str(page)]) == 0
         assert tension in page.read_text()
         page.unlink()
-    assert main(["report", str(place / "run.mcap"), "--output", str(place / "run.truth")]) == 2
+    assert (
+        main(["report", str(demo_folder / "run.mcap"), "--output", str(demo_folder / "run.truth")])
+        == 2
+    )
 
 
 def test_the_log_is_complete_and_has_every_tick(equal_demos):
-    place, result = equal_demos[0]
-    with RunLog(place / "run.mcap") as run:
+    demo_folder, result = equal_demos[0]
+    with RunLog(demo_folder / "run.mcap") as run:
         assert not run.warning
         assert not run.gaps
         assert len(run) == result["ticks"]

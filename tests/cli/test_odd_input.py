@@ -76,7 +76,9 @@ def test_a_truth_file_of_another_run_is_refused(work_folder, capsys):
 
 
 @pytest.mark.parametrize("file_name", ["n" * 300, "odd/x", "loop"])
-@pytest.mark.parametrize("file_kind", [what for what in READING_COMMANDS if what != "scene"])
+@pytest.mark.parametrize(
+    "file_kind", [file_kind for file_kind in READING_COMMANDS if file_kind != "scene"]
+)
 def test_impossible_file_name_is_refused(work_folder, capsys, file_kind, file_name):
     (work_folder / "odd").write_text("")
     make_link_loop(work_folder / "loop")

@@ -45,7 +45,9 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     for _ in range(2):
         assert main(words) == 0
         assert load_hand("jamia-odrive.toml").motor[0].protocol == "odrive"
-    assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
+    assert [command_words[command_words.index("--hand") + 1] for command_words in started] == [
+        "jamia-odrive.toml"
+    ] * 2
     Path("jamia-odrive.toml").write_text("mine")
     line = refusal_line(capsys, *words)
     assert line.endswith(

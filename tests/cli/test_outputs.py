@@ -68,8 +68,8 @@ def files_below(work_folder):
 
 
 UNWRITABLE_CASES = [
-    (what, name)
-    for what in OUTPUT_COMMANDS
+    (output_kind, name)
+    for output_kind in OUTPUT_COMMANDS
     for name in ("folder", "no-folder/x", "file/x", "other.mcap")
 ]
 UNWRITABLE_CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
@@ -148,10 +148,13 @@ def test_interrupted_write_leaves_only_the_old_file(work_folder, interruption):
         part_path.write_text("half of")
         raise interruption
 
-    with pytest.raises(interruption), atomic_path(work_folder / "file") as part:
-        write_and_interrupt(part)
-    with pytest.raises(interruption), atomic_path(work_folder / "new", must_be_new=True) as part:
-        write_and_interrupt(part / "deep")
+    with pytest.raises(interruption), atomic_path(work_folder / "file") as temporary_path:
+        write_and_interrupt(temporary_path)
+    with (
+        pytest.raises(interruption),
+        atomic_path(work_folder / "new", must_be_new=True) as temporary_path,
+    ):
+        write_and_interrupt(temporary_path / "deep")
 
 
 def test_a_device_is_written_to_and_not_replaced(work_folder):

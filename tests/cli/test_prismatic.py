@@ -163,7 +163,7 @@ def test_a_mistake_is_one_line(
     Path("bad.toml").write_text(text.replace(good, bad, 1))
     assert main(["config", "check", "--hand", "bad.toml"]) == 2
     lines = capsys.readouterr().err.splitlines()
-    assert any(line in one for one in lines), lines
+    assert any(line in error_line for error_line in lines), lines
     # A missing key for a joint type and an unnecessary key for a joint type are separate mistakes.
     assert len(lines) <= 1 or mistake_name in ("no types", "revolute joints", "a misspelt key"), (
         lines
@@ -269,7 +269,7 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
         Path("whole.toml").write_text(hand.to_toml())
         repeated_hand = load_hand("whole.toml")
         assert repeated_hand.identity == hand.identity
-        for digit, other in zip(
+        for digit, other_digit in zip(
             DigitModel.models_of_hand(hand), DigitModel.models_of_hand(repeated_hand), strict=True
         ):
-            np.testing.assert_array_equal(digit.table, other.table)
+            np.testing.assert_array_equal(digit.table, other_digit.table)

@@ -18,7 +18,7 @@ def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[
 
     Return the standard output of the command, and the text on the terminal.
     """
-    shown, terminal = pty.openpty()
+    master_side, terminal = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", *command_words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
     with subprocess.Popen(
@@ -27,13 +27,13 @@ def run_at_terminal(command_words: tuple[str, ...], work_folder: Path) -> tuple[
         os.close(terminal)
         error_output = b""
         try:
-            while part := os.read(shown, 4096):
-                error_output += part
+            while output_bytes := os.read(master_side, 4096):
+                error_output += output_bytes
         except OSError:  # the command has closed its end of the terminal
             pass
         assert process.stdout
         out = process.stdout.read()
-    os.close(shown)
+    os.close(master_side)
     assert process.returncode == 0, error_output
     return out.decode(), error_output.decode()
 

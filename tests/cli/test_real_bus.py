@@ -73,8 +73,8 @@ def test_only_real_interfaces_count_as_real_buses():
 
 def test_no_hand_is_the_default_on_a_real_bus(command_words, capsys):
     for bus in REAL_BUSES:
-        for more in ((), ("--yes",), ("--dry-run",)):
-            err = refusal_line(capsys, *command_words, "--bus", bus, *more)
+        for more_options in ((), ("--yes",), ("--dry-run",)):
+            err = refusal_line(capsys, *command_words, "--bus", bus, *more_options)
             assert f"--hand: no hand is given, and {bus} may have" in err
     assert main([*command_words, "--bus", "local:nobody", "--dry-run"]) == 0, (
         "a simulated bus has a default hand"
@@ -116,9 +116,11 @@ def test_the_calibration_of_a_simulated_hand_arms_no_real_hand(work_folder, caps
         reason = json.loads(capsys.readouterr().out)["commissioning"]
         assert (reason == "") == is_used, bus
         assert ("of a simulated hand" in reason) != is_used
-    named = [*dry_run, "--calibration", str(path), "--bus"]
-    assert "is of a simulated hand" in refusal_line(capsys, *named, "socketcan:can0")
-    assert main([*named, "local:a"]) == 0
+    words_with_calibration = [*dry_run, "--calibration", str(path), "--bus"]
+    assert "is of a simulated hand" in refusal_line(
+        capsys, *words_with_calibration, "socketcan:can0"
+    )
+    assert main([*words_with_calibration, "local:a"]) == 0
 
 
 def run_at_terminal(typed_answer: str) -> tuple[int, str]:
@@ -144,26 +146,26 @@ def run_at_terminal(typed_answer: str) -> tuple[int, str]:
         start_new_session=True,
     )
     os.close(terminal_side)
-    shown, answered, end = "", False, time.monotonic() + 60.0
+    terminal_output, answered, end = "", False, time.monotonic() + 60.0
     while time.monotonic() < end and select.select([controlling_side], [], [], 60.0)[0]:
         try:
-            piece = os.read(controlling_side, 4096).decode()
+            read_text = os.read(controlling_side, 4096).decode()
         except OSError:  # the command has closed its end of the terminal
             break
-        shown += piece
-        if "[y/N]" in shown and not answered:
+        terminal_output += read_text
+        if "[y/N]" in terminal_output and not answered:
             os.write(controlling_side, f"{typed_answer}\n".encode())
             answered = True
     os.close(controlling_side)
-    return process.wait(20.0), shown
+    return process.wait(20.0), terminal_output
 
 
 @pytest.mark.parametrize(("typed_answer", "code"), [("y", 1), ("", 2)])
 def test_a_run_at_a_terminal_asks_once_for_consent(typed_answer, code):
-    exit_code, shown = run_at_terminal(typed_answer)
-    assert exit_code == code, shown
-    assert shown.count("[y/N]") == 1
-    assert ("not confirmed" in shown) == (code == 2)
+    exit_code, terminal_output = run_at_terminal(typed_answer)
+    assert exit_code == code, terminal_output
+    assert terminal_output.count("[y/N]") == 1
+    assert ("not confirmed" in terminal_output) == (code == 2)
 
 
 def test_a_program_names_hand_and_consent(work_folder, capfd):
@@ -198,8 +200,8 @@ def test_files_in_use_are_named_in_the_first_line(work_folder, capsys):
         )
         assert f"calibration {work_folder / 'jamia.calibration.toml'}, " in first_line
         assert first_line.endswith(" s old")
-    named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
-    assert main(["run", "--bus", "local:nobody", *named]) == 1
+    file_options = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
+    assert main(["run", "--bus", "local:nobody", *file_options]) == 1
     assert "found in this folder" not in capsys.readouterr().err, (
         "files given as options are not announced"
     )

@@ -378,9 +378,12 @@ def test_the_output_of_config_show_is_the_same_hand(work_folder, capsys, hand_na
 def test_a_missing_task_file_is_not_replaced_by_a_packaged_task(work_folder, capsys, task_name):
     """Reproduce a defect: if a task file was missing, the packaged task of the same name was executed."""
     words = ("demo", "--lockstep", "--dry-run", "--task")
-    right = "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"
+    expected_text = (
+        "expected a task file, or one of grasp.toml, hook.toml, pinch-joints.toml, pinch.toml"
+    )
     assert (
-        refusal_line(capsys, *words, task_name) == f"handctl: {task_name}: no such task; {right}\n"
+        refusal_line(capsys, *words, task_name)
+        == f"handctl: {task_name}: no such task; {expected_text}\n"
     )
     for packaged in ("grasp", "grasp.toml"):
         assert main([*words, packaged]) == 0

@@ -45,9 +45,9 @@ def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(work_folder, m
 
     monkeypatch.setattr(commission, "run_live", raise_power_error)
     assert main(["commission", "--bus", "local:nobody", "--log", "run.mcap"]) == 71
-    *before, last = capsys.readouterr().err.splitlines()
-    assert "ZeroDivisionError: in a tick" in before
-    assert last == "handctl: REMOVE POWER: not confirmed disabled: index_motor"
+    *earlier_lines, last_line = capsys.readouterr().err.splitlines()
+    assert "ZeroDivisionError: in a tick" in earlier_lines
+    assert last_line == "handctl: REMOVE POWER: not confirmed disabled: index_motor"
 
 
 class SilentBus:
@@ -75,7 +75,7 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(
         yield
 
     monkeypatch.setattr(conformance, "run_checks", raise_interrupt)
-    monkeypatch.setattr(bench_drive, "open_bus", lambda *what: SilentBus())
+    monkeypatch.setattr(bench_drive, "open_bus", lambda *arguments: SilentBus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_disabled", lambda rig, watchdog_s: drive_is_off)
     words = (

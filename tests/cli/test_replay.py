@@ -33,7 +33,7 @@ def test_rounding_of_another_machine_is_distinguished(
     monkeypatch.setattr(compared_function, lambda logged, numbers, out: logged.tick_in.k != 100)
     tick_difference = TickDifference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
     monkeypatch.setattr(
-        "handctl.replay.log_runner.differing_fields", lambda *what: iter([tick_difference])
+        "handctl.replay.log_runner.differing_fields", lambda *arguments: iter([tick_difference])
     )
     assert main(["replay", "execute", GRASP_LOG]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
@@ -188,8 +188,8 @@ def test_result_of_an_incomplete_log_is_marked(
     whole_content = Path(GRASP_LOG).read_bytes()
     cut.write_bytes(whole_content[: len(whole_content) // 2])
     limits.write_text("tension_trip_N = 20\n")
-    more = ["--limits", str(limits)] if command_words[-1] == "safety" else []
-    assert main([*command_words, str(cut), *more]) == 3
+    limits_options = ["--limits", str(limits)] if command_words[-1] == "safety" else []
+    assert main([*command_words, str(cut), *limits_options]) == 3
     assert "cut.mcap: ends at byte" in capsys.readouterr().err
 
 
@@ -218,7 +218,7 @@ def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
     page.feed(text)
     assert {"svg", "img", "table", "style"} <= page.seen
     assert "script" not in page.seen
-    assert all(place.startswith("data:image/png;base64,") for place in page.loads)
+    assert all(loaded_url.startswith("data:image/png;base64,") for loaded_url in page.loads)
     assert "B17 some nodes do not hear: index_motor" in text
     assert load_hand("jamia").identity in text
 

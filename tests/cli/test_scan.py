@@ -73,15 +73,19 @@ def test_damiao_and_canopen_drives_are_found_on_one_bus():
         ("mit", 9),
         ("cia402", 33),
     ]
-    first, second, _ = result.found_nodes
-    assert first.settings == {
+    first_node, second_node, _ = result.found_nodes
+    assert first_node.settings == {
         "position_range_rad": 12.5,
         "velocity_range_rad_s": 30.0,
         "torque_max_N_m": 10.0,
     }
-    assert (first.state, first.serial, first.options) == ("disabled", "0x53494d01", {})
-    assert second.options == {"fd": True}
-    assert "watchdog is off" in first.notes[0]
+    assert (first_node.state, first_node.serial, first_node.options) == (
+        "disabled",
+        "0x53494d01",
+        {},
+    )
+    assert second_node.options == {"fd": True}
+    assert "watchdog is off" in first_node.notes[0]
     assert [motor.servo.torque for motor in bench.motors] == [0.0] * 3
     assert [motor.theta for motor in bench.motors] == [0.0] * 3
 
@@ -93,14 +97,14 @@ def test_moteus_controllers_are_found_by_classical_frames():
         ("moteus", 1),
         ("moteus", 17),
     ]
-    first, second = result.found_nodes[1:]
-    assert (first.firmware, first.state, first.error, first.twins) == (
+    first_node, second_node = result.found_nodes[1:]
+    assert (first_node.firmware, first_node.state, first_node.error, first_node.twins) == (
         "1.0.1",
         "stopped",
         "",
         False,
     )
-    assert first.serial != second.serial != ""
+    assert first_node.serial != second_node.serial != ""
     assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard), (
         "the bus may be classical"
     )
@@ -112,8 +116,8 @@ def test_robstride_motors_are_found_by_their_identity():
     result, bench, bus = scan_bench(
         ("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5)
     )
-    found = [(node.protocol, node.node_id) for node in result.found_nodes]
-    assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
+    identities = [(node.protocol, node.node_id) for node in result.found_nodes]
+    assert identities == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
     assert [node.serial for node in result.found_nodes[2:]] == [
         "5253050000000001",
         "525305000000007f",
@@ -275,15 +279,17 @@ def test_drives_that_a_scan_cannot_find_are_named(capsys):
 
 def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
-    for protocol, seen in beside.items():
+    for protocol, is_sensor_node_found in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
         result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
         bench.simulated_hand.close()
         assert len([node for node in result.found_nodes if node.protocol == protocol]) == 4
         sensors = [node for node in result.found_nodes if node.protocol == "sensor"]
-        assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])
-        assert (0x080 in {frame.can_id for frame in result.omitted_requests}) is not seen
-        assert not seen or "4 channels" in sensors[0].notes[0]
+        assert [node.node_id for node in sensors] == ([0x1A0] if is_sensor_node_found else [])
+        assert (
+            0x080 in {frame.can_id for frame in result.omitted_requests}
+        ) is not is_sensor_node_found
+        assert not is_sensor_node_found or "4 channels" in sensors[0].notes[0]
 
 
 def test_unrequested_frames_of_an_odrive_are_no_other_host():

@@ -26,7 +26,7 @@ def tick_records_of(run_log: RunLog) -> list[bytes]:
 
 def write_log(log_path: Path, source_log: RunLog, tick_records: Sequence[bytes]) -> str:
     """Write a complete log that has the given ticks and the header of another log, and return its path."""
-    writer = LogWriter(log_path, source_log.header, lambda *what: None, 1)
+    writer = LogWriter(log_path, source_log.header, lambda *arguments: None, 1)
     for tick in tick_records:
         writer.add_tick(tick)
     writer.finish("done", 0)

@@ -106,7 +106,8 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(
     capsys, monkeypatch, signal_number, exit_code
 ):
     handlers = {
-        one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        handled_signal: signal.getsignal(handled_signal)
+        for handled_signal in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     }
 
     def send_signal(args):

@@ -117,8 +117,8 @@ def test_a_wrong_entry_is_refused_in_one_line(
     assert main(["gains", "apply", "new.toml", "--hand", "jamia"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
-    for part in expected_message.split(": "):
-        assert part in line
+    for message_part in expected_message.split(": "):
+        assert message_part in line
     assert not (work_folder / "jamia.gains.toml").exists()
 
 

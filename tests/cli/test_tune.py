@@ -63,9 +63,11 @@ def test_a_design_without_stable_gains_writes_nothing(
 
     monkeypatch.setattr("handctl.tune.loops.gain_design.design_gains", raise_value_error)
     assert main(["tune", "design", "--plants", "1", *command_words]) == 1
-    said = capsys.readouterr()
-    assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
-    assert not command_words or json.loads(said.out)["gains"] is None
+    output = capsys.readouterr()
+    assert (
+        output.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
+    )
+    assert not command_words or json.loads(output.out)["gains"] is None
     assert not list(work_folder.iterdir())
 
 
@@ -99,13 +101,13 @@ def test_a_design_tells_why_the_old_gains_do_not_come_to_rest(
     )
     command = ["tune", "design", "--plants", "1", "--gain", "motion.position_error_m=7e-4"]
     assert main([*command, "--poles-Hz", "2,25", *command_words]) in (0, 1)
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     if command_words:
-        assert json.loads(said)["not_at_rest_before"] == swing_text
+        assert json.loads(output)["not_at_rest_before"] == swing_text
         return
-    assert f"before: in simulation the hand does not come to rest: {swing_text}\n" in said
-    assert "not at rest\u2192" in said
-    assert "none" not in said
+    assert f"before: in simulation the hand does not come to rest: {swing_text}\n" in output
+    assert "not at rest\u2192" in output
+    assert "none" not in output
 
 
 def gain_score(tracking_error):
@@ -127,7 +129,8 @@ def test_a_measure_is_worse_only_beyond_its_spread():
     ]
     assert compare_rounds([runs[0]])[0].verdict == "worse"
     noisy_runs = [
-        [gain_score(1.0), gain_score(1.0), *[gain_score(new)] * 3] for new in (0.5, 1.0, 2.0)
+        [gain_score(1.0), gain_score(1.0), *[gain_score(new_score)] * 3]
+        for new_score in (0.5, 1.0, 2.0)
     ]
     assert compare_rounds(noisy_runs)[0].verdict == "same"
 
@@ -145,11 +148,11 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(
         candidate="new.toml", hand="jamia", accept_worse=accepts_worse_gains, json=False
     )
     assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == exit_code
-    said = capsys.readouterr().out
-    assert "tracking: worse, 1.00 -> 3.00 deg" in said
-    assert ("gains apply" in said) == accepts_worse_gains
-    assert ("--accept-worse" in said) != accepts_worse_gains
-    last_line = said.splitlines()[-1]
+    output = capsys.readouterr().out
+    assert "tracking: worse, 1.00 -> 3.00 deg" in output
+    assert ("gains apply" in output) == accepts_worse_gains
+    assert ("--accept-worse" in output) != accepts_worse_gains
+    last_line = output.splitlines()[-1]
     assert last_line.startswith(
         "verified; " if accepts_worse_gains else "not verified: tracking worse than"
     )
@@ -192,14 +195,14 @@ def test_the_last_line_of_a_verification_is_its_verdict(
     for as_json in (False, True):
         args = Namespace(candidate="new.toml", hand="jamia", accept_worse=True, json=as_json)
         assert _report_verification(args, [run], SimpleNamespace(exit_code=0)) == 1
-        said = capsys.readouterr().out
+        output = capsys.readouterr().out
         if as_json:
-            assert (json.loads(said)["verified"], json.loads(said)["why_not"]) == (
+            assert (json.loads(output)["verified"], json.loads(output)["why_not"]) == (
                 False,
                 expected_reason,
             )
         else:
-            assert said.splitlines()[-1] == f"not verified: {expected_reason}"
+            assert output.splitlines()[-1] == f"not verified: {expected_reason}"
 
 
 def test_an_existing_commissioning_log_is_accepted(work_folder):
@@ -235,8 +238,8 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(work_folder
         .replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
     )
     (work_folder / "weak.toml").write_text(text)
-    said = refusal_line(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
-    assert "digit[index].spring_preload_rad: the springs open the joints with" in said
+    error_line = refusal_line(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
+    assert "digit[index].spring_preload_rad: the springs open the joints with" in error_line
 
 
 def test_units_in_brackets_are_no_markup(fake_search, capsys):
@@ -244,9 +247,9 @@ def test_units_in_brackets_are_no_markup(fake_search, capsys):
     assert (
         main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
     )
-    said = capsys.readouterr().out
-    assert "[deg rms]" in said
-    assert "[bold].study" in said
+    output = capsys.readouterr().out
+    assert "[deg rms]" in output
+    assert "[bold].study" in output
     _print_rounds(
         {
             "judged_by": "truth",
@@ -301,11 +304,11 @@ def jamia_calibration(is_simulated: bool = False) -> Calibration:
 
 
 def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, capsys, monkeypatch):
-    own = work_folder / "jamia.calibration.toml"
+    calibration_path = work_folder / "jamia.calibration.toml"
     calibration = jamia_calibration()
-    write_calibration(own, calibration)
+    write_calibration(calibration_path, calibration)
     content_before, ended_run = (
-        own.read_bytes(),
+        calibration_path.read_bytes(),
         SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
     )
     outcome = SimpleNamespace(state=ended_run, raise_if_not_finished=lambda where: None)
@@ -316,9 +319,9 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(work_folder, ca
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
-    assert own.read_bytes() == content_before
-    assert main(["identify", "--lockstep", "--calibration", own.name, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["calibration"] == own.name
+    assert calibration_path.read_bytes() == content_before
+    assert main(["identify", "--lockstep", "--calibration", calibration_path.name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["calibration"] == calibration_path.name
 
 
 def result_of_digit(digit_name, spring_stiffness, blocked="", met="", names=("tendon_stiffness",)):
@@ -372,8 +375,8 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(work_folder, c
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
-    found = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
-    _replace_identification(monkeypatch, calibration, found)
+    result_by_tendon = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
+    _replace_identification(monkeypatch, calibration, result_by_tendon)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
     begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
@@ -419,12 +422,12 @@ def test_values_of_a_low_coherence_are_not_kept(work_folder, capsys, monkeypatch
     result = replace(result_of_digit("middle", 9e4, names=names), coherence=coherence)
     _replace_identification(monkeypatch, calibration, {"middle_tendon": result})
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 0
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     is_coherent = coherence > 0.2
-    found = load_calibration(path, hand).identified["middle_tendon"].names
-    assert found == (names if is_coherent else ("tendon_stiffness",))
-    assert ("tune search" in said.out) == is_coherent
-    assert ("not worth using" in said.err) != is_coherent
+    kept_names = load_calibration(path, hand).identified["middle_tendon"].names
+    assert kept_names == (names if is_coherent else ("tendon_stiffness",))
+    assert ("tune search" in output.out) == is_coherent
+    assert ("not worth using" in output.err) != is_coherent
 
 
 @pytest.mark.parametrize("blocked_digits", [(), ("ring",), ("ring", "thumb")])
@@ -436,21 +439,23 @@ def test_a_fit_of_a_blocked_digit_is_not_written(work_folder, capsys, monkeypatc
     hand, path = load_hand("jamia"), work_folder / "own.toml"
     calibration = jamia_calibration()
     entry = result_of_digit("index", 9e4).calibration_entry(Path("a"), "t")
-    before = calibration.model_copy(update={"identified": {"index_tendon": entry}})
-    write_calibration(path, before)
+    earlier_calibration = calibration.model_copy(update={"identified": {"index_tendon": entry}})
+    write_calibration(path, earlier_calibration)
     known_content = path.read_bytes()
-    found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in blocked_digits}
-    found["index_tendon"] = result_of_digit(
+    result_by_tendon = {f"{name}_tendon": result_of_digit(name, 8e4) for name in blocked_digits}
+    result_by_tendon["index_tendon"] = result_of_digit(
         "index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep"
     )
-    _replace_identification(monkeypatch, calibration, found)
+    _replace_identification(monkeypatch, calibration, result_by_tendon)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
-    said = capsys.readouterr()
-    assert "no parameters of index are kept: middle is blocked" in said.err
+    output = capsys.readouterr()
+    assert "no parameters of index are kept: middle is blocked" in output.err
     stored_parameters = load_calibration(path, hand).identified
     assert stored_parameters["index_tendon"].values == (9e4,)
     assert {
-        name: one.values for name, one in stored_parameters.items() if name != "index_tendon"
+        name: parameters.values
+        for name, parameters in stored_parameters.items()
+        if name != "index_tendon"
     } == {f"{name}_tendon": (8e4,) for name in blocked_digits}
     assert blocked_digits or path.read_bytes() == known_content
 
@@ -494,9 +499,9 @@ def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(work_folder, ca
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     real = work_folder / "real.mcap"
     with RunLog(Path(GOLDEN_LOG)) as log:
-        LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish(
-            "finished", 0
-        )
+        LogWriter(
+            real, replace(log.header, deterministic=False), lambda *arguments: None, 1
+        ).finish("finished", 0)
     assert "is of a simulated hand" in refusal_line(
         capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN_LOG
     )
@@ -611,20 +616,20 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
     from handctl.cli.tuning.identify import _search_command
     from handctl.cli.tuning.tune_files import verify_command
 
-    given = {
+    given_options = {
         "hand": "my hand.toml",
         "gains": Path("a b.toml"),
         "gain": ["motion.force_N=16"],
         "rate": 250.0,
     }
     args = Namespace(
-        **given, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml")
+        **given_options, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml")
     )
-    own = "--gains 'a b.toml' --gain motion.force_N=16 --rate 250 --perturb stiffness=0.8 friction=1.3"
+    hand_options = "--gains 'a b.toml' --gain motion.force_N=16 --rate 250 --perturb stiffness=0.8 friction=1.3"
     head = "handctl tune search --hand 'my hand.toml' --calibration x.calibration.toml "
-    assert _search_command(args, Path("x.calibration.toml")) == head + own
+    assert _search_command(args, Path("x.calibration.toml")) == head + hand_options
     head = "handctl tune verify new.toml --lockstep --hand 'my hand.toml' --calibration x.calibration.toml "
-    assert verify_command(args, Path("new.toml")) == head + own
+    assert verify_command(args, Path("new.toml")) == head + hand_options
 
 
 @pytest.mark.parametrize("calibration_file", [None, Path("x.calibration.toml")])
@@ -641,7 +646,8 @@ def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(calibrati
     plain_ensemble = ensemble_of_tuned_hand(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if calibration_file is None else {}
     expected = tuple(
-        one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain_ensemble
+        plant_factors | {key: plant_factors.get(key, 1.0) * x for key, x in factors.items()}
+        for plant_factors in plain_ensemble
     )
     assert ensemble_of_tuned_hand(args, {}, 8) == expected
 
@@ -685,7 +691,7 @@ def test_a_log_does_not_change_the_calibration_of_another_hand(
         header = replace(
             log.header, deterministic=False, metadata={**log.header.metadata, "bus": bus}
         )
-        LogWriter(Path("run.mcap"), header, lambda *what: None, 1).finish("finished", 0)
+        LogWriter(Path("run.mcap"), header, lambda *arguments: None, 1).finish("finished", 0)
     monkeypatch.setattr("handctl.cli.tuning.identify.identify_tendons", lambda *words: {})
     kinds = ("a real hand", "a simulated hand") if other else ("a simulated hand", "a real hand")
     assert refusal_line(capsys, "identify", "--from-log", "run.mcap") == (

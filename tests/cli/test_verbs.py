@@ -173,8 +173,8 @@ def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsy
     code, printed_json = json_output(capsys, "log", "info", "cut.mcap")
     assert (code, printed_json["whole"]) == (3, False)
     assert 0 < printed_json["ticks"] < 3000
-    code, found = json_output(capsys, "log", "recover", "cut.mcap")
-    assert (code, found["status"]) == (3, "lossy")
+    code, result = json_output(capsys, "log", "recover", "cut.mcap")
+    assert (code, result["status"]) == (3, "lossy")
     with RunLog(work_folder / "cut.recovered.mcap") as whole_log:
         assert not whole_log.warning
         assert len(whole_log) == printed_json["ticks"]
@@ -182,16 +182,16 @@ def test_a_truncated_log_is_reported_and_recovered(small_log, work_folder, capsy
 
 def test_a_complete_log_is_recovered_unchanged(small_log, work_folder, capsys):
     shutil.copy(small_log, "run.mcap")
-    code, found = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
-    assert (code, found["status"], found["lost"]) == (0, "whole", [])
-    with RunLog(small_log) as old, RunLog(work_folder / "new.mcap") as new:
-        assert np.array_equal(old.times, new.times)
+    code, result = json_output(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
+    assert (code, result["status"], result["lost"]) == (0, "whole", [])
+    with RunLog(small_log) as small_run_log, RunLog(work_folder / "new.mcap") as recovered_log:
+        assert np.array_equal(small_run_log.times, recovered_log.times)
 
 
 def test_a_log_cut_before_its_first_chunk_cannot_be_recovered(small_log, work_folder, capsys):
     (work_folder / "head.mcap").write_bytes(small_log.read_bytes()[:64])
-    code, found = json_output(capsys, "log", "recover", "head.mcap")
-    assert (code, found["status"]) == (1, "nothing")
+    code, result = json_output(capsys, "log", "recover", "head.mcap")
+    assert (code, result["status"]) == (1, "nothing")
     assert not (work_folder / "head.recovered.mcap").exists()
 
 
@@ -206,6 +206,6 @@ def test_file_that_is_not_a_log_is_bad_input(work_folder, capsys, what, content)
 
 
 def test_folder_is_refused_as_log(capsys):
-    for what in ("info", "recover"):
-        assert main(["log", what, "/"]) == 2
+    for log_command in ("info", "recover"):
+        assert main(["log", log_command, "/"]) == 2
         assert capsys.readouterr().err == "handctl: /: not a file; expected a log\n"

@@ -111,8 +111,8 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert [text.partition(":")[0] for text in mode_texts(work_folder / "other.mcap")][
         -1
     ] == "READY -> DONE", "the hand was not armed"
-    for one in (first_bench, second_bench):
-        one.peer.close()
+    for bench in (first_bench, second_bench):
+        bench.peer.close()
 
 
 def test_replaced_drive_is_named_before_arming(work_folder):
@@ -125,8 +125,8 @@ def test_replaced_drive_is_named_before_arming(work_folder):
     failure = bench_after.jog(bench_before.commission("before"), "after").state.failure
     assert failure.startswith(f"{motor} is drive 0x77, but was calibrated with drive 0x40")
     assert failure.count(" is drive ") == 1
-    for one in (bench_before, bench_after):
-        one.peer.close()
+    for bench in (bench_before, bench_after):
+        bench.peer.close()
 
 
 def test_a_log_names_its_drives_and_repeats(work_folder, capsys):
@@ -147,14 +147,14 @@ def test_a_calibration_of_an_earlier_version_is_accepted_with_a_notice(work_fold
     path = work_folder / "old.toml"
     write_calibration(path, calibration)
     assert "drive" not in tomllib.loads(path.read_text())
-    old = load_calibration(path, bench.plan.hand)
+    old_calibration = load_calibration(path, bench.plan.hand)
     capsys.readouterr()
     bench.args.calibration = path
-    announce_motion(bench.args, bench.plan, path, old)
+    announce_motion(bench.args, bench.plan, path, old_calibration)
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert f"caution: {path} does not name its drives" in err
-    assert bench.jog(old, "with_old").state.failure == ""
+    assert bench.jog(old_calibration, "with_old").state.failure == ""
     bench.peer.close()
 
 
@@ -169,8 +169,10 @@ def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
     """
     bench = CalibratedBench(work_folder, "jamia")
     path = work_folder / "c.toml"
-    made = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)
-    write_calibration(path, bench.commission("made").model_copy(update={"made": made.isoformat()}))
+    made_at = datetime.datetime.now(datetime.UTC) + datetime.timedelta(hours=hours)
+    write_calibration(
+        path, bench.commission("made").model_copy(update={"made": made_at.isoformat()})
+    )
     bench.peer.close()
     calibration, why = find_calibration(path, bench.plan.hand, is_file_named=True)
     assert (calibration is None) == bool(reason)
@@ -184,9 +186,9 @@ def test_identified_values_of_other_drives_are_not_used(work_folder, capsys):
     hand = bench.plan.hand
     write_calibration(path, calibration)
     assert previous_identified_parameters(path, hand, calibration.drive) == {}
-    others = dict.fromkeys(calibration.drive, "0x1")
+    other_serials = dict.fromkeys(calibration.drive, "0x1")
     capsys.readouterr()
-    assert previous_identified_parameters(path, hand, others) == {}
+    assert previous_identified_parameters(path, hand, other_serials) == {}
     assert capsys.readouterr().err == "", "without identified values there is no notice"
 
 

@@ -56,10 +56,18 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
     digits, entries, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
     while len(entries) < tendons:
-        name, left, size = f"d{len(digits)}", tendons - len(entries), int(rng.integers(1, 4))
+        name, remaining_tendons, size = (
+            f"d{len(digits)}",
+            tendons - len(entries),
+            int(rng.integers(1, 4)),
+        )
         digit_joints = [f"{name}_j{j + 1}" for j in range(size)]
         radii = rng.uniform(2e-3, 5e-3, size)
-        kinds = [arms for arms in _moment_arm_kinds(digit_joints, radii) if len(arms) <= left]
+        kinds = [
+            arms
+            for arms in _moment_arm_kinds(digit_joints, radii)
+            if len(arms) <= remaining_tendons
+        ]
         arms = kinds[int(rng.integers(len(kinds)))]
         digits.append(_random_digit(finger, name, size, len(arms) == 1 < size, rng))
         if len(digits) > 1 and rng.random() < CARRIED_DIGIT_FRACTION:
@@ -91,7 +99,7 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     buses = [raw["bus"][0] | {"name": name} for name in BUS_NAMES[: -(-tendons // MOTORS_PER_BUS)]]
     read = [joint for joint in joints if rng.random() < 0.6]
     node = raw["sensor_node"] | {"tendons": [entry["name"] for entry in entries], "joints": read}
-    made = raw | {
+    content = raw | {
         "name": "random",
         "bus": buses,
         "digit": digits,
@@ -99,18 +107,18 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
         "motor": motors,
         "sensor_node": node,
     }
-    hand = hand_from_content(made, "random.toml")
+    hand = hand_from_content(content, "random.toml")
     hand = hand_with_drives(hand, str(rng.choice(VERIFIABLE_PROTOCOLS)))
     servos = _motors_with_position_loop(hand, rng)
     loop: dict[str, object] = {"control": "position"}
     if hand.motor[0].protocol == "moteus":
         loop |= {"kp_N_m_per_rad": 1.0, "kd_N_m_s_per_rad": 0.02}
     motors = [
-        one.model_copy(
+        motor_entry.model_copy(
             update={"node_id": FIRST_NODE_NUMBER + n % MOTORS_PER_BUS}
-            | (loop if one.name in servos else {})
+            | (loop if motor_entry.name in servos else {})
         )
-        for n, one in enumerate(hand.motor)
+        for n, motor_entry in enumerate(hand.motor)
     ]
     return hand.model_copy(update={"motor": tuple(motors)})
 
@@ -133,8 +141,8 @@ def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
 
 def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
     """For each kind of digit, yield the moment arms of all its tendons."""
-    one = float(radii[0])
-    yield [dict.fromkeys(joints, one)]
+    first_radius = float(radii[0])
+    yield [dict.fromkeys(joints, first_radius)]
     closing_arms = [
         dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))
     ]
@@ -156,24 +164,28 @@ def _random_digit(
 
 
 def _message_payload(
-    message: CyclicMessage, given: dict[SignalQuantity, Any], rng: RandomGenerator
+    message: CyclicMessage, given_quantities: dict[SignalQuantity, Any], rng: RandomGenerator
 ) -> bytes:
     """Return the payload of a message with given values.
 
     If a message has several status signals, the first of them contains the highest bits of the
     status.
     """
-    values, left = (
+    values, remaining_bits = (
         [],
-        sum(one.length for one in message.signals if one.quantity == SignalQuantity.STATUS),
+        sum(
+            status_signal.length
+            for status_signal in message.signals
+            if status_signal.quantity == SignalQuantity.STATUS
+        ),
     )
     for signal in message.signals:
         if signal.quantity == SignalQuantity.UNUSED:
             continue
-        value = given.get(signal.quantity, 0.0)
+        value = given_quantities.get(signal.quantity, 0.0)
         if signal.quantity == SignalQuantity.STATUS:
-            left -= signal.length
-            value = float(int(value) >> left & (1 << signal.length) - 1)
+            remaining_bits -= signal.length
+            value = float(int(value) >> remaining_bits & (1 << signal.length) - 1)
         elif signal.quantity in (SignalQuantity.TENSION, SignalQuantity.ANGLE):
             value = float(value[signal.channel])
         values.append(value)
@@ -223,25 +235,28 @@ class RandomHand:
         self.angle += rng.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):
-            given: dict[SignalQuantity, Any] = {
+            given_quantities: dict[SignalQuantity, Any] = {
                 SignalQuantity.POSITION: float(self.position[n]), SignalQuantity.VELOCITY: float(self.speed[n]),
                 SignalQuantity.TORQUE: float(rng.normal(0.1, 0.05)),
                 SignalQuantity.STATUS: _status_while_enabled(drive, self.protocol),
                 SignalQuantity.TEMPERATURE: float(rng.integers(20, 90)),
             }  # fmt: skip
-            messages += [(one, drive.bus, given) for one in drive.cyclic_messages.feedback]
+            messages += [
+                (feedback_message, drive.bus, given_quantities)
+                for feedback_message in drive.cyclic_messages.feedback
+            ]
         sensors = self.controller.sensors
         counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = rng.random() < CORRUPT_FRACTION
-            given = {
+            given_quantities = {
                 SignalQuantity.COUNTER: counter ^ late,
                 SignalQuantity.TENSION: self.tension,
                 SignalQuantity.ANGLE: self.angle,
             }
-            messages += [(message, sensors.bus, given)]
+            messages += [(message, sensors.bus, given_quantities)]
         out = []
-        for message, bus, given in messages:
+        for message, bus, given_quantities in messages:
             chance = rng.random()
             for _ in range(
                 0
@@ -250,7 +265,7 @@ class RandomHand:
                 if chance < LOST_FRACTION + DUPLICATE_FRACTION
                 else 1
             ):
-                data = _message_payload(message, given, rng)
+                data = _message_payload(message, given_quantities, rng)
                 out.append(
                     Frame(
                         message.can_id,
@@ -308,13 +323,13 @@ class RandomHand:
                 self.requests_of_tick(i),
             )
             self.state, out = self.controller.tick(self.state, entry)
-            parts = [
+            hashed_arrays = [
                 out.state_hash,
                 out.telemetry.packed(),
                 repr(tuple(out.frames)).encode(),
                 repr(out.events).encode(),
             ]
-            yield hashlib.blake2b(b"".join(parts), digest_size=8).hexdigest()
+            yield hashlib.blake2b(b"".join(hashed_arrays), digest_size=8).hexdigest()
 
 
 def _status_while_enabled(drive: Any, protocol: str) -> int:

@@ -21,12 +21,13 @@ def test_a_sample_has_equal_halves_and_depends_on_its_seed_alone(
     monkeypatch.setattr("tools.cold_reading.OTHER_PROJECTS", ("mcap", "pluggy"))
     for folder, seed in (("first", 3), ("same", 3), ("other", 4)):
         write_sample(tmp_path / folder, seed, 12)
-    for part in ("names", "sentences"):
+    for sample_part in ("names", "sentences"):
         texts = [
-            (tmp_path / folder / f"{part}.txt").read_text() for folder in ("first", "same", "other")
+            (tmp_path / folder / f"{sample_part}.txt").read_text()
+            for folder in ("first", "same", "other")
         ]
         assert texts[0] == texts[1] != texts[2]
-        rows = json.loads((tmp_path / "first" / "key.json").read_text())[part]
+        rows = json.loads((tmp_path / "first" / "key.json").read_text())[sample_part]
         assert len({text for text, _, _ in rows}) == len(rows) == 24
         assert sum(project == "handctl" for _, project, _ in rows) == 12
 

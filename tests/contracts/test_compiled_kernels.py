@@ -100,8 +100,8 @@ def hash_of_frame_conversions() -> str:
         for flag_mask, added_flags in ((0xFF, 0), (0, 0), (0xFF, FDF)):
             frames, has_errors = structs.read(50, 1000 - 100 * seed, 3, flag_mask, added_flags)
             digest.update(frames.records.tobytes() + bytes([has_errors]))
-        back = bytearray(len(memory))
-        digest.update(FrameStructs(back).write(frames).tobytes() + back)
+        struct_memory = bytearray(len(memory))
+        digest.update(FrameStructs(struct_memory).write(frames).tobytes() + struct_memory)
     return digest.hexdigest()
 
 
@@ -140,10 +140,20 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     ) as other_process_result:
         compiled_hashes = [tick_hashes(*hand) for hand in seeds_and_lengths]
         output, _ = other_process_result.communicate(timeout=60.0 * len(seeds_and_lengths))
-    for hand, one, two in zip(seeds_and_lengths, compiled_hashes, json.loads(output), strict=True):
-        apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
-        assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
-        assert len(set(one)) == TICKS_PER_HAND, "all ticks differ"
+    for hand, compiled_hashes_of_hand, interpreted_hashes in zip(
+        seeds_and_lengths, compiled_hashes, json.loads(output), strict=True
+    ):
+        differing_ticks = [
+            i
+            for i, (a, b) in enumerate(
+                zip(compiled_hashes_of_hand, interpreted_hashes, strict=True)
+            )
+            if a != b
+        ]
+        assert not differing_ticks, (
+            f"{hand[0]} tendons, seed {hand[1]}: from tick {differing_ticks[0]} on"
+        )
+        assert len(set(compiled_hashes_of_hand)) == TICKS_PER_HAND, "all ticks differ"
 
 
 def hash_of_segments() -> str:
@@ -157,11 +167,11 @@ def hash_of_segments() -> str:
         rows = layout.table(block, "coordinate")
         rows[...] = draw.normal(size=rows.shape)
         rows[STREAM_RANGE], rows[STREAM_RANGE + 1] = -1.0, 1.0
-        aim, held = draw.normal(size=(2, 3))
+        aim, held_targets = draw.normal(size=(2, 3))
         duration = draw.uniform(0.002, 0.05)
         apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
         is_clipped = begin_segments(
-            block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2
+            block, layout.places, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
         )
         digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
@@ -203,9 +213,9 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
     values = np.arange(8.0).reshape(2, 4)
     assert third_value(values) == 2.0
-    for other in (values[:, ::2], values.T):
+    for strided_array in (values[:, ::2], values.T):
         with pytest.raises(TypingError, match="a kernel can borrow a contiguous array only"):
-            third_value(other)
+            third_value(strided_array)
 
 
 PROBE_KERNEL_CODE = """
@@ -286,15 +296,15 @@ def test_a_constant_changed_in_another_file_compiles_again(
     assert run_copied_kernel(package_copy, cache_folder) == (True, True, True), (
         "positive control: unchanged code is not compiled again"
     )
-    other = package_copy / "safety" / "faults" / "node.py"
-    text = other.read_text(encoding="utf-8")
+    fault_file = package_copy / "safety" / "faults" / "node.py"
+    text = fault_file.read_text(encoding="utf-8")
     assert "HALF_RATE_MISSING_REPLIES = 7\n" in text
-    other.write_text(
+    fault_file.write_text(
         text.replace("HALF_RATE_MISSING_REPLIES = 7\n", "HALF_RATE_MISSING_REPLIES = 8\n"),
         encoding="utf-8",
     )
     assert run_copied_kernel(package_copy, cache_folder) == (False, False, True)
-    other.write_text(text, encoding="utf-8")
+    fault_file.write_text(text, encoding="utf-8")
     assert run_copied_kernel(package_copy, cache_folder) == (True, True, True), (
         "the code of both versions is kept"
     )
@@ -304,9 +314,9 @@ def test_two_installations_of_one_version_store_their_code_apart(
     package_copy: Path, tmp_path: Path
 ) -> None:
     """If two installations used one folder, each could load the stored code of the other."""
-    cache_folder, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
-    shutil.copytree(package_copy, other)
-    for package in (package_copy, other):
+    cache_folder, other_copy = tmp_path / "cache", tmp_path / "other" / package_copy.name
+    shutil.copytree(package_copy, other_copy)
+    for package in (package_copy, other_copy):
         assert run_copied_kernel(package, cache_folder) == (True, False, True)
     assert len(list((cache_folder / "handctl").glob("kernels-*"))) == 2
 
@@ -349,9 +359,9 @@ class KernelSources:
         self.modules.add(module_name)
         for node in self._syntax_tree(module_name).body:
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("handctl"):
-                for one in node.names:
-                    if (one.asname or one.name) == name:
-                        self._follow_import(str(node.module), one.name)
+                for alias in node.names:
+                    if (alias.asname or alias.name) == name:
+                        self._follow_import(str(node.module), alias.name)
             elif name in defined_names(node):
                 for used in ast.walk(node):
                     if isinstance(used, ast.Name):
@@ -387,17 +397,20 @@ def defined_names(node: ast.stmt) -> set[str]:
     if isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
         return {
-            one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)
+            target_node.id
+            for target in targets
+            for target_node in ast.walk(target)
+            if isinstance(target_node, ast.Name)
         }
     return set()
 
 
 def is_source(module_name: str) -> bool:
     """Return True if the name of the cache folder depends on the source text of a module."""
-    inside = tuple(
+    source_prefixes = tuple(
         "handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES
     )
-    return f"{module_name}.".startswith(inside)
+    return f"{module_name}.".startswith(source_prefixes)
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:

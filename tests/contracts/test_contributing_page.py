@@ -40,7 +40,7 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
         REPOSITORY / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__")
     )
     section = CONTRIBUTING_PAGE.split("## How to add a topic")[1]
-    definition, module, part = (
+    definition, module, part_line = (
         dedent(code) for code in re.findall(r"   ```python\n(.*?) *```", section, re.DOTALL)
     )
     messages = package / "log" / "message_types.py"
@@ -50,7 +50,7 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     insert_text(
         everything, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n"
     )
-    insert_text(everything, "self._parts = (\n", part)
+    insert_text(everything, "self._parts = (\n", part_line)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY / "tests" / "log", REPOSITORY)))
     result = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", READ_TOPIC_CODE],

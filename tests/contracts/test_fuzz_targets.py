@@ -40,22 +40,22 @@ def test_seeds_of_a_corpus_are_accepted(target_name: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("target_name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(target_name: str, tmp_path: Path) -> None:
-    motor, seen = frame_targets.states_until_torque(target_name, tmp_path)
-    assert {one.state.phase for one in seen} >= {
+    motor, reached_states = frame_targets.states_until_torque(target_name, tmp_path)
+    assert {reached_state.state.phase for reached_state in reached_states} >= {
         DrivePhase.SILENT,
         DrivePhase.READY,
         DrivePhase.ENABLED,
     }
-    own_identifiers = frame_targets.selectable_identifiers(motor, seen)
+    own_identifiers = frame_targets.selectable_identifiers(motor, reached_states)
     for data in seed_inputs(target_name, tmp_path):
-        state, t_ns, received_frames = seen[data[0]]
+        state, t_ns, received_frames = reached_states[data[0]]
         sent = [frame for frame, _ in frame_targets.frames_of_input(data, own_identifiers, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [
             (frame.can_id, frame.data) for frame in received_frames
         ]
-        after = functools.reduce(motor.receive, sent, state)
-        assert after.misread_frame_count == 0
-        assert after.phase == functools.reduce(motor.receive, received_frames, state).phase
+        state_after = functools.reduce(motor.receive, sent, state)
+        assert state_after.misread_frame_count == 0
+        assert state_after.phase == functools.reduce(motor.receive, received_frames, state).phase
 
 
 def test_a_changed_field_of_a_log_is_found_by_its_check(
@@ -66,17 +66,17 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
         file_targets, "check_one_line", lambda error: error_lines.append(str(error))
     )
     target = TARGET_FACTORIES["log"](tmp_path)
-    parts = log_targets._log_parts(tmp_path / "small.mcap")
+    log_parts = log_targets._log_parts(tmp_path / "small.mcap")
     messages = (
         (i, at)
-        for i, part in enumerate(parts)
-        for at, one in enumerate(part)
-        if one[0] == Opcode.MESSAGE
+        for i, records in enumerate(log_parts)
+        for at, record in enumerate(records)
+        if record[0] == Opcode.MESSAGE
     )
-    part, tick = next(messages)
+    part_index, record_index = next(messages)
     number = 22 + 4  # the tick number follows 22 bytes of message header and 4 bytes of encoding
-    replaced, anywhere, given, one_byte = 3, 1, 0, 0
-    mutation_choices = (part, tick, replaced, number, anywhere, given, one_byte)
+    replaced, anywhere, given_value, one_byte = 3, 1, 0, 0
+    mutation_choices = (part_index, record_index, replaced, number, anywhere, given_value, one_byte)
     assert not target(b"".join(n.to_bytes(2, "little") for n in mutation_choices) + b"\x07")
     assert len(error_lines) == 1
     assert "telemetry and ticks do not belong together" in error_lines[0]
@@ -102,10 +102,12 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(
         lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256
     ) == (256, 85)
     monkeypatch.chdir(tmp_path)
-    for taken, accepted in ((0, False), (64, True)):
-        summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
+    for accepted_count, accepted in ((0, False), (64, True)):
+        summary = (
+            f"Done 256 runs in 2 second(s), {accepted_count} inputs accepted, corpus of 3 inputs"
+        )
         done = subprocess.CompletedProcess([], 0, "", summary)
-        monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
+        monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **keyword_arguments: done)
         line, good = fuzz_target("log", 0, 256, is_blind=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

@@ -17,8 +17,8 @@ def module_files() -> dict[str, Path]:
     files = {}
     for package in (REPOSITORY / "src" / "handctl", REPOSITORY / "firmware_sim"):
         for path in package.rglob("*.py"):
-            parts = (package.name, *path.relative_to(package).with_suffix("").parts)
-            files[".".join(parts).removesuffix(".__init__")] = path
+            module_path = (package.name, *path.relative_to(package).with_suffix("").parts)
+            files[".".join(module_path).removesuffix(".__init__")] = path
     return files
 
 
@@ -30,8 +30,8 @@ def imported_modules(source_text: str, known_modules: set[str]) -> set[str]:
             case ast.Import(names=names):
                 imported |= {alias.name for alias in names}
             case ast.ImportFrom(module=str(module), names=names):
-                whole = {f"{module}.{alias.name}" for alias in names} & known_modules
-                imported |= whole or {module}
+                imported_submodules = {f"{module}.{alias.name}" for alias in names} & known_modules
+                imported |= imported_submodules or {module}
     return imported & known_modules
 
 
@@ -43,7 +43,8 @@ def import_cycles(import_graph: ImportGraph) -> list[set[str]]:
             if middle_module in targets:
                 targets |= reach[middle_module]
     groups = {
-        frozenset(other for other in reach[name] if name in reach[other]) for name in import_graph
+        frozenset(other_name for other_name in reach[name] if name in reach[other_name])
+        for name in import_graph
     }
     return sorted((set(group) for group in groups if group), key=sorted)
 

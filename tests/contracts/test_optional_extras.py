@@ -252,12 +252,14 @@ def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undecl
             for name in imported_packages(node):
                 if name in {*sys.stdlib_module_names, *PACKAGES_OF_DEPENDENCIES, "handctl"}:
                     continue
-                place = str(path.relative_to(REPOSITORY))
+                relative_path = str(path.relative_to(REPOSITORY))
                 if EXTRA_BY_MODULE.get(name, "controller") != "controller":
-                    assert place.startswith(PATHS_WITH_OPTIONAL_IMPORTS), f"{place} imports {name}"
+                    assert relative_path.startswith(PATHS_WITH_OPTIONAL_IMPORTS), (
+                        f"{relative_path} imports {name}"
+                    )
                 else:
                     assert declared_packages & set(distributions_by_package[name]), (
-                        f"{place} imports {name}, which is not a dependency"
+                        f"{relative_path} imports {name}, which is not a dependency"
                     )
 
 

@@ -72,14 +72,14 @@ def test_only_a_sample_leaves_slow_tests_out(
     name = "tests/contracts/test_slow_selection.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"
     long_test = "tests/contracts/test_slow_selection.py::test_a_test_that_waits_long_is_slow"
     (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n4.0 {long_test}\n")
-    found = {}
+    output_by_limit = {}
     for limit_s in ("0", "3", "inf"):
         monkeypatch.setenv("HANDCTL_SLOW_S", limit_s)
         monkeypatch.delenv("HANDCTL_NIGHTLY", raising=False)
         words = [sys.executable, "-c", code, str(tmp_path / "slow.txt"), __file__]
-        found[limit_s] = subprocess.run(
+        output_by_limit[limit_s] = subprocess.run(
             words, capture_output=True, text=True, check=True, cwd=REPOSITORY
         ).stdout
-    run = [(name in text, long_test in text) for text in found.values()]
+    run = [(name in text, long_test in text) for text in output_by_limit.values()]
     assert run == [(False, False), (True, False), (True, True)]
-    assert "test_a_function_keeps_its_first_cases_up_to_the_budget" in found["0"]
+    assert "test_a_function_keeps_its_first_cases_up_to_the_budget" in output_by_limit["0"]

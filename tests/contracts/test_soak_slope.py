@@ -67,10 +67,11 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
     """
     samples_with_drops = memory_samples(2400.0)
     low = [
-        one._replace(
-            rss_mib=one.rss_mib - 1.5 * (600 <= one.time_s < 1170 and one.time_s % 300 > 30)
+        sample._replace(
+            rss_mib=sample.rss_mib
+            - 1.5 * (600 <= sample.time_s < 1170 and sample.time_s % 300 > 30)
         )
-        for one in samples_with_drops
+        for sample in samples_with_drops
     ]
     assert memory_slope(low) == pytest.approx(0.0, abs=1e-6)
     assert memory_slope(memory_samples(7200.0, mib_per_h=2.0, noise_mib=1.5)) == pytest.approx(

@@ -42,9 +42,9 @@ def lines_of_broad_handlers(source_text: str) -> Iterator[int]:
 
 
 def names_in_expression(node: ast.AST | None) -> set[str]:
-    parts = list(ast.walk(node)) if node else []
-    return {part.id for part in parts if isinstance(part, ast.Name)} | {
-        part.attr for part in parts if isinstance(part, ast.Attribute)
+    inner_nodes = list(ast.walk(node)) if node else []
+    return {inner_node.id for inner_node in inner_nodes if isinstance(inner_node, ast.Name)} | {
+        inner_node.attr for inner_node in inner_nodes if isinstance(inner_node, ast.Attribute)
     }
 
 
@@ -125,11 +125,18 @@ def test_the_locks_name_no_index_and_hash_every_package() -> None:
 def names_of_module(module_name: str) -> set[str]:
     """Return every name that a module or a package defines or imports."""
     places = [top / module_name.replace(".", "/") for top in (REPOSITORY / "src", REPOSITORY)]
-    place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
-    if place.is_dir():
-        known_names, file = {path.stem for path in place.iterdir()}, place / "__init__.py"
+    module_path = next(
+        module_path
+        for module_path in places
+        if module_path.is_dir() or module_path.with_suffix(".py").exists()
+    )
+    if module_path.is_dir():
+        known_names, file = (
+            {path.stem for path in module_path.iterdir()},
+            module_path / "__init__.py",
+        )
     else:
-        known_names, file = set(), place.with_suffix(".py")
+        known_names, file = set(), module_path.with_suffix(".py")
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")):
         match node:
             case (
@@ -138,8 +145,8 @@ def names_of_module(module_name: str) -> set[str]:
                 | ast.Name(id=name, ctx=ast.Store())
             ):
                 known_names.add(name)
-            case ast.alias(name=name, asname=other):
-                known_names.add(other or name)
+            case ast.alias(name=name, asname=new_name):
+                known_names.add(new_name or name)
     return known_names
 
 

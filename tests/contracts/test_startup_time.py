@@ -75,8 +75,12 @@ def test_help_imports_no_heavy_library() -> None:
 
 
 def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
-    others = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
-    names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED_SCIPY_PACKAGES))
+    unused_packages = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
+    names = (
+        "filterpy.kalman",
+        *unused_packages,
+        *(f"scipy.{scipy_package}" for scipy_package in UNUSED_SCIPY_PACKAGES),
+    )
     code = (
         "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
     )

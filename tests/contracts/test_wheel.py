@@ -133,8 +133,8 @@ def test_logs_and_clients_need_no_extra(environment_without_extras: WheelEnviron
     assert run("handctl", "--version").stdout.strip() in environment_without_extras.wheel.name
     run("handctl", "log", "info", str(GOLDEN_LOG))
     run("handctl", "log", "export", str(GOLDEN_LOG), "--csv", "--output", "rows.csv")
-    wanted = run("handctl", "run", "--hand", "jamia", "--bus", "local:x", exit_code=2).stderr
-    assert wanted == "handctl: run needs numba: pip install 'handctl[controller]'\n"
+    error_text = run("handctl", "run", "--hand", "jamia", "--bus", "local:x", exit_code=2).stderr
+    assert error_text == "handctl: run needs numba: pip install 'handctl[controller]'\n"
     assert environment_without_extras.installed_megabytes() <= SIZE_WITHOUT_EXTRAS_MB
 
 

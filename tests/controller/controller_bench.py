@@ -151,10 +151,13 @@ def _pack_channels(
     """
     frames = []
     for group, start in enumerate(range(0, len(channel_readings), 5)):
-        part = channel_readings[start : start + 5]
-        bits = sync_counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
+        frame_readings = channel_readings[start : start + 5]
+        bits = sync_counter | sum(value << (4 + 12 * i) for i, value in enumerate(frame_readings))
         frames.append(
-            Frame(first_can_id + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little"))
+            Frame(
+                first_can_id + group,
+                bits.to_bytes((4 + 12 * len(frame_readings) + 7) // 8, "little"),
+            )
         )
     return frames
 
@@ -243,11 +246,11 @@ class ControllerBench:
     @property
     def mode_history(self) -> list[HandMode]:
         """Return the modes of the controller so far, in order."""
-        seen: list[HandMode] = []
+        modes: list[HandMode] = []
         for _, _, out in self.tick_history:
-            if not seen or seen[-1] != out.mode:
-                seen.append(out.mode)
-        return seen
+            if not modes or modes[-1] != out.mode:
+                modes.append(out.mode)
+        return modes
 
     @property
     def events(self) -> list[TickEvent]:

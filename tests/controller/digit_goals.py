@@ -25,10 +25,10 @@ def moving_goals(
     return tuple(
         DigitGoal(
             GoalKind.MOTION,
-            MinimumJerk(np.full(n, start_angle), np.full(n, end_angle), own),
+            MinimumJerk(np.full(n, start_angle), np.full(n, end_angle), duration_of_digit_s),
             since=start_time,
         )
-        for n, own in zip(sizes, durations_s, strict=True)
+        for n, duration_of_digit_s in zip(sizes, durations_s, strict=True)
     )
 
 

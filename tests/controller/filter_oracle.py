@@ -154,14 +154,14 @@ def covariance_by_doubling(
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
         inner_matrix = np.linalg.inv(np.eye(len(A)) + G @ P)
-        A, G, after = (
+        A, G, next_covariance = (
             A @ inner_matrix @ A,
             G + A @ inner_matrix @ G @ A.T,
             P + A.T @ P @ inner_matrix @ A,
         )
-        if np.abs(after - P).max() <= 1e-14 * np.abs(after).max():
-            return after
-        P = after
+        if np.abs(next_covariance - P).max() <= 1e-14 * np.abs(next_covariance).max():
+            return next_covariance
+        P = next_covariance
     raise AssertionError("the Riccati equation did not converge")
 
 
@@ -190,8 +190,8 @@ def joseph_update(
     H[1, E] = float(block.cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     gain[E] *= float(block.cell_error_observable)
-    rest = np.eye(STATE_COUNT) - gain @ H
-    return gain, rest @ P @ rest.T + gain @ R @ gain.T
+    remaining_fraction = np.eye(STATE_COUNT) - gain @ H
+    return gain, remaining_fraction @ P @ remaining_fraction.T + gain @ R @ gain.T
 
 
 def assert_same_covariance(computed: np.ndarray, expected: np.ndarray) -> None:

@@ -116,7 +116,7 @@ def write_filter_state(state: ControllerState, filter_state: FilterState) -> Non
 def filter_state_of(state: ControllerState) -> FilterState:
     """Return the part of a controller's state that belongs to the filter."""
     boolean_fields = ("stopped", "is_length_known", "doubtful")
-    found = {
+    field_values = {
         name: tuple(map(bool if name in boolean_fields else int, state.view(row)))
         if state.view(row).dtype == np.int64
         else state.view(row).copy()
@@ -126,7 +126,7 @@ def filter_state_of(state: ControllerState) -> FilterState:
     if state.run_integer(s.COVARIANCE_PROPAGATED):
         covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
-    return FilterState(x, **found, covariance=covariances, started=state.has_started)
+    return FilterState(x, **field_values, covariance=covariances, started=state.has_started)
 
 
 def write_readings(state: ControllerState, measured: SensorReadings) -> None:
@@ -283,7 +283,7 @@ def design_arrays_by_tendon(
     """Return one array of the filter design for each tendon (N, ...), selected by the regime of the tendon."""
     return np.array(
         [
-            getattr(own[kind], array_name)
-            for own, kind in zip(model.filter.blocks, regime_by_tendon, strict=True)
+            getattr(designs_of_tendon[kind], array_name)
+            for designs_of_tendon, kind in zip(model.filter.blocks, regime_by_tendon, strict=True)
         ]
     )

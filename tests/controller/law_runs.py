@@ -152,8 +152,10 @@ def law_state_of(state: ControllerState) -> LawState:
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
     }
     trim = state.view("trim").copy() if state.run_integer(s.TRIM_ACTIVE) else None
-    held = state.view("limit_held").copy() if state.run_integer(s.SAFETY_HOLD_ACTIVE) else None
-    return LawState(**block_values, trim=trim, held=held)
+    held_limits = (
+        state.view("limit_held").copy() if state.run_integer(s.SAFETY_HOLD_ACTIVE) else None
+    )
+    return LawState(**block_values, trim=trim, held=held_limits)
 
 
 def law_command_of(state: ControllerState) -> LawCommand:

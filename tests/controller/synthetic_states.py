@@ -150,11 +150,11 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
 def estimate_of(state: ControllerState) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
     estimate = state.estimate
-    own = {
+    estimate_values = {
         name: state.view("cell_error") if name == "cell_error" else getattr(estimate, name)
         for name in SyntheticEstimate._fields
     }
-    return SyntheticEstimate(**{name: np.array(value) for name, value in own.items()})
+    return SyntheticEstimate(**{name: np.array(value) for name, value in estimate_values.items()})
 
 
 class LoadStatics(NamedTuple):
@@ -327,9 +327,9 @@ def detect_contacts(
         estimate.travel - estimate.excursion - elastic_tension / model.space.stiffness
     )
     tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
-    seen = state.estimate
+    hand_estimate = state.estimate
     return estimate._replace(
-        contact_force=seen.contact_force.copy(),
-        grip_opening=seen.grip_opening,
-        grip_travel=seen.grip_travel.copy(),
+        contact_force=hand_estimate.contact_force.copy(),
+        grip_opening=hand_estimate.grip_opening,
+        grip_travel=hand_estimate.grip_travel.copy(),
     )

@@ -80,7 +80,7 @@ def test_bounded_solution_has_the_smallest_error(digit_case: str) -> None:
     """The allocated tensions have no higher cost than the solution of scipy's bounded least-squares solver."""
     arms, rng = moment_arms_of_case(digit_case), np.random.default_rng(2)
     n, r = len(arms), np.abs(arms).mean()
-    outside = 0
+    infeasible_count = 0
     for _ in range(200):
         floor = rng.uniform(0.0, 10.0, n)
         ceiling = floor + rng.uniform(5.0, 120.0, n)
@@ -90,17 +90,17 @@ def test_bounded_solution_has_the_smallest_error(digit_case: str) -> None:
         assert (tension <= ceiling).all()
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
         weight = np.sqrt(REGULARISATION_WEIGHT)
-        rows, right = (
+        rows, weighted_torque = (
             np.vstack([arms.T / r, weight * np.eye(n)]),
             np.concatenate([torque / r, weight * floor]),
         )
-        best = lsq_linear(rows, right, (floor, ceiling), method="bvls", tol=1e-12).x
+        best = lsq_linear(rows, weighted_torque, (floor, ceiling), method="bvls", tol=1e-12).x
         assert (
             allocation_cost(arms, torque, floor, tension)
             <= allocation_cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
         )
-        outside += bool(np.abs(missing).max() > 1e-6)
-    assert outside > 20, "torques that the bounds forbid were among them"
+        infeasible_count += bool(np.abs(missing).max() > 1e-6)
+    assert infeasible_count > 20, "torques that the bounds forbid were among them"
 
 
 finite_torque_values = st.floats(-1e6, 1e6, allow_nan=False)

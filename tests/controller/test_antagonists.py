@@ -65,7 +65,7 @@ def two_n_hand() -> Hand:
         "e2": {"thumb_j1": -arm, "thumb_j2": -arm},
     }
     tendons = [tendon for tendon in content["tendon"] if not tendon["name"].startswith("thumb")]
-    motors = [one for one in content["motor"] if not one["name"].startswith("thumb")]
+    motors = [entry for entry in content["motor"] if not entry["name"].startswith("thumb")]
     for i, (name, arms) in enumerate(routes.items()):
         tendons.append(
             base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
@@ -156,8 +156,8 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
         # one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
-        np.testing.assert_allclose(found, 0.0, atol=5e-5)
+        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool
+        np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
         task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
         run, ticks = begin_run(peer, task, calibration, run.k, hand)
@@ -258,8 +258,8 @@ def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
 
 def test_springs_of_no_stiffness_are_no_springs() -> None:
     content = n_plus_1_hand().content
-    named = {digit["name"]: digit for digit in content["digit"]}
-    assert named["thumb"]["spring_stiffness_N_m_per_rad"] == (0.0, 0.0)
+    digit_by_name = {digit["name"]: digit for digit in content["digit"]}
+    assert digit_by_name["thumb"]["spring_stiffness_N_m_per_rad"] == (0.0, 0.0)
     assert hand_from_content(content, "x").identity == n_plus_1_hand().identity
 
 

@@ -96,8 +96,8 @@ def run_commissioning(
             + noise * rng.normal(size=n)
         )
         travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
-        shown = tension - (progress.tare or 0.0)
-        measured = empty_readings(model)._replace(travel=travel, tension=shown)
+        tared_tension = tension - (progress.tare or 0.0)
+        measured = empty_readings(model)._replace(travel=travel, tension=tared_tension)
         if rng.random() < lost_fraction:
             measured = empty_readings(model)
         estimate = slack_hand_estimate(model)
@@ -148,10 +148,10 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
-    last = model.tendon_count - 1
+    last_tendon = model.tendon_count - 1
     tension_by_pull = tensions_without_fault(model)
-    progress = run_commissioning(model, lambda i: tension_by_pull(i) * (i != last))
-    assert progress.failure.startswith(model.hand.tendon_names[last])
+    progress = run_commissioning(model, lambda i: tension_by_pull(i) * (i != last_tendon))
+    assert progress.failure.startswith(model.hand.tendon_names[last_tendon])
     assert "answers" in progress.failure
 
 
@@ -248,13 +248,14 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     The load cell of this tendon still reads 1.4 N just before the pull of the next tendon, and 0 N
     during that pull.
     """
-    held = np.zeros(jamia.tendon_count)
+    tension_held_by_friction = np.zeros(jamia.tendon_count)
 
     def tension_by_pull(i: int) -> np.ndarray:
-        held[:] = np.maximum(
-            held - 2.0 * jamia.period, PULL_TENSION_N * (np.arange(jamia.tendon_count) == i)
+        tension_held_by_friction[:] = np.maximum(
+            tension_held_by_friction - 2.0 * jamia.period,
+            PULL_TENSION_N * (np.arange(jamia.tendon_count) == i),
         )
-        return held.copy()
+        return tension_held_by_friction.copy()
 
     progress = run_commissioning(jamia, tension_by_pull)
     assert not progress.failure
@@ -515,5 +516,8 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
         return
     with pytest.raises(ConfigError) as refused:
         load_calibration(path, jamia.hand)
-    said = f"tendon.index_tendon.tare_N: {tare_text}; expected -4 to 6 N: adjust the load cell, then commission again"
-    assert str(refused.value) == f"{path}: {said}"
+    expected_message = (
+        f"tendon.index_tendon.tare_N: {tare_text}; "
+        "expected -4 to 6 N: adjust the load cell, then commission again"
+    )
+    assert str(refused.value) == f"{path}: {expected_message}"

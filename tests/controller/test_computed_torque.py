@@ -96,9 +96,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(
     assert (
         command.torque >= -MAX_UNWINDING_FORCE_FRACTION * jamia.torque_limit * (1 + 1e-12)
     ).all()
-    held = np.array([goal.kind == GoalKind.TENSION for goal in goals])
+    is_tension_goal = np.array([goal.kind == GoalKind.TENSION for goal in goals])
     assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
-    assert (law.integral[~held] == 0.0).all()
+    assert (law.integral[~is_tension_goal] == 0.0).all()
     assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (
         goals[0].kind != GoalKind.MOTION
     )
@@ -110,9 +110,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(
             assert jamia.floor[d] <= command.tension[d] <= jamia.ceiling[d]
         if goal.kind == GoalKind.TENSION:
             target = np.clip(goal.tension, 0.0, jamia.ceiling[d])
-            before, now = state.setpoint[d], law.setpoint[d]
-            assert abs(now - before) <= goal.rate * jamia.period + 1e-9
-            assert abs(target - now) <= abs(target - before) + 1e-9, (
+            setpoint_before, new_setpoint = state.setpoint[d], law.setpoint[d]
+            assert abs(new_setpoint - setpoint_before) <= goal.rate * jamia.period + 1e-9
+            assert abs(target - new_setpoint) <= abs(target - setpoint_before) + 1e-9, (
                 "towards the target, never past it"
             )
 
@@ -131,10 +131,10 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
         law.setpoint, estimate.tension, err_msg="ready to hold what is there"
     )
     for tension in (0.0, 30.0):
-        _, held = run_law_tick(
+        _, hold_command = run_law_tick(
             model, law, estimate, holding_goals(model, tension), 2.0 + model.period
         )
-        force = (held.torque - moved.torque) / model.space.spool
+        force = (hold_command.torque - moved.torque) / model.space.spool
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
             "one step of the ramp, times the gain"
         )
@@ -151,10 +151,10 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
         0.0,
     )
     assert not command.torque.any()
-    after, _ = run_law_tick(
+    law_after, _ = run_law_tick(
         model, law, estimate, holding_goals(model, 0.0, tension_rate=10.0), model.period
     )
-    np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
+    np.testing.assert_allclose(law_after.setpoint, estimate.tension - 10.0 * model.period)
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
@@ -268,7 +268,7 @@ class ClosedLoopPlant:
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
         q = model.excursion_to_joints @ sliding[:, S]
         loss, base = -np.log(winding_efficiency_of(model, q)), self.tendon_states[:, S].copy()
-        x, v, s, w = (self.tendon_states[:, one].copy() for one in (X, V, S, W))
+        x, v, s, w = (self.tendon_states[:, state_column].copy() for state_column in (X, V, S, W))
         for _ in range(self.STEPS_PER_TICK):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
             friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
@@ -284,8 +284,8 @@ class ClosedLoopPlant:
                 / space.load_mass
             )
             s += dt * w
-        for one, value in zip((X, V, S, W), (x, v, s, w), strict=True):
-            self.tendon_states[:, one] = value
+        for state_column, value in zip((X, V, S, W), (x, v, s, w), strict=True):
+            self.tendon_states[:, state_column] = value
 
     def joint_angles(self) -> np.ndarray:
         return exact_estimate(self.model, self.tendon_states).q
@@ -309,13 +309,13 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
         law, command = run_law_tick(model, LawState.initial_law_state(n), estimate, goals, 0.0)
-        requested_force, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
+        requested_force, v, friction_sum = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
             friction = space.coulomb * np.tanh(v / 2.5e-3)
             v += dt * (requested_force - estimate.tension - friction) / space.motor_mass
-            taken += friction / steps
-        errors.append((law.force - (requested_force - taken)) / space.coulomb)
-        naive.append((taken - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
+            friction_sum += friction / steps
+        errors.append((law.force - (requested_force - friction_sum)) / space.coulomb)
+        naive.append((friction_sum - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
     assert np.abs(errors).max() < 0.5
     assert np.sqrt(np.mean(np.square(errors))) < 0.2
     assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(naive)))
@@ -356,10 +356,10 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
         exact_estimate(model, balanced_state(model, 0.5)),
         LawState.initial_law_state(model.tendon_count),
     )
-    before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
+    copies_before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
     first_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
     second_law_state = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
-    for name, copy in zip(SyntheticEstimate._fields, before, strict=True):
+    for name, copy in zip(SyntheticEstimate._fields, copies_before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
     np.testing.assert_array_equal(first_law_state[1].torque, second_law_state[1].torque)
@@ -429,10 +429,12 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
         moving_goals(model, 0.2, 0.8, 0.4),
         LawState.initial_law_state(model.tendon_count),
     )
-    law, first = run_law_tick(model, law, estimate, goals, 0.2)
+    law, first_command = run_law_tick(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
-    law, second = run_law_tick(model, law, estimate, goals, 0.2 + model.period)
-    np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period, rtol=0.1)
+    law, second_command = run_law_tick(model, law, estimate, goals, 0.2 + model.period)
+    np.testing.assert_allclose(
+        law.rate, (second_command.tension - first_command.tension) / model.period, rtol=0.1
+    )
     assert law.rate.any()
     law, _ = run_law_tick(model, law, estimate, holding_goals(model, 20.0), 0.3)
     assert not law.rate.any()

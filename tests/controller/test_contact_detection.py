@@ -85,16 +85,16 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
         {"kind": "hold", "tension_N": 15.0},
     )
     run = run_on_plant(hand, task, WALL_SCENE, tmp_path, 2.6)
-    found = {where: t for t, where in run.events_named("contact")}
+    contact_time_by_name = {where: t for t, where in run.events_named("contact")}
     force = np.array(run.digit_contact_force)
     for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
-        assert name in found
+        assert name in contact_time_by_name
         touched = np.flatnonzero(force[:, d] > 0.01)[0]
         ticks_with_strong_force = np.flatnonzero(force[:, d] > 1.0)
-        assert run.time_s[touched] <= found[name], "not before there is any"
+        assert run.time_s[touched] <= contact_time_by_name[name], "not before there is any"
         assert (
             not len(ticks_with_strong_force)
-            or found[name] <= run.time_s[ticks_with_strong_force[0]] + 0.02 + 1e-9
+            or contact_time_by_name[name] <= run.time_s[ticks_with_strong_force[0]] + 0.02 + 1e-9
         )
 
 

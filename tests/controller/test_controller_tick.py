@@ -70,12 +70,12 @@ def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None
 
     All bytes of its outputs are equal both times.
     """
-    for before, entry, out in session_bench.tick_history[::3]:
-        digest = before.digest()
-        after, again = session_bench.controller.tick(before, entry)
+    for state_before, entry, out in session_bench.tick_history[::3]:
+        digest = state_before.digest()
+        state_after, again = session_bench.controller.tick(state_before, entry)
         assert comparable_outputs(again) == comparable_outputs(out)
-        assert after.digest() == out.state_hash
-        assert before.digest() == digest, "the state that went in is as it was"
+        assert state_after.digest() == out.state_hash
+        assert state_before.digest() == digest, "the state that went in is as it was"
 
 
 def test_another_controller_of_the_same_hand_repeats_the_run(
@@ -94,10 +94,10 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
 def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
     random_generator = random.Random(3)
     checked = 0
-    for before, entry, out in session_bench.tick_history[::3]:
+    for state_before, entry, out in session_bench.tick_history[::3]:
         frames = list(entry.frames)
         random_generator.shuffle(frames)
-        _, again = session_bench.controller.tick(before, entry._replace(frames=tuple(frames)))
+        _, again = session_bench.controller.tick(state_before, entry._replace(frames=tuple(frames)))
         assert comparable_outputs(again) == comparable_outputs(out)
         checked += frames != list(entry.frames)
     assert checked > 50
@@ -110,15 +110,15 @@ def test_frames_with_unknown_identifiers_change_no_decision(session_bench: Contr
     """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen_frame = Frame(0x011 | 1 << 31, bytes(8))
-    for before, entry, out in session_bench.tick_history[::7]:
+    for state_before, entry, out in session_bench.tick_history[::7]:
         _, again = session_bench.controller.tick(
-            before, entry._replace(frames=(*noise, *entry.frames))
+            state_before, entry._replace(frames=(*noise, *entry.frames))
         )
         assert comparable_outputs(again._replace(state_hash=b"")) == comparable_outputs(
             out._replace(state_hash=b"")
         )
         _, again = session_bench.controller.tick(
-            before, entry._replace(frames=(misshapen_frame, *entry.frames))
+            state_before, entry._replace(frames=(misshapen_frame, *entry.frames))
         )
         assert (again.frames, again.mode) == (out.frames, out.mode)
 
@@ -130,11 +130,11 @@ def test_the_origin_of_time_does_not_matter() -> None:
     """
     model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
-    for first in (0, 2560):
+    for first_tick in (0, 2560):
         run = make_controller_bench(model, LiveProgram())
-        run.k = first
-        run.state.set_run_integer(s.K, first - 1)
-        run.state.mode_start_time = first * model.period
+        run.k = first_tick
+        run.state.set_run_integer(s.K, first_tick - 1)
+        run.state.mode_start_time = first_tick * model.period
         run.run_until_mode(HandMode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')

@@ -30,7 +30,11 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(
     (tmp_path / "task.toml").write_text(text)
     assert load_task(tmp_path / "task.toml") == task
     assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
-    for digit in (one for one in hand.digit if one.name not in hand.carrier_digits):
+    for digit in (
+        digit_of_hand
+        for digit_of_hand in hand.digit
+        if digit_of_hand.name not in hand.carrier_digits
+    ):
         _, high = displayed_range(digit)
         close, hold = task.phase[1], task.phase[2]
         assert isinstance(close, ClosePhase)
@@ -86,8 +90,8 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
 def hand_with_fingers_on_circle() -> Hand:
     """Return a hand with three equal fingers of jamia around a circle, and without a thumb."""
     content = hand_content("jamia")
-    for part in ("digit", "tendon", "motor"):
-        content[part] = content[part][:3]
+    for section in ("digit", "tendon", "motor"):
+        content[section] = content[section][:3]
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][:3]
     for number, digit in enumerate(content["digit"]):
         angle = 2.0 * np.pi * number / 3.0

@@ -83,7 +83,7 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
     estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
-    law, held = run_law_tick(
+    law, held_command = run_law_tick(
         jamia,
         LawState.idle_at_tensions(estimate.tension),
         estimate,
@@ -92,12 +92,12 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
         None,
         np.full(4, 300.0),
     )
-    _, going = run_law_tick(
+    _, moving_command = run_law_tick(
         jamia, LawState.idle_at_tensions(estimate.tension), estimate, goals, 0.5
     )
-    assert held.q.tolist() == going.q.tolist()
-    assert (going.dq > 1.0).all()
-    assert not held.dq.any()
+    assert held_command.q.tolist() == moving_command.q.tolist()
+    assert (moving_command.dq > 1.0).all()
+    assert not held_command.dq.any()
     assert law.held is not None
 
 
@@ -137,18 +137,21 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     tension = np.array(warm_grasp.simulated_hand.truth()["tension"])
 
     def state_of_limited_goals(
-        before: ControllerState,
+        state_before: ControllerState,
         action: SafetyAction,
         tension: np.ndarray,
         mode: HandMode = HandMode.ACTIVE,
     ) -> ControllerState:
-        after = before.copy()
-        after.mode = mode
-        after.view("tension")[...] = tension
+        state_after = state_before.copy()
+        state_after.mode = mode
+        state_after.view("tension")[...] = tension
         tick_stages.evaluate_goals(
-            after.block, after.layout.places, *controller.derived.constant_args, int(action)
+            state_after.block,
+            state_after.layout.places,
+            *controller.derived.constant_args,
+            int(action),
         )
-        return after
+        return state_after
 
     held_state = state_of_limited_goals(state, SafetyAction.HOLD, tension)
     assert held_state.run_integer(s.SAFETY_HOLD_ACTIVE)
@@ -173,14 +176,20 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     The state of the control law then contains the HOLD.
     """
     warm_grasp.simulated_hand.inject("drop node=thumb_motor p=0.25 seed=3 for=700ms")
-    tension_before, seen = warm_grasp.simulated_hand.truth()["tension"], []
+    tension_before, actions_and_holds = warm_grasp.simulated_hand.truth()["tension"], []
     for _ in range(300):
         out = warm_grasp.run_tick()
-        seen.append((out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE))))
+        actions_and_holds.append(
+            (out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE)))
+        )
         if out.mode != HandMode.ACTIVE:
             break
-    held = [state_values for action, state_values in seen if action == SafetyAction.HOLD]
-    assert held
-    assert all(held)
-    assert not any(state_values for action, state_values in seen if action < SafetyAction.HOLD)
+    hold_flags = [
+        state_values for action, state_values in actions_and_holds if action == SafetyAction.HOLD
+    ]
+    assert hold_flags
+    assert all(hold_flags)
+    assert not any(
+        state_values for action, state_values in actions_and_holds if action < SafetyAction.HOLD
+    )
     assert max(warm_grasp.simulated_hand.truth()["tension"]) < max(tension_before) + 5.0

@@ -34,10 +34,10 @@ from tests.controller.synthetic_states import (
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
-    after, estimate = run_unplanned_filter_tick(
+    state_after, estimate = run_unplanned_filter_tick(
         model, state, empty_readings(model), force, flags_without_contact(model)
     )
-    for i, row in enumerate(after.filter_states.reshape(-1, STATE_COUNT)):
+    for i, row in enumerate(state_after.filter_states.reshape(-1, STATE_COUNT)):
         block = model.filter.blocks[i][TendonRegime.FREE]
         np.testing.assert_allclose(
             row / FILTER_STATE_UNITS,
@@ -228,31 +228,34 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         balance = load_statics(model, x, x[:, X] - x[:, S]).resistance
         x[:, X] = x[:, S] + balance / model.space.stiffness
     measured = noiseless_readings(model, x, balance)
-    free, before = run_unplanned_filter_tick(
+    free_state, estimate_before = run_unplanned_filter_tick(
         model,
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         measured,
         balance,
         flags_without_contact(model),
     )
-    held, after = run_unplanned_filter_tick(
+    held_state, estimate_after = run_unplanned_filter_tick(
         model,
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         measured,
         balance,
         (True,) * len(model.digits),
     )
-    assert set(free.regimes) == {TendonRegime.FREE}
-    assert set(held.regimes) == {TendonRegime.HELD}
-    assert np.abs(after.tension - before.tension).max() < 0.2
-    assert np.abs(after.excursion - before.excursion).max() < 1e-6
-    for state, contact, measured_now in ((held, (True,), measured), (held, (False,), measured)):
+    assert set(free_state.regimes) == {TendonRegime.FREE}
+    assert set(held_state.regimes) == {TendonRegime.HELD}
+    assert np.abs(estimate_after.tension - estimate_before.tension).max() < 0.2
+    assert np.abs(estimate_after.excursion - estimate_before.excursion).max() < 1e-6
+    for state, contact, measured_now in (
+        (held_state, (True,), measured),
+        (held_state, (False,), measured),
+    ):
         estimate, now = run_unplanned_filter_tick(
             model, state, measured_now, balance, contact * len(model.digits)
         )
         assert np.abs(now.tension - balance).max() < 0.4
         assert set(estimate.regimes) == {TendonRegime.HELD if contact[0] else TendonRegime.FREE}
-    assert n == len(after.tension)
+    assert n == len(estimate_after.tension)
 
 
 def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
@@ -272,11 +275,15 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
             (True,) * len(model.digits),
         )
     np.testing.assert_allclose(estimate.external_tension, 10.0, atol=0.5)
-    x0, rest = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
-    x0[:, X] = rest / model.space.stiffness
+    x0, rest_tension = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
+    x0[:, X] = rest_tension / model.space.stiffness
     state = state_with_tendons_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = run_unplanned_filter_tick(
-        model, state, noiseless_readings(model, x0, rest), rest, flags_without_contact(model)
+        model,
+        state,
+        noiseless_readings(model, x0, rest_tension),
+        rest_tension,
+        flags_without_contact(model),
     )
     np.testing.assert_allclose(
         estimate.external_tension, 0.0, err_msg="the open stop is no contact"
@@ -293,10 +300,10 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
     x[:, X] = x[:, S] + balance / jamia11.space.stiffness
     ends = {}
     for with_encoders in (False, True):
-        wrong = x.copy()
-        wrong[:, S] += 2e-5
-        wrong[:, O] -= 2e-5
-        state = state_with_tendons_in_regime(jamia11, TendonRegime.HELD, wrong)
+        wrong_states = x.copy()
+        wrong_states[:, S] += 2e-5
+        wrong_states[:, O] -= 2e-5
+        state = state_with_tendons_in_regime(jamia11, TendonRegime.HELD, wrong_states)
         for k in range(500):
             measured = noiseless_readings(
                 jamia11, x, balance, excursion=with_encoders and k % 4 == 0
@@ -342,20 +349,20 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
         measured.tension.copy(),
         force.copy(),
     ]
-    first = run_unplanned_filter_tick(model, state, measured, force, flags_without_contact(model))[
-        0
-    ]
+    first_state = run_unplanned_filter_tick(
+        model, state, measured, force, flags_without_contact(model)
+    )[0]
     second = run_unplanned_filter_tick(model, state, measured, force, flags_without_contact(model))[
         0
     ]
-    for now, before in zip(
+    for array_now, array_before in zip(
         (state.filter_states, measured.travel, measured.tension, force),
         argument_copies,
         strict=True,
     ):
-        np.testing.assert_array_equal(now, before)
-    np.testing.assert_array_equal(first.filter_states, second.filter_states)
-    assert first.regimes == second.regimes
+        np.testing.assert_array_equal(array_now, array_before)
+    np.testing.assert_array_equal(first_state.filter_states, second.filter_states)
+    assert first_state.regimes == second.regimes
 
 
 def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
@@ -408,25 +415,31 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
         np.zeros(model.tendon_count),
     )
-    found = []
+    external_tensions = []
     for direction in (None, 1.0, -1.0):
-        known = None if direction is None else np.full(model.tendon_count, direction)
+        friction_direction = None if direction is None else np.full(model.tendon_count, direction)
         args = (model, state, noiseless_readings(model, x, force), force, zero_vector)
-        after, estimate = run_filter_tick(*args, flags_without_contact(model), friction_state=known)
-        assert set(after.regimes) == {TendonRegime.FREE}
-        touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)
+        state_after, estimate = run_filter_tick(
+            *args, flags_without_contact(model), friction_state=friction_direction
+        )
+        assert set(state_after.regimes) == {TendonRegime.FREE}
+        touching, estimate_in_contact = run_filter_tick(
+            *args, (True,) * len(model.digits), friction_state=friction_direction
+        )
         assert set(touching.regimes) == {TendonRegime.HELD}
-        np.testing.assert_allclose(other.external_tension, estimate.external_tension, atol=0.02)
-        force_at_joints = load_statics(model, x, force, known).force_at_joints
-        resistance = load_statics(model, x, force, known).resistance
+        np.testing.assert_allclose(
+            estimate_in_contact.external_tension, estimate.external_tension, atol=0.02
+        )
+        force_at_joints = load_statics(model, x, force, friction_direction).force_at_joints
+        resistance = load_statics(model, x, force, friction_direction).resistance
         np.testing.assert_allclose(
             estimate.external_tension, force_at_joints - resistance, atol=0.02
         )
-        found.append(estimate.external_tension)
-    assert (found[1] < found[0] - 0.5).all(), (
+        external_tensions.append(estimate.external_tension)
+    assert (external_tensions[1] < external_tensions[0] - 0.5).all(), (
         "winding, friction takes from what the load cell shows"
     )
-    assert (found[2] > found[0] + 0.5).all()
+    assert (external_tensions[2] > external_tensions[0] + 0.5).all()
 
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
@@ -434,7 +447,7 @@ def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) ->
     state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)._replace(
         regime_change_evidence=(1,) * model.tendon_count
     )
-    after, _ = run_unplanned_filter_tick(
+    state_after, _ = run_unplanned_filter_tick(
         model, state, noiseless_readings(model, x, force), force, flags_without_contact(model)
     )
-    assert after.regime_change_evidence == (0,) * model.tendon_count
+    assert state_after.regime_change_evidence == (0,) * model.tendon_count

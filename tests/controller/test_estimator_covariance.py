@@ -271,41 +271,44 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         empty_readings(model)._replace(tension=force),
         np.zeros(model.tendon_count),
     )
-    after, _ = run_filter_tick(
+    state_after, _ = run_filter_tick(
         model, state, readings_without_travel, force, zero_vector, touched, missed_ticks=4
     )
-    first, last = 0, model.tendon_count - 1
-    assert (after.regimes[first], after.regimes[last]) == (
+    first_tendon, last_tendon = 0, model.tendon_count - 1
+    assert (state_after.regimes[first_tendon], state_after.regimes[last_tendon]) == (
         int(TendonRegime.HELD),
         int(TendonRegime.FREE),
     )
-    assert after.covariance is not None
-    steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
-    np.testing.assert_array_equal(after.covariance[first], steady[first])
+    assert state_after.covariance is not None
+    steady = [model.filter.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)]
+    np.testing.assert_array_equal(state_after.covariance[first_tendon], steady[first_tendon])
     state_after_one_tick, _ = run_filter_tick(
         model, state, readings_without_travel, force, zero_vector, touched
     )
     assert state_after_one_tick.covariance is not None
     tension_variances = [
-        after.covariance[last, X, X],
-        state_after_one_tick.covariance[last, X, X],
-        steady[last][X, X],
+        state_after.covariance[last_tendon, X, X],
+        state_after_one_tick.covariance[last_tendon, X, X],
+        steady[last_tendon][X, X],
     ]
     assert tension_variances == sorted(tension_variances, reverse=True), (
         "what is not read is known less with every period"
     )
     assert tension_variances[0] > tension_variances[1] > tension_variances[2]
     answers = []
-    for covariance in (after.covariance, None):
-        here = after._replace(filter_states=x.ravel(), covariance=covariance)
+    for covariance in (state_after.covariance, None):
+        state_with_covariance = state_after._replace(filter_states=x.ravel(), covariance=covariance)
         samples = (
             noiseless_readings(model, x, force)._replace(travel=x[:, X] + travel_step)
             for travel_step in (0.0, 1e-7)
         )
-        moved = [corrected_state(model, here, sample).view("travel") for sample in samples]
+        moved = [
+            corrected_state(model, state_with_covariance, sample).view("travel")
+            for sample in samples
+        ]
         answers.append(moved[1] - moved[0])
-    np.testing.assert_allclose(answers[0][first], answers[1][first], rtol=1e-6)
-    assert answers[0][last] > answers[1][last], "and a reading is believed more"
+    np.testing.assert_allclose(answers[0][first_tendon], answers[1][first_tendon], rtol=1e-6)
+    assert answers[0][last_tendon] > answers[1][last_tendon], "and a reading is believed more"
 
 
 MISSING_SAMPLES: dict[str, MissingMeasurements] = {
@@ -331,7 +334,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
     state = state_with_tendons_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
-    blocks = [own[regime] for own in model.filter.blocks]
+    blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
@@ -345,8 +348,8 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
         if state_before.covariance is None and state.covariance is None:
             continue
         for i, block in enumerate(blocks):
-            after = joseph_update(block, P[i], missing[:, i])[1]
-            P[i] = block.F @ after @ block.F.T + block.Q
+            updated_covariance = joseph_update(block, P[i], missing[:, i])[1]
+            P[i] = block.F @ updated_covariance @ block.F.T + block.Q
         if state.covariance is None:
             P = np.array([block.P for block in blocks])
             continue
@@ -368,7 +371,7 @@ def test_covariance_grows_over_skipped_ticks(
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
-    after, _ = run_filter_tick(
+    state_after, _ = run_filter_tick(
         model,
         state,
         measured,
@@ -377,21 +380,23 @@ def test_covariance_grows_over_skipped_ticks(
         flags_without_contact(model),
         missed_ticks=missed_ticks,
     )
-    assert set(after.regimes) == {TendonRegime.FREE}
-    F, Q = (design_arrays_by_tendon(model, after.regimes, name) for name in "FQ")
+    assert set(state_after.regimes) == {TendonRegime.FREE}
+    F, Q = (design_arrays_by_tendon(model, state_after.regimes, name) for name in "FQ")
     read = np.zeros(2, dtype=bool)
     P = np.array(
         [
-            joseph_update(own[TendonRegime.FREE], own[TendonRegime.FREE].P, read)[1]
-            for own in model.filter.blocks
+            joseph_update(
+                blocks_of_tendon[TendonRegime.FREE], blocks_of_tendon[TendonRegime.FREE].P, read
+            )[1]
+            for blocks_of_tendon in model.filter.blocks
         ]
     )
     for _ in range(
         1 + (missed_ticks if prediction_time_s is None else round(prediction_time_s / model.period))
     ):
         P = F @ P @ F.transpose(0, 2, 1) + Q
-    assert after.covariance is not None
-    assert_same_covariance(after.covariance, P)
+    assert state_after.covariance is not None
+    assert_same_covariance(state_after.covariance, P)
 
 
 def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
@@ -420,8 +425,8 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
         if set(state.regimes) != {TendonRegime.FREE}:
             break
         for i, block in enumerate(blocks):
-            H, here = assumed_measurements(block, TendonRegime.FREE), ~np.isnan(z[i, :2])
-            H, R = H[here], np.diag(block.R[here])
+            H, is_measured = assumed_measurements(block, TendonRegime.FREE), ~np.isnan(z[i, :2])
+            H, R = H[is_measured], np.diag(block.R[is_measured])
             gain = np.linalg.solve(H @ P[i] @ H.T + R, H @ P[i]).T
             gain[E] = 0.0
             P[i] = (np.eye(STATE_COUNT) - gain @ H) @ P[i] @ (
@@ -430,7 +435,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             P[i] = block.F @ P[i] @ block.F.T + block.Q
             innovation = z[i] - block.H @ second[i]
             read = 0.0 if np.isnan(z[i, 2]) else innovation[2]
-            second[i] = second[i] + gain @ innovation[:2][here] + block.K[:, 2] * read
+            second[i] = second[i] + gain @ innovation[:2][is_measured] + block.K[:, 2] * read
             second[i] = block.F @ second[i] + block.B @ [push[i], 0.0]
         if state.covariance is None:
             P = [block.P.copy() for block in blocks]

@@ -70,9 +70,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
         HandAtConstantTension(model).settle(),
     )
     tension_before = quiet.run_sample(HOLD_TENSION_N).tension
-    after = disturbed_hand.run_sample(HOLD_TENSION_N + 60.0)
-    np.testing.assert_allclose(after.tension, tension_before, atol=0.02)
-    assert after.innovation[0] != after.innovation[0], "as if it had not come"
+    estimate_after = disturbed_hand.run_sample(HOLD_TENSION_N + 60.0)
+    np.testing.assert_allclose(estimate_after.tension, tension_before, atol=0.02)
+    assert estimate_after.innovation[0] != estimate_after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
         disturbed_hand.run_sample(HOLD_TENSION_N).tension,
         quiet.run_sample(HOLD_TENSION_N).tension,
@@ -120,10 +120,10 @@ def slack_state(
     x = np.zeros((model.tendon_count, STATE_COUNT))
     hand.travel = np.full(model.tendon_count, -slack_length_m)
     x[:, X] = hand.travel
-    known = (True,) * model.tendon_count
+    is_length_known = (True,) * model.tendon_count
     hand.state = FilterState.tendons_in_regime(
         x.ravel(), TendonRegime.SLACK, stopped=True
-    )._replace(is_length_known=known)
+    )._replace(is_length_known=is_length_known)
     for _ in range(round(duration_s / model.period)):
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
@@ -195,7 +195,7 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
     """
     state, force = state_while_winding(model)
     rate, contact_flags = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
-    after, estimate = run_filter_tick(
+    state_after, estimate = run_filter_tick(
         model, state, empty_readings(model), force, rate, contact_flags, missed_ticks=missed_ticks
     )
     state_after_one_tick, _ = run_filter_tick(
@@ -212,9 +212,11 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
         else round(expected_prediction_s / model.period)
     ):
         x = F @ x + B @ inputs
-    np.testing.assert_allclose(after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(estimate.travel, after.filter_states[X::STATE_COUNT])
-    assert after[1:5] == state_after_one_tick[1:5], "nothing else is judged of what nobody saw"
+    np.testing.assert_allclose(state_after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(estimate.travel, state_after.filter_states[X::STATE_COUNT])
+    assert state_after[1:5] == state_after_one_tick[1:5], (
+        "nothing else is judged of what nobody saw"
+    )
 
 
 def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:

@@ -128,11 +128,11 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
     """
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
-    for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
+    for added_length, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
         state = filter_state(
             model,
             TendonRegime.SLACK,
-            X=digit_excursion_m + more,
+            X=digit_excursion_m + added_length,
             S=spool_travel_m,
             O=stretch_offset_m,
         )._replace(is_length_known=(True,) * n)

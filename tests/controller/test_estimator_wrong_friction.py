@@ -110,12 +110,12 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     state_in_doubt = state_without_doubt._replace(
         doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S)
     )
-    (after, estimate), (after_doubt, estimate_doubt) = (
+    (state_after, estimate), (after_doubt, estimate_doubt) = (
         run_unplanned_filter_tick(model, state, read, force, flags_without_contact(model))
         for state in (state_without_doubt, state_in_doubt)
     )
-    assert after.nis_mean == pytest.approx(after_doubt.nis_mean)
-    assert after.nis_fast_average == pytest.approx(after_doubt.nis_fast_average)
+    assert state_after.nis_mean == pytest.approx(after_doubt.nis_mean)
+    assert state_after.nis_fast_average == pytest.approx(after_doubt.nis_fast_average)
     assert (estimate_doubt.nis < estimate.nis).all()
     assert (estimate_doubt.tension_sigma > estimate.tension_sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"

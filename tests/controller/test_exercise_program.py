@@ -48,10 +48,10 @@ def test_a_wrist_keeps_its_angle_while_the_other_digits_exercise(hand_name: str)
     wrist = model.hand.digit_names.index("wrist")
     assert {"settle", "move", "close", "hold"} == {stage for stage, _, _ in records}
     assert len(records) >= 8
-    first = records[0][1]
-    assert first[wrist].kind == GoalKind.MOTION
+    first_goals = records[0][1]
+    assert first_goals[wrist].kind == GoalKind.MOTION
     for stage, goals, contact in records:
-        assert goals[wrist] is first[wrist], stage
+        assert goals[wrist] is first_goals[wrist], stage
         assert not contact[wrist], stage
         kind = GoalKind.TENSION if stage in ("close", "hold") else GoalKind.MOTION
         for d in range(len(goals)):
@@ -80,4 +80,6 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
         "close",
         {default_rate if hand_name == "jamia" else GENTLE_RISE_N_PER_S},
     )
-    assert all(found == {default_rate} for stage, found in rates if stage == "hold")
+    assert all(
+        rates_of_stage == {default_rate} for stage, rates_of_stage in rates if stage == "hold"
+    )

@@ -170,7 +170,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and variances that were computed from these parts."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
-    parts = {
+    offset_by_matrix = {
         "F": h.TRANSITION_MATRIX_OFFSET,
         "B": h.INPUT_MATRIX_OFFSET,
         "K": h.KALMAN_GAIN_OFFSET,
@@ -179,12 +179,17 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
         "P": h.COVARIANCE_OFFSET,
         "H": h.MEASUREMENT_MATRIX_OFFSET,
     }
-    for own, rows in zip(model.filter.blocks, design, strict=True):
-        for block, row in zip(own, rows, strict=True):
-            for name, first in {**parts, "tension_row": h.TENSION_ROW_OFFSET}.items():
-                part = getattr(block, name)
+    for blocks_of_tendon, rows in zip(model.filter.blocks, design, strict=True):
+        for block, row in zip(blocks_of_tendon, rows, strict=True):
+            for name, first_element in {
+                **offset_by_matrix,
+                "tension_row": h.TENSION_ROW_OFFSET,
+            }.items():
+                matrix = getattr(block, name)
                 np.testing.assert_array_equal(
-                    row[first : first + part.size].reshape(part.shape), part, err_msg=name
+                    row[first_element : first_element + matrix.size].reshape(matrix.shape),
+                    matrix,
+                    err_msg=name,
                 )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
             twice = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]

@@ -31,15 +31,19 @@ def tensions_at_speeds(
     In this test, the command is 12 N, and friction takes 20 % of the tension.
     """
     n = model.tendon_count
-    now, found, crept = [initial_tension] * n, [], MIN_SLIDING_SPEED_M_S * model.period
+    present_tensions, tensions, crept = (
+        [initial_tension] * n,
+        [],
+        MIN_SLIDING_SPEED_M_S * model.period,
+    )
     for speed in winding_speeds:
         wound = speed * model.period
-        now = [
+        present_tensions = [
             uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
-            for tension, stiffness in zip(now, model.space.stiffness, strict=True)
+            for tension, stiffness in zip(present_tensions, model.space.stiffness, strict=True)
         ]
-        found.append(now)
-    return np.array(found)
+        tensions.append(present_tensions)
+    return np.array(tensions)
 
 
 def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> None:
@@ -70,11 +74,15 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    before = LawState.initial_law_state(n)._replace(
+    law_before = LawState.initial_law_state(n)._replace(
         planned=np.full(n, 5e-324), friction_slider=np.ones(n)
     )
     law, _ = run_law_tick(
-        model, before, estimate_under_tension(model, 1.0), moving_goals(model, 0.6, 0.7, 1.0), 0.5
+        model,
+        law_before,
+        estimate_under_tension(model, 1.0),
+        moving_goals(model, 0.6, 0.7, 1.0),
+        0.5,
     )
     assert (law.friction_state == -1.0).all()
 

@@ -73,7 +73,7 @@ def bench_with_rising_tension(jamia: HandModel) -> ControllerBench:
 def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
     run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
     gains = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
-    whole = designs.controller(run, gains)
+    complete_controller = designs.controller(run, gains)
     for force in range(20, 20 + 3 * CACHE_SIZE):
         designs.advance(
             jamia,
@@ -81,7 +81,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
                 Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})
             ),
         )
-        assert designs.controller(run, gains) is whole
+        assert designs.controller(run, gains) is complete_controller
     assert len(designs.designed_pieces) == CACHE_SIZE
     assert gains in designs.designed_pieces
     assert set(designs.controllers) <= set(designs.designed_pieces)
@@ -96,9 +96,9 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     gains_before = bench_with_rising_tension.state.decisions.gains
     outs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
     outs += [bench_with_rising_tension.tick() for _ in range(10)]
-    (said,) = [event for out in outs for event in out.events if event.name == "gains"]
-    assert said.text.startswith("refused: gains: ")
-    assert "no controller follows" in said.text
+    (gains_event,) = [event for out in outs for event in out.events if event.name == "gains"]
+    assert gains_event.text.startswith("refused: gains: ")
+    assert "no controller follows" in gains_event.text
     decisions = bench_with_rising_tension.state.decisions
     assert (decisions.gains, decisions.pending, bench_with_rising_tension.state.mode) == (
         gains_before,
@@ -136,7 +136,7 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(
     outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
     outs += [bench_with_rising_tension.tick() for _ in range(control_loop_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
-    at = [i for i, found in enumerate(events) if found]
+    at = [i for i, event_of_tick in enumerate(events) if event_of_tick]
     assert at == [control_loop_count(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert bench_with_rising_tension.state.decisions.gains is not None
@@ -195,11 +195,11 @@ def test_a_change_makes_no_step_in_torque(
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
     assert bench.state.run_integer(s.TRIM_ACTIVE)
-    (_, before, _, action, ticks), (other, _, without, *_) = calls
-    with_trim = before.copy()
+    (_, state_before, _, action, ticks), (new_controller, _, without, *_) = calls
+    with_trim = state_before.copy()
     with_trim.view("trim")[...] = bench.state.view("trim")
     with_trim.set_run_integer(s.TRIM_ACTIVE, 1)
-    other._compute_torques(with_trim, action, ticks)
+    new_controller._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
         with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
     )
@@ -228,13 +228,17 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     while bench.state.decisions.pending is not None:
         calls.clear()
         bench.tick()
-    (own, _, old, *_), (other, _, new, *_) = calls
-    assert own is not other
-    assert old.run_integer(s.SAFETY_HOLD_ACTIVE) == new.run_integer(s.SAFETY_HOLD_ACTIVE) == 1
-    np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
-    limit = old.view("limit_held")
-    for state in (old, new):
-        np.testing.assert_array_equal(tension_limits_of(own.model, state), limit)
+    (old_controller, _, old_state, *_), (new_controller, _, new_state, *_) = calls
+    assert old_controller is not new_controller
+    assert (
+        old_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+        == new_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+        == 1
+    )
+    np.testing.assert_array_equal(new_state.view("limit_held"), old_state.view("limit_held"))
+    limit = old_state.view("limit_held")
+    for state in (old_state, new_state):
+        np.testing.assert_array_equal(tension_limits_of(old_controller.model, state), limit)
         assert (
             state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
         ).all()

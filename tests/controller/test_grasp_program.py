@@ -307,13 +307,13 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     """
     q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
     for d, digit in enumerate(model.digits):
-        own = np.linspace(0.2, 0.6, digit.joint_count)
+        angles_of_digit = np.linspace(0.2, 0.6, digit.joint_count)
         if len(digit.reduced_moment_arms) < digit.joint_count:
-            own[:] = 0.4
+            angles_of_digit[:] = 0.4
         forces.append(2.5 + d)
         q[digit.joints], balance[digit.tendons] = (
-            own,
-            forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own)),
+            angles_of_digit,
+            forces[-1] * (digit.torque_to_tension @ joint_lever(digit, angles_of_digit)),
         )
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
@@ -330,16 +330,16 @@ def test_a_digit_that_touches_later_joins_the_grasp(
 ) -> None:
     run = begin_closing(model, taut_estimate)
     run.run_until_contact(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
-    held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
-    assert [i for i, c in enumerate(run.progress.contact) if c] == held
-    for d in held:
+    held_digits = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
+    assert [i for i, c in enumerate(run.progress.contact) if c] == held_digits
+    for d in held_digits:
         np.testing.assert_allclose(
             run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension"
         )
-    before = run.progress.goals[held[0]]
+    goal_before = run.progress.goals[held_digits[0]]
     run.run_until_contact(hand_in_contact(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
-    assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
+    assert run.progress.goals[held_digits[0]] is goal_before, "contact lost is not contact undone"
 
 
 @pytest.mark.parametrize(
@@ -383,10 +383,10 @@ def test_only_named_digits_in_contact_hold(
     estimate_in_contact = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
     run.run_until_contact(estimate_in_contact)
     names = model.hand.digit_names
-    before = run.progress.goals[names.index("ring")]
+    goal_before = run.progress.goals[names.index("ring")]
     run.run_until_phase("hold", estimate_in_contact)
     np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
-    assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
+    assert run.progress.goals[names.index("ring")] is goal_before, "the task says nothing about it"
     assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
 
 

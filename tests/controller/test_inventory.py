@@ -54,14 +54,14 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     jamia11: HandModel,
 ) -> None:
     run = make_controller_bench(jamia11, LiveProgram())
-    first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
+    first_id, *other_ids = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.change_host_frames = lambda frames: [
-        frame for frame in frames if frame.can_id not in others
+        frame for frame in frames if frame.can_id not in other_ids
     ]
     run.run_until_mode(HandMode.INVENTORY)
     run.run(0.5)
     assert not run.state.has_started
-    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != first]
+    run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != first_id]
     run.tick()
     run.tick()
     assert run.state.has_started

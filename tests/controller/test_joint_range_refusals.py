@@ -88,8 +88,11 @@ def test_only_a_digit_with_a_tendon_for_each_joint_takes_a_tip_force(hand_name):
     for digit in hand.digit_names:
         tendons, joints = hand.digit_tendons[digit], hand.digit_joints[digit]
         if tendons.stop - tendons.start < joints.stop - joints.start:
-            said = rf"t\.toml: phase\[0\]\.tip_force_N: {digit} has 1 tendon for .*expected tension_N for {digit}"
-            with pytest.raises(ConfigError, match=said):
+            expected_message = (
+                rf"t\.toml: phase\[0\]\.tip_force_N: {digit} has 1 tendon for "
+                rf".*expected tension_N for {digit}"
+            )
+            with pytest.raises(ConfigError, match=expected_message):
                 check_tip_force(hold_task({digit: 4.0}), hand, "t.toml")
         else:
             check_tip_force(hold_task({digit: 4.0}), hand, "t.toml")

@@ -25,21 +25,23 @@ def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     )
     run.run_until_mode(HandMode.ACTIVE)
     run.run(0.5)
-    held: list[list[Frame]] = []
+    held_frames: list[list[Frame]] = []
 
     def hold_back_frames(frames: list[Frame]) -> list[Frame]:
-        held.append(list(frames))
+        held_frames.append(list(frames))
         return []
 
     def frames_sent_before(frames: list[Frame]) -> list[Frame]:
-        held.append(list(frames))
-        return [frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held[0]]
+        held_frames.append(list(frames))
+        return [
+            frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held_frames[0]
+        ]
 
     fault_texts = []
     for run.change_host_frames in (
         hold_back_frames,
         frames_sent_before,
-        lambda frames: [*held[1], *frames],
+        lambda frames: [*held_frames[1], *frames],
     ):
         out = run.tick()
         fault_texts += [event.text for event in out.events if event.name == "fault"]
@@ -134,18 +136,18 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     Then the motors reply faster. A late reply and a reply in time arrive in the same tick.
     """
     run = active_bench_without_time_stamps()
-    held: list[list[Frame]] = [[]]
+    held_frames: list[list[Frame]] = [[]]
 
     def delay_by_one_tick(frames: list[Frame]) -> list[Frame]:
         motors = [frame for frame in frames if frame.can_id in range(0x11, 0x15)]
-        held.append(motors)
+        held_frames.append(motors)
         return with_time_stamps(
-            run, [*held[-2], *[frame for frame in frames if frame not in motors]]
+            run, [*held_frames[-2], *[frame for frame in frames if frame not in motors]]
         )
 
     run.change_host_frames = delay_by_one_tick
     reported = [text for _ in range(50) for text in second_node_reports(run.tick())]
-    run.change_host_frames = lambda frames: with_time_stamps(run, [*held[-1], *frames])
+    run.change_host_frames = lambda frames: with_time_stamps(run, [*held_frames[-1], *frames])
     reported += second_node_reports(run.tick())
     assert not reported
     run.change_host_frames = lambda frames: with_time_stamps(run, [*frames, *frames])

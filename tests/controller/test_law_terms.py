@@ -84,12 +84,14 @@ def test_the_planned_acceleration_is_fed_forward(
         acceleration[tendons] = (
             digit.reduced_moment_arms @ goal.trajectory.motion_at(EVALUATION_TIME_S)[2]
         )
-    found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
+    force_difference = motor_force_of(model, estimate, motion_goals) - motor_force_of(
         other_model, estimate, motion_goals
     )
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
-        found, model.gains.motion.inertia_share * model.space.motor_mass * acceleration, rtol=1e-9
+        force_difference,
+        model.gains.motion.inertia_share * model.space.motor_mass * acceleration,
+        rtol=1e-9,
     )
 
 
@@ -129,8 +131,8 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     )
     law, command = law_state_of(state), law_command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
-    for part in law[1:5]:
-        assert not part.any()
+    for law_field in law[1:5]:
+        assert not law_field.any()
     assert (law.trim, law.held) == (None, None)
     assert np.isnan(law.friction_state).all()
     assert np.isnan(law.friction_slider).all()
@@ -163,7 +165,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         model.motion,
     )
     state = LawState.idle_at_tensions(estimate.tension)
-    before = (
+    force_before = (
         run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
     )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
@@ -172,10 +174,12 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
-        after = (
+        force_after = (
             run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
         )
-        np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
+        np.testing.assert_allclose(
+            force_after - force_before, slope * size, rtol=1e-6, err_msg=name
+        )
 
 
 def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
@@ -187,13 +191,13 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         for d in model.digits
     ]
     goals = tuple(
-        replace(goal, trajectory=one, since=since)
-        for goal, one in zip(goals_at_rest, ways, strict=True)
+        replace(goal, trajectory=trajectory, since=since)
+        for goal, trajectory in zip(goals_at_rest, ways, strict=True)
     )
     speed, acceleration = np.zeros((2, model.tendon_count))
-    for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
+    for digit, tendons, trajectory in zip(model.digits, model.digit_tendons, ways, strict=True):
         speed[tendons], acceleration[tendons] = (
-            one.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
+            trajectory.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
     needed = (
         space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
@@ -271,9 +275,9 @@ def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Synthet
         assert np.isnan(angles[joints:]).all()
     assert law.friction_state is not None
     assert np.isnan(law.friction_state[tendons:]).all()
-    held = (
+    held_torque = (
         np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint)
         @ model.hand.moment_arms
     )
-    np.testing.assert_allclose(command.joint_torque[joints:], held[joints:], rtol=1e-12)
+    np.testing.assert_allclose(command.joint_torque[joints:], held_torque[joints:], rtol=1e-12)
     assert goals[2].kind == GoalKind.TENSION

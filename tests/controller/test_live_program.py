@@ -57,17 +57,17 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
         np.testing.assert_allclose(goal.trajectory.start, 0.3, atol=1e-9)
         np.testing.assert_allclose(goal.trajectory.end, math.radians(40 if name == "index" else 10))
         assert (goal.since, goal.trajectory.duration) == (7.0, 2.0)
-    held, _ = apply_goal(
+    held_progress, _ = apply_goal(
         model,
         moved,
         goal_of_request('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'),
         estimate,
         8.0,
     )
-    goal = held.goals[0]
+    goal = held_progress.goals[0]
     assert (goal.kind, goal.rate) == (GoalKind.TENSION, 9.0)
     np.testing.assert_array_equal(goal.tension, np.full(model.digit_tendons[0].stop, 25.0))
-    assert held.goals[-1] is moved.goals[-1]
+    assert held_progress.goals[-1] is moved.goals[-1]
 
 
 def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
@@ -96,8 +96,10 @@ def test_a_request_with_one_mistake_changes_nothing(
 ) -> None:
     estimate = estimate_under_tension(model, 5.0)
     _, progress = begin_live_program(model, estimate)
-    after, events = apply_goal(model, progress, goal_of_request(request_text), estimate, 1.0)
-    assert after is progress
+    progress_after, events = apply_goal(
+        model, progress, goal_of_request(request_text), estimate, 1.0
+    )
+    assert progress_after is progress
     assert [event.level for event in events] == ["warn"]
     assert expected_message in events[0].text
 
@@ -106,14 +108,14 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
     estimate, program = slack_hand_estimate(model), LiveProgram()
     progress = program.initial_progress(model)
     for t in (0.0, 0.1):
-        after, events = apply_goal(
+        progress_after, events = apply_goal(
             model,
             progress,
             goal_of_request('{"do": "move", "angle_deg": {"index": 0}}'),
             estimate,
             t,
         )
-        assert after is progress
+        assert progress_after is progress
         assert "not ready" in events[0].text
         progress, _ = program.advance(model, progress, estimate, empty_readings(model), t)
     assert progress.phase == "tighten"
@@ -137,8 +139,10 @@ def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0)
     program, progress = begin_live_program(model, estimate)
     for t in (10.0, 1e3, 1e6):
-        after, events = program.advance(model, progress, estimate, empty_readings(model), t)
-        assert (after, events) == (progress, ())
+        progress_after, events = program.advance(
+            model, progress, estimate, empty_readings(model), t
+        )
+        assert (progress_after, events) == (progress, ())
 
 
 def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:

@@ -31,8 +31,8 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
         )
 
     run.toy_hand._advance_tendons = pay_out_and_advance  # type: ignore[method-assign]
-    for before in (0, 0, missed_ticks, 0, 0):
-        run.tick(missed_ticks=before)
+    for missed_before_tick in (0, 0, missed_ticks, 0, 0):
+        run.tick(missed_ticks=missed_before_tick)
     assert not [event.text for event in run.events if event.text[:3] == "N05"]
     run.toy_hand.spool_travel[0] -= (
         3.0 * FAST_SPEED_RAD_S * run.toy_hand.spool_radius[0] * run.toy_hand.period_s

@@ -49,18 +49,18 @@ def control_loops(
 
     The control law is: force = -K state.
     """
-    design, found = design_motion(model.space, gains, period_s), []
+    design, control_loops_of_motion = design_motion(model.space, gains, period_s), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
         K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
-        found.append((*motion_plant(mass, period_s), K))
-        found.append(
+        control_loops_of_motion.append((*motion_plant(mass, period_s), K))
+        control_loops_of_motion.append(
             (
                 *tension_plant(model, i, period_s),
                 np.array([[design.tension[i], design.tension_speed[i]]]),
             )
         )
-    return found
+    return control_loops_of_motion
 
 
 def spectral_radius(transition: np.ndarray) -> float:
@@ -78,7 +78,7 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
             assert spectral_radius(F - factor * G @ K) < 1.0
         w = np.linspace(1e-3, np.pi, 4000)
         z = np.exp(1j * w)
-        turn = np.array([(K @ np.linalg.solve(one * np.eye(2) - F, G))[0, 0] for one in z])
+        turn = np.array([(K @ np.linalg.solve(z_value * np.eye(2) - F, G))[0, 0] for z_value in z])
         assert np.abs(1.0 + turn).min() > 0.4, "distance of the open loop from -1"
         crossing = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
         lag = np.degrees(np.pi - np.abs(np.angle(turn[crossing])))

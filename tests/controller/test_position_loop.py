@@ -484,8 +484,8 @@ def test_a_protocol_without_position_commands_is_refused(
     protocol: str, expected_reason: str
 ) -> None:
     hand = with_position_loop(hand_with_protocol("jamia", protocol))
-    right = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, moteus with .*{expected_reason}'
-    with pytest.raises(ConfigError, match=right):
+    expected_message = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, moteus with .*{expected_reason}'
+    with pytest.raises(ConfigError, match=expected_message):
         make_drives(hand)
 
 
@@ -562,9 +562,14 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     assert "control" not in hand.to_toml()
     layouts = [
         make_controller(
-            one, packaged_gains("jamia"), RATE_HZ, to_and_fro_program(one, 1, 1.0), None, True
+            hand_variant,
+            packaged_gains("jamia"),
+            RATE_HZ,
+            to_and_fro_program(hand_variant, 1, 1.0),
+            None,
+            True,
         ).derived.layout
-        for one in (hand, loop)
+        for hand_variant in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
     assert layouts[1].size - layouts[0].size == 4 * s.STATE_SCHEMA.rows("servo")

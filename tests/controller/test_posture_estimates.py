@@ -118,12 +118,12 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task_name: str, scene_name: st
     is_within_two_sigma = []
     for seed in SIMULATOR_SEEDS:
         grasp_samples = list(run_grasp(packaged_task("jamia"), task_name, scene_name, seed))
-        held = [sample for sample in grasp_samples if sample.phase in HELD_PHASES]
-        inside = np.array(
-            [np.abs(sample.q - sample.true_angles) <= 2.0 * sample.sigma for sample in held]
+        held_samples = [sample for sample in grasp_samples if sample.phase in HELD_PHASES]
+        is_inside = np.array(
+            [np.abs(sample.q - sample.true_angles) <= 2.0 * sample.sigma for sample in held_samples]
         )
-        is_within_two_sigma.append(inside.mean())
-        assert is_within_two_sigma[-1] >= 1.0 - 1.0 / inside.shape[1], f"seed {seed}"
+        is_within_two_sigma.append(is_inside.mean())
+        assert is_within_two_sigma[-1] >= 1.0 - 1.0 / is_inside.shape[1], f"seed {seed}"
         hold = [sample for sample in grasp_samples if sample.phase == "hold"]
         assert len(hold) > 1000
         error = root_mean_square(np.array([sample.q - sample.true_angles for sample in hold]))
@@ -294,9 +294,11 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
         state_after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12
     )
     np.testing.assert_array_equal(state_after.view("q_sigma")[1:], state.view("q_sigma")[1:])
-    old = state_after_fusion(model, state, columns, spread, round(1e9))
+    state_after_old_reading = state_after_fusion(model, state, columns, spread, round(1e9))
     np.testing.assert_array_equal(
-        old.block, state.block, "of a reading that is a second old nothing is used"
+        state_after_old_reading.block,
+        state.block,
+        "of a reading that is a second old nothing is used",
     )
 
 
@@ -334,7 +336,9 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
         constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
     )
     moved = state.view("dq") * age
-    digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
+    digit = np.repeat(
+        np.arange(len(model.digits)), [digit_model.joint_count for digit_model in model.digits]
+    )
     P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
     R = np.diag(
         constants.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2
@@ -344,6 +348,6 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]
     np.testing.assert_allclose(state_after.view("q"), q, rtol=0.0, atol=1e-12)
     if len(read):
-        rest = np.eye(joints) - gain @ H
-        variance = np.diagonal(rest @ P @ rest.T + gain @ R @ gain.T)
+        remaining_fraction = np.eye(joints) - gain @ H
+        variance = np.diagonal(remaining_fraction @ P @ remaining_fraction.T + gain @ R @ gain.T)
         np.testing.assert_allclose(state_after.view("q_sigma") ** 2, variance, rtol=0.0, atol=1e-12)

@@ -52,11 +52,13 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
     settings = SimulatorSettings(hand, seed=seed)
     with settings.simulated_hand(round(1e9 / RATE_HZ)) as peer:
 
-        def begin(program: Program, calibration: Calibration | None, first: int) -> SimulatedRun:
+        def begin(
+            program: Program, calibration: Calibration | None, first_tick: int
+        ) -> SimulatedRun:
             controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, True)
             run = SimulatedRun.start_run(controller, peer)
             run.are_ticks_recorded = False
-            run.k = first
+            run.k = first_tick
             return run
 
         run = begin(CommissionProgram(), None, 0)
@@ -143,6 +145,6 @@ def test_a_live_move_is_refused_in_mm(
     model = model_of("parallel_gripper")
     progress = replace(LiveProgram().initial_progress(model), phase="live")
     request = MoveDigitsRequest(do="move", angle_deg={"left": angle_mm}, duration_s=duration_s)
-    after, (event,) = apply_goal(model, progress, request, slack_hand_estimate(model), 0.0)
-    assert after.goals == progress.goals
+    progress_after, (event,) = apply_goal(model, progress, request, slack_hand_estimate(model), 0.0)
+    assert progress_after.goals == progress.goals
     assert expected_message in event.text

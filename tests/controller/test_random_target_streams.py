@@ -95,12 +95,12 @@ def random_walk_targets(
         rng.normal(0.0, 0.125, (len(times), len(lowest_targets)))
         * (np.arange(len(times)) % 2 == 0)[:, None]
     )
-    place = np.empty_like(steps_of_walk)
+    targets = np.empty_like(steps_of_walk)
     present = np.full(len(lowest_targets), 0.5)
     for i, step in enumerate(steps_of_walk):
         present = np.clip(present + step, 0.0, 1.0)
-        place[i] = lowest_targets + present * (highest_targets - lowest_targets)
-    return place
+        targets[i] = lowest_targets + present * (highest_targets - lowest_targets)
+    return targets
 
 
 def target_limits(

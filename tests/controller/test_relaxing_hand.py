@@ -52,14 +52,14 @@ def test_no_request_raises_the_tension_during_relax(
         *() if with_fault else (STOP_REQUEST,),
         extra_frames=(command_of_other_host(run),) if with_fault else (),
     )
-    since, before = len(run.tick_history), run.toy_hand.tension.max()
+    first_tick_index, tension_before = len(run.tick_history), run.toy_hand.tension.max()
     while run.state.mode == HandMode.RELAX:
         run.tick(request_text)
-        assert run.toy_hand.tension.max() < before + 0.5
+        assert run.toy_hand.tension.max() < tension_before + 0.5
     goals = np.array(
         [
             out.telemetry.tension_goal
-            for _, _, out in run.tick_history[since:]
+            for _, _, out in run.tick_history[first_tick_index:]
             if out.mode == HandMode.RELAX
         ]
     )

@@ -28,8 +28,8 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
     In another case, the durations of the digits differ.
     """
     model: HandModel = request.getfixturevalue(hand_name)
-    first, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
-    motion = joint_motion_at(model, first, 0.1)
+    first_goals, later_goals = (motion_goals(model, since, durations_s) for since in (0.0, 2.0))
+    motion = joint_motion_at(model, first_goals, 0.1)
     np.testing.assert_allclose(joint_motion_at(model, later_goals, 2.1), motion, rtol=1e-9)
     assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations_s)) > 1)
     assert motion[1].min() > 0.0
@@ -37,7 +37,7 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 
 def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np.ndarray:
     """Compute the tensions (N,) [N] of a motion for each digit separately, without the shortcuts of the control law."""
-    found = np.zeros(model.tendon_count)
+    required_tensions = np.zeros(model.tendon_count)
     q, dq, ddq = joint_motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         own_joints = digit.joints
@@ -46,8 +46,10 @@ def required_tensions_by_digit(model: HandModel, joint_motion: np.ndarray) -> np
             @ digit.coupling
         )
         low, high = model.floor[tendons], model.ceiling[tendons]
-        found[tendons] = tensions_for_torque(digit.reduced_moment_arms, torque, low, high)[0]
-    return found
+        required_tensions[tendons] = tensions_for_torque(
+            digit.reduced_moment_arms, torque, low, high
+        )[0]
+    return required_tensions
 
 
 @pytest.mark.parametrize("hand_name", ["jamia", "jamia11"])

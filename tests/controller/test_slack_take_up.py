@@ -24,13 +24,13 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
 
     The filter must therefore use the first reading that clearly shows tension.
     """
-    points, taken = 0, 0
+    points, samples_taken = 0, 0
     while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):
         points = uncompiled_function(regime_evidence)(
             SLACK_REGIME, points, 0.0, 1.6, 0.0, is_length_known
         )
-        taken += 1
-    assert taken == sample_count
+        samples_taken += 1
+    assert samples_taken == sample_count
 
 
 def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> None:

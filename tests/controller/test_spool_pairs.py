@@ -63,11 +63,13 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
     # A second net tension, with half the tension of the first tendon and twice that of the second,
     # gives a second equation for the two tensions.
     net_tension_at_half_ratio = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
-    first = (2.0 * net - net_tension_at_half_ratio) / 1.5
-    second = first - net
-    assert min(first, second) >= -1e-9
-    assert (min(first, second) < 1e-9) == (abs(net) >= 2.0 * pretension)
-    assert max(first, second) == pytest.approx(max(pretension + abs(net) / 2.0, abs(net)))
+    first_tension = (2.0 * net - net_tension_at_half_ratio) / 1.5
+    second_tension = first_tension - net
+    assert min(first_tension, second_tension) >= -1e-9
+    assert (min(first_tension, second_tension) < 1e-9) == (abs(net) >= 2.0 * pretension)
+    assert max(first_tension, second_tension) == pytest.approx(
+        max(pretension + abs(net) / 2.0, abs(net))
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -108,11 +110,11 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
         plant = peer.world.plant
         plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
         plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
-        first, second = plant.pair_tensions()[:2]
-        one = tendon.stiffness_N_per_m * stretch_mm * 1e-3
-        assert first == pytest.approx(max(pretension + one, 0.0), abs=1e-9)
-        assert second == pytest.approx(max(pretension - one, 0.0), abs=1e-9)
-        assert plant.tensions()[0] == pytest.approx(first - second)
+        first_tension, second_tension = plant.pair_tensions()[:2]
+        tension_change = tendon.stiffness_N_per_m * stretch_mm * 1e-3
+        assert first_tension == pytest.approx(max(pretension + tension_change, 0.0), abs=1e-9)
+        assert second_tension == pytest.approx(max(pretension - tension_change, 0.0), abs=1e-9)
+        assert plant.tensions()[0] == pytest.approx(first_tension - second_tension)
 
 
 # --- control ------------------------------------------------------------------------------------------------------
@@ -177,8 +179,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
-        found = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
-        np.testing.assert_allclose(found, 0.0, atol=1e-4)
+        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
+        np.testing.assert_allclose(travel_errors, 0.0, atol=1e-4)
 
         run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)
         errors = list[np.ndarray]()
@@ -309,12 +311,12 @@ HAND_FILE_MISTAKES = {
 
 @pytest.mark.parametrize("mistake_name", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(mistake_name: str) -> None:
-    content, where, right = HAND_FILE_MISTAKES[mistake_name]
+    content, where, expected_text = HAND_FILE_MISTAKES[mistake_name]
     hand, mistakes = validate_content(content)
     assert hand is None
     text = str(mistakes[0].error("x.toml"))
     assert where in text
-    assert right in text
+    assert expected_text in text
     assert "\n" not in text
 
 

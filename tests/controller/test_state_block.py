@@ -90,20 +90,20 @@ def test_new_field_needs_one_line() -> None:
 
     The fields that the table already has keep their names and shapes.
     """
-    (before, axes), (after, _) = small_schema(), small_schema()
-    row = after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
-    old, new = before.layout(axes), after.layout(axes)
-    assert row == before.rows("tendon") == after.rows("tendon") - 1
-    assert new.size == old.size + axes["tendon"]
-    block = new.initial.copy()
-    np.testing.assert_array_equal(new.table(block, "tendon")[row], np.full(4, 7.0))
-    for field in before.fields:
+    (schema_before, axes), (schema_after, _) = small_schema(), small_schema()
+    row = schema_after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    old_layout, new_layout = schema_before.layout(axes), schema_after.layout(axes)
+    assert row == schema_before.rows("tendon") == schema_after.rows("tendon") - 1
+    assert new_layout.size == old_layout.size + axes["tendon"]
+    block = new_layout.initial.copy()
+    np.testing.assert_array_equal(new_layout.table(block, "tendon")[row], np.full(4, 7.0))
+    for field in schema_before.fields:
         np.testing.assert_array_equal(
-            new.view(block, field.name), old.view(old.initial, field.name)
+            new_layout.view(block, field.name), old_layout.view(old_layout.initial, field.name)
         )
-    assert new.view(block, "speed").base is not None, "a view: changes go into the block"
-    new.view(block, "speed")[...] = 1.0
-    assert (new.table(block, "tendon")[row] == 1.0).all()
+    assert new_layout.view(block, "speed").base is not None, "a view: changes go into the block"
+    new_layout.view(block, "speed")[...] = 1.0
+    assert (new_layout.table(block, "tendon")[row] == 1.0).all()
 
 
 def test_fields_do_not_overlap_and_leave_no_gap() -> None:
@@ -111,11 +111,12 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
     layout = schema.layout(axes)
     count = np.zeros(layout.size)
     for field in schema.fields:
-        part = layout.view(count, field.name)
-        part += np.ones_like(part) if part.dtype == np.float64 else 0
-    whole = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel() for f in schema.fields
-                            if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
-    assert len(set(whole.tolist())) == len(whole) == layout.size - 4
+        field_view = layout.view(count, field.name)
+        field_view += np.ones_like(field_view) if field_view.dtype == np.float64 else 0
+    all_positions = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel()
+                                    for f in schema.fields
+                                    if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
+    assert len(set(all_positions.tolist())) == len(all_positions) == layout.size - 4
     assert (count[: layout.start("tendon_int")] == 1.0).all()
 
 
@@ -131,10 +132,12 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
     layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
     for field in STATE_SCHEMA.fields:
-        part = layout.view(block, field.name)
+        field_view = layout.view(block, field.name)
         is_integer = field.table.endswith(INTEGER_TABLE_SUFFIX)
-        part[...] = (
-            rng.integers(-(2**40), 2**40, part.shape) if is_integer else rng.normal(size=part.shape)
+        field_view[...] = (
+            rng.integers(-(2**40), 2**40, field_view.shape)
+            if is_integer
+            else rng.normal(size=field_view.shape)
         )
     return ControllerState(
         layout, block, ControllerDecisions((), ProgramProgress.initial(len(model.digits), "test"))
@@ -178,9 +181,9 @@ def test_every_field_is_declared_once_and_found_by_its_name(
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
-    seen = uncompiled_function(state_tables)(state.block, state.layout.places)
+    tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.places)
     for field in STATE_SCHEMA.fields:
-        rows = getattr(seen, field.table)[field.first : field.first + field.rows]
+        rows = getattr(tables_of_kernel, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(
             rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
         )
@@ -217,21 +220,21 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     )
     for later_field in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
         other_state.view(later_field.name)[...] = 3
-    found = state.layout.difference(state.block, other_state.block)
-    assert found is not None
-    assert found[0] == field.name
+    difference = state.layout.difference(state.block, other_state.block)
+    assert difference is not None
+    assert difference[0] == field.name
 
 
 def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerState) -> None:
-    one, other_state = state.copy(), state.copy()
-    for changed_state in (one, other_state):
+    one_state, other_state = state.copy(), state.copy()
+    for changed_state in (one_state, other_state):
         changed_state.view("tension")[0] = np.nan
         changed_state.view("sigma")[0] = 0.0
-    assert state.layout.difference(one.block, other_state.block) is None
+    assert state.layout.difference(one_state.block, other_state.block) is None
     other_state.view("sigma")[0] = -0.0
-    found = state.layout.difference(one.block, other_state.block)
-    assert found is not None
-    assert found[:2] == ("sigma", 0)
+    difference = state.layout.difference(one_state.block, other_state.block)
+    assert difference is not None
+    assert difference[:2] == ("sigma", 0)
 
 
 # Block of the constants of a hand.
@@ -257,7 +260,7 @@ def random_hand(seed: int) -> HandModel:
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
-            _varied_section(one, rng) for one in raw[section] if is_kept_section(one["name"])
+            _varied_section(entry, rng) for entry in raw[section] if is_kept_section(entry["name"])
         ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
@@ -274,16 +277,16 @@ VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_ra
 
 def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file in which numbers are varied at random."""
-    found = dict(section)
+    varied_section = dict(section)
     for key in VARIED_KEYS:
-        if key in found:
+        if key in varied_section:
             factor = rng.uniform(0.8, 1.25)
-            found[key] = (
-                [factor * x for x in found[key]]
-                if isinstance(found[key], list)
-                else factor * found[key]
+            varied_section[key] = (
+                [factor * x for x in varied_section[key]]
+                if isinstance(varied_section[key], list)
+                else factor * varied_section[key]
             )
-    return found
+    return varied_section
 
 
 def packed_constants(
@@ -291,21 +294,21 @@ def packed_constants(
 ) -> tuple[HandConstants, dict[str, object]]:
     """Return the constants of a hand, and the values that were written into these constants, by field."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
-    for part in (
+    for group_name in (
         "_motor_constants",
         "_control_law_constants",
         "_link_constants",
         "_structure_constants",
         "_posture_constants",
     ):
-        packed = getattr(hand_constants, part)(model)
+        packed = getattr(hand_constants, group_name)(model)
         assert not values.keys() & packed.keys(), "each field is packed once"
         values |= packed
 
-    def record_packed_values(model: HandModel, more: dict[str, object]) -> HandConstants:
-        assert not values.keys() & more.keys(), "each field is packed once"
-        values.update(more)
-        return HandConstants(model, more)
+    def record_packed_values(model: HandModel, packed_values: dict[str, object]) -> HandConstants:
+        assert not values.keys() & packed_values.keys(), "each field is packed once"
+        values.update(packed_values)
+        return HandConstants(model, packed_values)
 
     monkeypatch.setattr(safety_thresholds, "HandConstants", record_packed_values)
     drives, sensors = make_drives(model.hand), make_sensors(model.hand)
@@ -323,21 +326,29 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
         if isinstance(hand, int)
         else HandModel.from_hand(load_hand(hand), Gains(), 200.0)
     )
-    found, values = packed_constants(model, monkeypatch)
+    recorded_constants, values = packed_constants(model, monkeypatch)
     assert values.keys() == set(field_names(CONSTANT_SCHEMA.fields)), "every field is packed"
-    assert not found.block.flags.writeable
-    seen = uncompiled_function(constant_tables)(found.block, found.layout.places)
-    assert seen.design.shape == (model.tendon_count, FILTER_DESIGN_COUNT, DESIGN_ELEMENT_COUNT)
+    assert not recorded_constants.block.flags.writeable
+    tables_of_kernel = uncompiled_function(constant_tables)(
+        recorded_constants.block, recorded_constants.layout.places
+    )
+    assert tables_of_kernel.design.shape == (
+        model.tendon_count,
+        FILTER_DESIGN_COUNT,
+        DESIGN_ELEMENT_COUNT,
+    )
     for field in CONSTANT_SCHEMA.fields:
-        view = found.layout.view(found.block, field.name)
+        view = recorded_constants.layout.view(recorded_constants.block, field.name)
         value = np.asarray(values[field.name])
         np.testing.assert_array_equal(view, np.broadcast_to(value, view.shape), err_msg=field.name)
         if field.name == "design":
-            np.testing.assert_array_equal(seen.design, value)
+            np.testing.assert_array_equal(tables_of_kernel.design, value)
             continue
-        rows = getattr(seen, field.table.replace("*", "_"))[field.first : field.first + field.rows]
+        rows = getattr(tables_of_kernel, field.table.replace("*", "_"))[
+            field.first : field.first + field.rows
+        ]
         np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
-        assert np.shares_memory(rows, found.block)
+        assert np.shares_memory(rows, recorded_constants.block)
 
 
 # Digest of a state.
@@ -354,7 +365,7 @@ def test_every_element_of_every_field_changes_the_digest(
     In an ordinary test run, the test changes only 16 elements of each field.
     """
     state = active_bench.state
-    seen = {state.digest()}
+    known_digests = {state.digest()}
     size = state.view(field.name).size
     for at in (
         range(size)
@@ -370,8 +381,8 @@ def test_every_element_of_every_field_changes_the_digest(
         )
         digest = changed_state.digest()
         assert len(digest) == 8
-        assert digest not in seen, at
-        seen.add(digest)
+        assert digest not in known_digests, at
+        known_digests.add(digest)
 
 
 def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
@@ -406,8 +417,8 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
         "a new part of the progress needs a line here"
     )
-    for name, others in values.items():
-        for value in others:
+    for name, other_field_values in values.items():
+        for value in other_field_values:
             yield name, replace(progress, **{name: value})
 
 
@@ -445,8 +456,14 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
         ],
         "commander": ["one", "two"],
         "lease": [
-            ClientLease(*one)
-            for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))
+            ClientLease(*lease_fields)
+            for lease_fields in (
+                ("a", 1, 2),
+                ("b", 1, 2),
+                ("a", 2, 2),
+                ("a", 1, 1),
+                ("a", 1, 2, True),
+            )
         ],
         "amplifiers": [
             (AmplifierState(0x21),),
@@ -466,18 +483,18 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
         ],
     }
     assert values.keys() == set(ControllerDecisions._fields), "a new decision needs a line here"
-    for name, others in values.items():
-        for value in others:
+    for name, other_field_values in values.items():
+        for value in other_field_values:
             yield name, decisions._replace(**{name: value})
 
 
 def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
     state = active_bench.state
-    seen = {state.digest(): "unchanged"}
+    name_by_digest = {state.digest(): "unchanged"}
     for name, changed in changed_decisions(state.decisions):
         digest = ControllerState(state.layout, state.block, changed).digest()
-        assert digest not in seen, f"{name} and {seen[digest]} have one digest"
-        seen[digest] = name
+        assert digest not in name_by_digest, f"{name} and {name_by_digest[digest]} have one digest"
+        name_by_digest[digest] = name
     assert state.copy().digest() == state.digest()
 
 
@@ -501,9 +518,9 @@ def other_values(original_value: Any) -> list[Any]:
         if not isinstance(getattr(original_value, name), tuple)
     }
     return [
-        original_value._replace(**{name: other})
-        for name, part in plain.items()
-        for other in other_values(part)
+        original_value._replace(**{name: other_value})
+        for name, field_value in plain.items()
+        for other_value in other_values(field_value)
     ]
 
 
@@ -513,7 +530,7 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(
 ) -> None:
     """The digest depends on the measured values of a drive, and on the progress of its set-up."""
     state = active_bench.state
-    seen = {state.digest()}
+    known_digests = {state.digest()}
     for n, drive in enumerate(state.drives):
         for value in other_values(getattr(drive, drive_field)):
             changed_state = state.copy()
@@ -521,5 +538,5 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(
                 changed_state, n, drive._replace(**{drive_field: value})
             )
             digest = changed_state.digest()
-            assert digest not in seen, (n, value)
-            seen.add(digest)
+            assert digest not in known_digests, (n, value)
+            known_digests.add(digest)

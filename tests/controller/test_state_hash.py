@@ -27,10 +27,10 @@ def test_values_of_same_objects_are_taken_over() -> None:
         return hashed_bytes(item)
 
     cache = SequenceCache[object](bytes_of_recorded_item)
-    one, two, three = [1], [2], [3]
-    assert cache((one, two)) == [b"[1]", b"[2]"]
-    assert cache((one, three)) == [b"[1]", b"[3]"]
-    assert asked_objects == [one, two, three]
+    first_list, second_list, third_list = [1], [2], [3]
+    assert cache((first_list, second_list)) == [b"[1]", b"[2]"]
+    assert cache((first_list, third_list)) == [b"[1]", b"[3]"]
+    assert asked_objects == [first_list, second_list, third_list]
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -335,13 +335,13 @@ def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     with live_client(jamia) as client:
         client.open_stream()
         client.stream_motion(lambda t: 50.0 * t, 0.5)
-        last = 50.0 * (0.5 - 1.0 / RATE_HZ)
+        last_angle = 50.0 * (0.5 - 1.0 / RATE_HZ)
         client.tick_outputs.clear()
         client.wait(0.06)
         angle = np.degrees(client.goal_history("q_goal"))
         braking_distance_deg = 50.0**2 / (2.0 * jamia.hand.stream.acceleration_deg_s2)
-        assert angle.max() <= last + braking_distance_deg + 0.2
-        assert angle[-1] == pytest.approx(last, abs=1e-6)
+        assert angle.max() <= last_angle + braking_distance_deg + 0.2
+        assert angle[-1] == pytest.approx(last_angle, abs=1e-6)
         assert np.degrees(client.goal_history("dq_goal"))[-1] == pytest.approx(0.0, abs=1e-9)
 
 
@@ -355,11 +355,11 @@ def test_invalid_target_is_counted_without_effect(
     with live_client(jamia) as client:
         client.open_stream()
         client.stream_motion(lambda t: 20.0, 0.3)
-        before = client.goal_history("q_goal")[-1]
+        goal_before = client.goal_history("q_goal")[-1]
         for _ in range(5):
             client.tick(client.target_request(*target_values))
         client.wait(0.02)
-        assert client.goal_history("q_goal")[-1] == pytest.approx(before, abs=1e-9)
+        assert client.goal_history("q_goal")[-1] == pytest.approx(goal_before, abs=1e-9)
         status = stream_status(client.run.state)
         assert (status.refused, status.accepted) == (5, 30)
         refusals = [
@@ -380,9 +380,9 @@ def test_invalid_target_is_counted_without_effect(
     ],
 )  # fmt: skip
 def test_a_text_that_is_no_target_is_counted(target_text: str) -> None:
-    whole = '{"do": "target", ' + target_text
-    assert is_stream_target(whole)
-    target = parse_target(whole)
+    request_text = '{"do": "target", ' + target_text
+    assert is_stream_target(request_text)
+    target = parse_target(request_text)
     assert target is None or target.values == (1.0,)
 
 
@@ -492,17 +492,17 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
     with live_client(jamia) as client:
         client.send_command("move", angle_deg={"index": 80.0})
         client.wait(0.5)
-        before = len(client.tick_outputs)
+        tick_count_before = len(client.tick_outputs)
         client.open_stream(interpolation="minimum_jerk")
         client.stream_motion(lambda t: 40.0 + 100.0 * t, 0.2)
         speed = np.degrees(client.goal_history("dq_goal"))
-        assert speed[before - 1] > 100.0
+        assert speed[tick_count_before - 1] > 100.0
         limit = jamia.hand.stream.acceleration_deg_s2 * jamia.period
-        assert np.abs(np.diff(speed[before - 5 :])).max() <= limit * (1 + 1e-9)
+        assert np.abs(np.diff(speed[tick_count_before - 5 :])).max() <= limit * (1 + 1e-9)
         client.send_command("move", angle_deg={"index": 20.0})
         client.wait(1.1)
         speed = np.degrees(client.goal_history("dq_goal"))
-        assert np.abs(np.diff(speed[before:])).max() <= limit * (1 + 1e-9), (
+        assert np.abs(np.diff(speed[tick_count_before:])).max() <= limit * (1 + 1e-9), (
             "and a move goes on from the stream"
         )
         assert np.degrees(client.goal_history("q_goal"))[-1] == pytest.approx(20.0)
@@ -627,8 +627,8 @@ def test_joint_angles_become_coordinates(model: HandModel) -> None:
     angles = np.linspace(10.0, 30.0, len(names))
     q = np.degrees(model.coupling @ where.matrix @ angles)
     for digit in model.digits:
-        part = angles[digit.joints]
-        nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, part, rcond=None)[0]
+        digit_angles = angles[digit.joints]
+        nearest = digit.coupling @ np.linalg.lstsq(digit.coupling, digit_angles, rcond=None)[0]
         np.testing.assert_allclose(q[digit.joints], nearest, atol=1e-9)
     mapping = mapping_of_stream(model, "joint", (names[1],))
     assert mapping.is_streamed.sum() == 1, "the other joints of the digit stay"
@@ -685,8 +685,8 @@ def test_tensions_follow_a_stream(jamia: HandModel) -> None:
         ).max() <= (jamia.hand.stream.tension_rate_N_per_s * jamia.period * (1 + 1e-9))
         client.send_command("stream_end", stream="s")
         client.wait(0.3)
-        held = [out.telemetry.tension_goal[0] for out in client.tick_outputs[-50:]]
-        assert np.ptp(held) < 1e-9, "the end of a stream holds the present tension"
+        held_tensions = [out.telemetry.tension_goal[0] for out in client.tick_outputs[-50:]]
+        assert np.ptp(held_tensions) < 1e-9, "the end of a stream holds the present tension"
         assert client.reported_faults == set()
 
 
@@ -695,11 +695,11 @@ def test_a_move_of_another_digit_does_not_disturb_streamed_tensions(jamia: HandM
         client.open_stream("tension", ("index_tendon",))
         for i in range(100):
             client.tick(*([client.target_request(12.0)] if i % 5 == 0 else []))
-        before = len(client.tick_outputs)
+        tick_count_before = len(client.tick_outputs)
         client.send_command("move", angle_deg={"thumb": 5.0})
         for i in range(20):
             client.tick(*([client.target_request(12.0)] if i % 5 == 4 else []))
-        goal = [out.telemetry.tension_goal[0] for out in client.tick_outputs[before:]]
+        goal = [out.telemetry.tension_goal[0] for out in client.tick_outputs[tick_count_before:]]
         assert goal == pytest.approx([12.0] * len(goal), abs=1e-6)
         assert client.run.state.decisions.stream is not None
 
@@ -832,8 +832,8 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         client.wait(0.1)
         assert client.send_command("move", angle_deg={"index": 20.0}) == "move index 20"
         assert client.tick_outputs[-1].phase == "live", "a goal ends the task"
-        wrong = task | {"phase": [{"kind": "move", "angle_deg": {"pinky": 3.0}}]}
-        assert client.send_command("grasp", task=wrong).startswith("refused: task: phase[0]")
+        wrong_task = task | {"phase": [{"kind": "move", "angle_deg": {"pinky": 3.0}}]}
+        assert client.send_command("grasp", task=wrong_task).startswith("refused: task: phase[0]")
         fast = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
         assert client.send_command("grasp", task=fast).startswith("refused: ")
         slips = task | {"phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]}

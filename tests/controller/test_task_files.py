@@ -121,7 +121,7 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
     """For a digit with n joints and n + 1 tendons, a task gives n angles and n + 1 tensions."""
     hand = hand_with_an_extensor()
     assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
-    for angles, tensions, wrong in (
+    for angles, tensions, expected_error in (
         ("[10.0, 20.0]", "[20.0, 20.0, 9.0]", ""),
         (
             "[10.0, 20.0, 5.0]",
@@ -140,10 +140,10 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
                 tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}")
             )
         )
-        if not wrong:
+        if not expected_error:
             check_task_for_hand(task, hand, "t")
             continue
-        with pytest.raises(ConfigError, match=wrong):
+        with pytest.raises(ConfigError, match=expected_error):
             check_task_for_hand(task, hand, "t")
 
 

@@ -25,14 +25,14 @@ def test_minimum_jerk_move_rests_at_both_ends(
     start_angles: np.ndarray, end_angles: np.ndarray, duration_s: float
 ) -> None:
     move = MinimumJerk(start_angles, end_angles, duration_s)
-    for t, place in (
+    for t, expected_position in (
         (0.0, start_angles),
         (duration_s, end_angles),
         (-1.0, start_angles),
         (duration_s + 5.0, end_angles),
     ):
         position, velocity, acceleration = move.motion_at(t)
-        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_allclose(position, expected_position, atol=1e-12)
         np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
 
@@ -99,7 +99,7 @@ def test_no_admissible_bump_has_less_jerk() -> None:
     At both ends, the added disturbance has zero position, speed and acceleration.
     """
     move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
-    acceleration = np.array([move.motion_at(one)[2][0] for one in t])
+    acceleration = np.array([move.motion_at(time_s)[2][0] for time_s in t])
     acceleration_bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
 
     def squared_jerk(a: np.ndarray) -> float:

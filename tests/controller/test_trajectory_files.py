@@ -37,10 +37,10 @@ def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
 def test_velocity_and_acceleration_are_the_derivatives() -> None:
     curve, h = CurveTrajectory.through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
     for t in np.linspace(0.05, 1.35, 40):
-        (before, _, _), (_, speed, acceleration), (after, _, _) = (
+        (position_before, _, _), (_, speed, acceleration), (position_after, _, _) = (
             curve.motion_at(t + d) for d in (-h, 0.0, h)
         )
-        assert (after - before) / (2 * h) == pytest.approx(speed, abs=1e-6)
+        assert (position_after - position_before) / (2 * h) == pytest.approx(speed, abs=1e-6)
         velocity_after, velocity_before = curve.motion_at(t + h)[1], curve.motion_at(t - h)[1]
         assert (velocity_after - velocity_before) / (2 * h) == pytest.approx(acceleration, abs=1e-3)
 
@@ -54,8 +54,8 @@ def test_peak_speed_is_the_largest_on_the_way() -> None:
 def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
     path = tmp_path / "wave.toml"
     path.write_text(VALID_TRAJECTORY)
-    first, follow = load_trajectory(path).phase
-    assert first.angle_deg == {"index": 0.0, "thumb": 5.0}  # type: ignore[union-attr]
+    first_phase, follow = load_trajectory(path).phase
+    assert first_phase.angle_deg == {"index": 0.0, "thumb": 5.0}  # type: ignore[union-attr]
     assert isinstance(follow, FollowPhase)
     assert follow.time_s[-1] == 2.0
 

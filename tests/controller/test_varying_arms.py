@@ -95,9 +95,12 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
                 view["moment_arms"].T[block], digit_at_angles.moment_arms.T, atol=1e-8
             )
             for field in ("excursion_to_joints", "torque_to_tension"):
-                found = view[field] if field == "excursion_to_joints" else view[field].T
+                structure_table = view[field] if field == "excursion_to_joints" else view[field].T
                 np.testing.assert_allclose(
-                    found[block], digit_at_angles.excursion_to_joints, rtol=1e-4, atol=1e-3
+                    structure_table[block],
+                    digit_at_angles.excursion_to_joints,
+                    rtol=1e-4,
+                    atol=1e-3,
                 )
             joint_block = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
             np.testing.assert_allclose(
@@ -132,10 +135,12 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     places = (state.block, state.layout.places, constants.block, constants.layout.places)
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
-        here, before, after = (
+        values_at_angle, values_before, values_after = (
             _arm_and_slope(*places, 2, 1, angle) for angle in (q, q - step, q + step)
         )
-        np.testing.assert_allclose((after - before)[:2] / (2 * step), here[1:], atol=1e-8)
+        np.testing.assert_allclose(
+            (values_after - values_before)[:2] / (2 * step), values_at_angle[1:], atol=1e-8
+        )
 
 
 def task_of_moves(*angles_deg: tuple[float, float]) -> Task:

@@ -178,8 +178,10 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         )
         assert not calibration.tare(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        wrong = (calibration.zero(hand) - offset) * model_of(*tendons_without_cells).space.spool
-        np.testing.assert_allclose(wrong, 0.0, atol=5e-5)
+        travel_errors = (calibration.zero(hand) - offset) * model_of(
+            *tendons_without_cells
+        ).space.spool
+        np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
@@ -278,5 +280,5 @@ def test_faults_that_need_no_load_cell_are_found(
     fault_command: str, expected_faults: tuple[str, ...]
 ) -> None:
     rows = run_without_sensors(TaskProgram(CYLINDER_TASK), "cylinder", 0, fault_command)
-    found = {event.text.split()[0] for event in rows.events if event.name == "fault"}
-    assert found & set(expected_faults), rows.events[-5:]
+    detected_faults = {event.text.split()[0] for event in rows.events if event.name == "fault"}
+    assert detected_faults & set(expected_faults), rows.events[-5:]

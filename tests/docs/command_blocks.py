@@ -78,19 +78,21 @@ def run_blocks(
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     environment = os.environ | {"PATH": path, "HANDCTL_RUN_DIR": str(sockets)}
     words: dict[str, Any] = {"cwd": folder, "env": environment, "text": True}
-    others: list[subprocess.Popen[str]] = []
+    background_processes: list[subprocess.Popen[str]] = []
     if prepare:
         prepare(folder)
     for block in filter(is_file_block, page_blocks):
         (folder / block.title).write_text(replace_socketcan_buses(block.text))
     try:
         for command in parallel_commands:
-            start_in_background_shell(command, others, words)
+            start_in_background_shell(command, background_processes, words)
         for block in page_blocks:
             if block.language != "sh" or not is_executed(block):
                 continue
             if keeps_running(block):
-                start_in_background_shell(replace_socketcan_buses(block.text), others, words)
+                start_in_background_shell(
+                    replace_socketcan_buses(block.text), background_processes, words
+                )
                 continue
             script = f"set -e\n{replace_socketcan_buses(block.text)}"
             result = subprocess.run(
@@ -105,21 +107,21 @@ def run_blocks(
             )
             assert "Traceback" not in result.stderr
     finally:
-        for other in others:
-            other.terminate()
-            other.wait(30)
-        for made in (folder, sockets):
-            shutil.rmtree(made, ignore_errors=True)
+        for background_process in background_processes:
+            background_process.terminate()
+            background_process.wait(30)
+        for temporary_folder in (folder, sockets):
+            shutil.rmtree(temporary_folder, ignore_errors=True)
 
 
 def start_in_background_shell(
-    command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]
+    command: str, background_processes: list["subprocess.Popen[str]"], words: dict[str, Any]
 ) -> None:
     """Start a command in the background, and wait until it prints its first line."""
-    others.append(
+    background_processes.append(
         subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words)
     )
-    stdout = others[-1].stdout
+    stdout = background_processes[-1].stdout
     assert stdout
     assert select.select([stdout], [], [], READY_TIMEOUT_S)[0], command
 

@@ -30,7 +30,8 @@ BLOCKS_BY_PAGE = {
     path.relative_to(REPOSITORY_ROOT / "docs").as_posix(): read_blocks(path) for path in PAGE_FILES
 }
 EXECUTED_BLOCKS = {
-    page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
+    page: [block for block in blocks if is_executed(block)]
+    for page, blocks in BLOCKS_BY_PAGE.items()
 }
 """Blocks of each page that a test executes, or that it writes to a file.
 
@@ -48,10 +49,10 @@ def page_cases() -> Iterator[Any]:
 
     Pages that start a process in real time get the marker of the tests on the real clock.
     """
-    for page, parts in EXECUTED_BLOCKS.items():
-        if any(block.language == "sh" for block in parts):
+    for page, blocks in EXECUTED_BLOCKS.items():
+        if any(block.language == "sh" for block in blocks):
             marks = (
-                [pytest.mark.realtime, pytest.mark.alone] if any(map(keeps_running, parts)) else []
+                [pytest.mark.realtime, pytest.mark.alone] if any(map(keeps_running, blocks)) else []
             )
             if page in PAGES_WITH_LONG_COMMANDS:
                 marks.append(pytest.mark.nightly)
@@ -64,14 +65,14 @@ def test_the_commands_of_a_page_run(page: str) -> None:
 
 
 def test_every_block_has_a_known_kind() -> None:
-    for page, parts in BLOCKS_BY_PAGE.items():
-        for block in parts:
+    for page, blocks in BLOCKS_BY_PAGE.items():
+        for block in blocks:
             assert block.language in ("sh", "python", "toml", "text"), page
             assert block.language not in ("python", "toml") or is_file_block(block), page
 
 
 def test_most_blocks_are_run() -> None:
     shell_blocks = [
-        block for parts in BLOCKS_BY_PAGE.values() for block in parts if block.language == "sh"
+        block for blocks in BLOCKS_BY_PAGE.values() for block in blocks if block.language == "sh"
     ]
     assert sum("not run" in block.title for block in shell_blocks) < len(shell_blocks) / 3

@@ -34,12 +34,12 @@ def panel_names(layout_node: Any) -> list[str]:
 @pytest.fixture(scope="module")
 def first_messages() -> dict[str, Any]:
     """Return the last message of each topic of a golden log."""
-    found: dict[str, Any] = {}
+    message_by_topic: dict[str, Any] = {}
     with (REPOSITORY_ROOT / "logs" / "golden" / "jamia-grasp.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages(topics_of_layout()):
-            found[channel.topic] = message
-    return found
+            message_by_topic[channel.topic] = message
+    return message_by_topic
 
 
 def message_paths() -> list[tuple[str, str]]:

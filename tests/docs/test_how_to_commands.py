@@ -38,7 +38,8 @@ BLOCKS_BY_PAGE = {
     if path.relative_to(DOCS_FOLDER).as_posix() not in PAGES_TESTED_ELSEWHERE
 }
 EXECUTED_BLOCKS = {
-    page: [block for block in parts if is_executed(block)] for page, parts in BLOCKS_BY_PAGE.items()
+    page: [block for block in blocks if is_executed(block)]
+    for page, blocks in BLOCKS_BY_PAGE.items()
 }
 PAGES_WITH_SHORT_COMMANDS = ("how-to/logs.md", "how-to/other-tools.md")
 """Pages whose commands run in ordinary test runs.
@@ -88,9 +89,9 @@ def file_writer_for_page(page: str) -> Callable[[Path], None]:
 
 def page_cases() -> Iterator[Any]:
     """Yield one test case of pytest for each page that contains commands."""
-    for page, parts in EXECUTED_BLOCKS.items():
-        if any(block.language == "sh" and not keeps_running(block) for block in parts):
-            live = page in SIMULATOR_COMMANDS or any(map(keeps_running, parts))
+    for page, blocks in EXECUTED_BLOCKS.items():
+        if any(block.language == "sh" and not keeps_running(block) for block in blocks):
+            live = page in SIMULATOR_COMMANDS or any(map(keeps_running, blocks))
             yield pytest.param(
                 page,
                 marks=REALTIME_MARKS
@@ -105,19 +106,19 @@ def page_cases() -> Iterator[Any]:
 @pytest.mark.parametrize("page", list(page_cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
     question_words, answered = ANSWERED_COMMANDS.get(page, ("", ""))
-    parts = [
+    blocks = [
         block._replace(text=block.text.replace(question_words, answered))
         if question_words
         else block
         for block in EXECUTED_BLOCKS[page]
     ]
-    run_blocks(parts, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))
+    run_blocks(blocks, file_writer_for_page(page), SIMULATOR_COMMANDS.get(page, ()))
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", [
     pytest.param(page, marks=REALTIME_MARKS)
-    for page, parts in EXECUTED_BLOCKS.items() if any(block.language == "python" for block in parts)
+    for page, blocks in EXECUTED_BLOCKS.items() if any(block.language == "python" for block in blocks)
 ])  # fmt: skip
 def test_the_programs_of_a_page_run(page: str) -> None:
     programs = [block for block in EXECUTED_BLOCKS[page] if block.language == "python"]
@@ -149,8 +150,8 @@ def test_the_commands_of_the_readme_run() -> None:
 
 
 def test_every_command_has_a_kind() -> None:
-    for page, parts in BLOCKS_BY_PAGE.items():
-        for block in parts:
+    for page, blocks in BLOCKS_BY_PAGE.items():
+        for block in blocks:
             plain = block.language in ("", "text")
             assert not plain or not re.search(
                 r"^(handctl|python -m firmware_sim) ", block.text, re.MULTILINE

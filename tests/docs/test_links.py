@@ -61,23 +61,25 @@ def navigation_titles(navigation_entry: Any) -> dict[str, str]:
     if isinstance(navigation_entry, list):
         return {
             page: title
-            for part in navigation_entry
-            for page, title in navigation_titles(part).items()
+            for inner_entry in navigation_entry
+            for page, title in navigation_titles(inner_entry).items()
         }
-    named = {value: key for key, value in navigation_entry.items() if isinstance(value, str)}
-    return named | {
+    title_by_page = {
+        value: key for key, value in navigation_entry.items() if isinstance(value, str)
+    }
+    return title_by_page | {
         page: title
-        for part in navigation_entry.values()
-        for page, title in navigation_titles(part).items()
+        for inner_entry in navigation_entry.values()
+        for page, title in navigation_titles(inner_entry).items()
     }
 
 
 def test_a_page_has_the_same_title_everywhere() -> None:
-    named = navigation_titles(
+    title_by_page = navigation_titles(
         yaml.safe_load((REPOSITORY_ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
     )
-    assert len(set(named.values())) == len(named)
-    for page, title in named.items():
+    assert len(set(title_by_page.values())) == len(title_by_page)
+    for page, title in title_by_page.items():
         assert (
             re.findall(r"^# (.*)$", (DOCS_FOLDER / page).read_text(encoding="utf-8"), re.MULTILINE)[
                 0
@@ -89,9 +91,9 @@ def test_a_page_has_the_same_title_everywhere() -> None:
             r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE
         )
         title_by_linked_page = {f"{index.parent.name}/{page}": title for title, page in rows}
-        assert title_by_linked_page == {page: named[page] for page in title_by_linked_page}
+        assert title_by_linked_page == {page: title_by_page[page] for page in title_by_linked_page}
         assert set(title_by_linked_page) == {
-            page for page in named if page.startswith(f"{index.parent.name}/")
+            page for page in title_by_page if page.startswith(f"{index.parent.name}/")
         }
 
 
@@ -103,6 +105,8 @@ def test_every_page_is_in_the_navigation_once() -> None:
     assert len(set(listed)) == len(listed)
     assert set(listed) <= pages
     unlisted_pages = {
-        page for page in pages - set(listed) if not any(fnmatch(f"/{page}", one) for one in waiting)
+        page
+        for page in pages - set(listed)
+        if not any(fnmatch(f"/{page}", page_pattern) for page_pattern in waiting)
     }
     assert unlisted_pages == set()

@@ -22,14 +22,16 @@ RELATIVE_TOLERANCE, ROUNDING_TOLERANCE = 0.15, 0.051
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*DEMO_COMMAND, "--log", str(tmp_path / "demo.mcap")]) == 0
-    right = " ".join(
+    fresh_text = " ".join(
         f"{name} {value}" for name, value in rows_of_result(json.loads(capsys.readouterr().out))
     )
     for page in PAGES_WITH_NUMBERS:
         places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
         assert len(places) == 1, page
         written = " ".join(places[0].splitlines()[2:])
-        pairs = zip(NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(right), strict=True)
+        pairs = zip(
+            NUMBER_PATTERN.findall(written), NUMBER_PATTERN.findall(fresh_text), strict=True
+        )
         off = [
             (a, b)
             for a, b in pairs

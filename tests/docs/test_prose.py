@@ -47,7 +47,11 @@ def sentence_count(paragraph: str) -> int:
 )
 def test_no_paragraph_is_long(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    assert [part[:60] for part in paragraphs_of(text) if sentence_count(part) > MAX_SENTENCES] == []
+    assert [
+        paragraph[:60]
+        for paragraph in paragraphs_of(text)
+        if sentence_count(paragraph) > MAX_SENTENCES
+    ] == []
 
 
 @pytest.mark.parametrize(

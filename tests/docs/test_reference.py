@@ -14,15 +14,15 @@ from tools.reference.topics import packaged_hand_topics
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 GENERATED_PAGES = {
-    path.relative_to(REPOSITORY_ROOT).as_posix(): (text, right)
-    for path, text, right in pages_with_blocks(REPOSITORY_ROOT)
+    path.relative_to(REPOSITORY_ROOT).as_posix(): (text, expected_text)
+    for path, text, expected_text in pages_with_blocks(REPOSITORY_ROOT)
 }
 
 
 @pytest.mark.parametrize("page", GENERATED_PAGES)
 def test_no_page_is_stale(page: str) -> None:
-    text, right = GENERATED_PAGES[page]
-    assert text == right, f"{page} is stale; run python -m tools.reference"
+    text, expected_text = GENERATED_PAGES[page]
+    assert text == expected_text, f"{page} is stale; run python -m tools.reference"
 
 
 def test_every_block_has_a_page() -> None:

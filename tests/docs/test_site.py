@@ -40,7 +40,11 @@ def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     texts = [page.read_text(encoding="utf-8") for page in page_paths]
     assert [match[0] for text in texts for match in EXTERNAL_RESOURCE_PATTERN.finditer(text)] == []
     # If there is no empty line before a list, the list becomes a part of the paragraph above.
-    paragraphs = [part for text in texts for part in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)]
+    paragraphs = [
+        paragraph for text in texts for paragraph in re.findall(r"<p>(.*?)</p>", text, re.DOTALL)
+    ]
     assert [
-        part[-200:] for part in paragraphs if re.search(r"^(- |\d+\. |\|)", part, re.MULTILINE)
+        paragraph[-200:]
+        for paragraph in paragraphs
+        if re.search(r"^(- |\d+\. |\|)", paragraph, re.MULTILINE)
     ] == []

@@ -118,18 +118,18 @@ async def _use_odrive(bus: can.BusABC, node_id: int) -> None:
     could wait forever.
     """
     drive = ODriveCAN(axis_id=node_id, can_bus=bus)
-    seen = [0.0]
-    drive.feedback_callback = lambda message, _: seen.append(message.data["Pos_Estimate"])
+    positions = [0.0]
+    drive.feedback_callback = lambda message, _: positions.append(message.data["Pos_Estimate"])
     await asyncio.wait_for(drive.start(), WAIT_TIMEOUT_S)
     drive.check_alive()
     drive.check_errors()
     await _set_control_mode(drive, "TORQUE_CONTROL", "CLOSED_LOOP_CONTROL")
-    start = seen[-1]
+    start = positions[-1]
     drive.set_input_torque(0.02)
-    await _wait_for_async(lambda: seen[-1] > start + 0.5, "turned by a torque")
+    await _wait_for_async(lambda: positions[-1] > start + 0.5, "turned by a torque")
     await _set_control_mode(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL")
     drive.set_input_pos(start - 1.0)
-    await _wait_for_async(lambda: abs(seen[-1] - start + 1.0) < 0.05, "held at a position")
+    await _wait_for_async(lambda: abs(positions[-1] - start + 1.0) < 0.05, "held at a position")
     assert (await drive.get_bus_voltage_current())["Bus_Voltage"] == 24.0
     drive._send_message("Estop")
     await _wait_for_async(
@@ -150,24 +150,27 @@ def use_odrive_can_modes(bus: can.BusABC, node_id: int = 1) -> None:
 
 async def _use_odrive_modes(bus: can.BusABC, node_id: int) -> None:
     drive = ODriveCAN(axis_id=node_id, can_bus=bus)
-    seen = [(0.0, 0.0)]
-    drive.feedback_callback = lambda message, _: seen.append(
+    positions_and_velocities = [(0.0, 0.0)]
+    drive.feedback_callback = lambda message, _: positions_and_velocities.append(
         (message.data["Pos_Estimate"], message.data["Vel_Estimate"])
     )
     await asyncio.wait_for(drive.start(), WAIT_TIMEOUT_S)
     await _set_control_mode(drive, "VELOCITY_CONTROL", "CLOSED_LOOP_CONTROL")
     drive.set_input_vel(2.0)
-    await _wait_for_async(lambda: abs(seen[-1][1] - 2.0) < 0.05, "two turns per second")
+    await _wait_for_async(
+        lambda: abs(positions_and_velocities[-1][1] - 2.0) < 0.05, "two turns per second"
+    )
     await _set_control_mode(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL", "TRAP_TRAJ")
-    start = seen[-1][0]
+    start = positions_and_velocities[-1][0]
     drive.set_traj_vel_limit(1.0)
     drive.set_traj_accel_limits(2.0, 2.0)
-    first = len(seen)
+    first_index = len(positions_and_velocities)
     drive.set_input_pos(start + 2.0)
     await _wait_for_async(
-        lambda: abs(seen[-1][0] - start - 2.0) < 0.01, "at the end of the trajectory"
+        lambda: abs(positions_and_velocities[-1][0] - start - 2.0) < 0.01,
+        "at the end of the trajectory",
     )
-    assert 0.9 < max(velocity for _, velocity in seen[first:]) < 1.1
+    assert 0.9 < max(velocity for _, velocity in positions_and_velocities[first_index:]) < 1.1
     await _set_control_mode(drive, "TORQUE_CONTROL", "IDLE")
     drive.stop()
 

@@ -57,14 +57,16 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
         assert math.isclose(values[register.TEMPERATURE], 25.0, abs_tol=0.5)
         assert math.isclose(values[register.POSITION], 0.0, abs_tol=0.01)
     identity = {register.FIRMWARE_VERSION: moteus.INT32, register.MULTIPLEX_ID: moteus.INT32}
-    for one in identity:
-        assert (await controller.custom_query({one: moteus.INT32})).values[one] != 0
+    for identity_register in identity:
+        assert (await controller.custom_query({identity_register: moteus.INT32})).values[
+            identity_register
+        ] != 0
     stream = moteus.Stream(controller, use_flow_control=False)
     assert await stream.command(b"conf get servo.timeout_mode", allow_any_response=True) == b"12"
-    for item, value in (("position_min", "nan"), ("position_max", "nan")):
-        await stream.command(f"conf set servopos.{item} {value}".encode())
+    for limit_name, value in (("position_min", "nan"), ("position_max", "nan")):
+        await stream.command(f"conf set servopos.{limit_name} {value}".encode())
         shown_value = await stream.command(
-            f"conf get servopos.{item}".encode(), allow_any_response=True
+            f"conf get servopos.{limit_name}".encode(), allow_any_response=True
         )
         assert shown_value == b"nan"
     await stream.command(b"conf set servo.timeout_mode 0")
@@ -76,7 +78,9 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
         )  # fmt: skip
 
     turned_state = await _step_until(
-        command_torque, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
+        command_torque,
+        lambda reply_values: reply_values[register.POSITION] > TRAVEL_TURNS,
+        "turned by a torque",
     )
     assert turned_state[register.MODE] == mode.POSITION
     assert math.isclose(turned_state[register.TORQUE], 0.05, abs_tol=0.02)
@@ -87,7 +91,9 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
             position=goal, velocity=0.0, maximum_torque=0.5, query=True
         )
 
-    held_state = await _step_until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
+    held_state = await _step_until(
+        hold, lambda reply_values: abs(reply_values[register.VELOCITY]) < 0.05, "stands"
+    )
     for _ in range(MAX_STEP_ATTEMPTS):
         held_state = (await hold()).values
         if (
@@ -100,9 +106,15 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
     await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
     await asyncio.sleep(0.2)
     late_state = await _step_until(
-        controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog"
+        controller.query,
+        lambda reply_values: reply_values[register.MODE] == mode.TIMEOUT,
+        "the watchdog",
     )
     assert late_state[register.MODE] == mode.TIMEOUT
     assert (await hold()).values[register.MODE] == mode.TIMEOUT, "only the stop command leaves it"
     await controller.set_stop(query=True)
-    await _step_until(controller.query, lambda seen: seen[register.MODE] == mode.STOPPED, "stopped")
+    await _step_until(
+        controller.query,
+        lambda reply_values: reply_values[register.MODE] == mode.STOPPED,
+        "stopped",
+    )

@@ -133,8 +133,8 @@ class ProtocolBench:
         """Clear the errors of all drives, as a request of the operator does."""
         frames: list[Frame] = []
         for i, drive in enumerate(self.drives):
-            self.states[i], more = drive.clear(self.states[i])
-            frames += more
+            self.states[i], clear_frames = drive.clear(self.states[i])
+            frames += clear_frames
         self.tick(DriveTarget.POLL, extra_frames=frames)
 
 

@@ -73,9 +73,12 @@ def test_hand_made_frames_become_newtons() -> None:
     wired_drives = WiredDrives((), cells)
     assert wired_drives.begin_tick_with_sync(7) == Frame(0x080, b"")
     # In these frames, a count is 0.001 N, and the lowest byte comes first.
-    first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
+    first_payload, second_payload = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
     wired_drives.receive(
-        [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
+        [
+            Frame(0x1A1, first_payload, t_ns=REPLY_DELAY_NS),
+            Frame(0x1A2, second_payload, t_ns=REPLY_DELAY_NS),
+        ]
     )
     assert wired_drives.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
     assert (wired_drives.field_number("stale"), wired_drives.has_malformed_frame) == (0, False)
@@ -87,9 +90,12 @@ def test_a_float_is_read_as_it_is() -> None:
         Cia404LoadCells.from_description(AmplifierSection(process_value="real32"), 0, TENDON_NAMES),
     )
     wired_drives.begin_tick_with_sync(0)
-    first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
+    first_payload, second_payload = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
     wired_drives.receive(
-        [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
+        [
+            Frame(0x1A1, first_payload, t_ns=REPLY_DELAY_NS),
+            Frame(0x1A2, second_payload, t_ns=REPLY_DELAY_NS),
+        ]
     )
     assert [wired_drives.tensions[i] for i in (0, 1)] == [12.5, -0.25]
     assert math.isnan(wired_drives.tensions[2])
@@ -166,8 +172,10 @@ class AmplifierBench:
             out += frames
         self.sent_frames += out
         self.answers = [
-            Frame(*one)
-            for one in self.simulated_hand.step(self.k * PERIOD_NS, [tuple(one) for one in out])
+            Frame(*frame_fields)
+            for frame_fields in self.simulated_hand.step(
+                self.k * PERIOD_NS, [tuple(frame_fields) for frame_fields in out]
+            )
         ]
         for frame in self.answers:
             for i, amplifier in enumerate(self.sensors.amplifiers):
@@ -337,14 +345,14 @@ def faults_of(
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
         disturb_function(simulation)
-        found: set[str] = set()
-        first = -1
+        fault_ids: set[str] = set()
+        first_tick = -1
         for i in range(tick_count):
             out = simulation.run_tick()
-            found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
-            if first < 0 and out.mode != HandMode.ACTIVE:
-                first = i
-        return found, first
+            fault_ids |= {event.text.split()[0] for event in out.events if event.name == "fault"}
+            if first_tick < 0 and out.mode != HandMode.ACTIVE:
+                first_tick = i
+        return fault_ids, first_tick
 
 
 def fault_injection(fault_text: str) -> Callable[[SimulatedRun], None]:
@@ -380,8 +388,8 @@ def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(fault_case: str) ->
 
 
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
-    found, ticks = faults_of(hand_with_amplifiers(), 0, restart_all_nodes)
-    assert "N02" in found
+    fault_ids, ticks = faults_of(hand_with_amplifiers(), 0, restart_all_nodes)
+    assert "N02" in fault_ids
     assert 0 <= ticks <= 17  # an amplifier that is silent for 30 ms causes a fault
 
 
@@ -391,16 +399,16 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
     Earlier defect: a late reply and the next reply of the same amplifier caused the fault B06 (a
     conflicting duplicate frame).
     """
-    found, ticks = faults_of(
+    fault_ids, ticks = faults_of(
         hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")
     )
-    assert (found, ticks) == ({"B04"}, -1)
+    assert (fault_ids, ticks) == ({"B04"}, -1)
 
 
 @pytest.mark.nightly
 def test_two_amplifiers_with_one_number_are_found() -> None:
-    found, ticks = faults_of(hand_with_amplifiers(), 0, fault_injection("twin node=sensors"))
-    assert "B06" in found
+    fault_ids, ticks = faults_of(hand_with_amplifiers(), 0, fault_injection("twin node=sensors"))
+    assert "B06" in fault_ids
     assert 0 <= ticks <= 2
 
 

@@ -50,9 +50,9 @@ def test_a_command_is_a_control_word_and_a_torque() -> None:
     assert command.pack(-1000.4).hex(" ") == "0f 00 18 fc"
     assert command.pack(1.0).hex(" ") == "0f 00 01 00"
     assert command.pack(top).hex(" ") == "0f 00 ff 7f"
-    for wrong in (math.nan, math.inf, top + 1, -top - 1):
+    for invalid_torque in (math.nan, math.inf, top + 1, -top - 1):
         with pytest.raises(ValueError, match=f"torque .* expected at most {top}"):
-            command.pack(wrong)
+            command.pack(invalid_torque)
 
 
 def test_sdo_requests_have_the_bytes_of_cia_301() -> None:
@@ -119,11 +119,11 @@ def test_odrive_payloads_match_the_vendors_layout() -> None:
 def test_floats_are_finite_both_ways() -> None:
     assert odrive.encode_floats(1.5, -0.25) == struct.pack("<ff", 1.5, -0.25)
     assert odrive.decode_float_pair(struct.pack("<ff", 1.5, -0.25)) == (1.5, -0.25)
-    for wrong in (math.nan, math.inf, -math.inf):
-        assert odrive.decode_float_pair(struct.pack("<ff", wrong, 1.0)) is None
-        assert odrive.decode_float_pair(struct.pack("<ff", 1.0, wrong)) is None
+    for invalid_number in (math.nan, math.inf, -math.inf):
+        assert odrive.decode_float_pair(struct.pack("<ff", invalid_number, 1.0)) is None
+        assert odrive.decode_float_pair(struct.pack("<ff", 1.0, invalid_number)) is None
         with pytest.raises(ValueError, match="cannot be sent, expected a finite number"):
-            odrive.encode_floats(1.0, wrong)
+            odrive.encode_floats(1.0, invalid_number)
     assert odrive.encode_floats(odrive.MAX_FLOAT32, -odrive.MAX_FLOAT32)
     with pytest.raises(ValueError, match="cannot be sent"):
         odrive.encode_floats(math.nextafter(odrive.MAX_FLOAT32, math.inf))

@@ -77,11 +77,13 @@ def random_frame(
         data[0] ^= 1 << random_source.randrange(8)
     if change_kind == 6 and len(data) == 8:
         data[4 * random_source.randrange(2) :][:4] = b""
-        wrong = struct.pack("<f", random_source.choice((math.nan, math.inf, -math.inf, 3.4e38)))
+        wrong_float = struct.pack(
+            "<f", random_source.choice((math.nan, math.inf, -math.inf, 3.4e38))
+        )
         data = (
-            bytearray(wrong + bytes(data[-4:]))
+            bytearray(wrong_float + bytes(data[-4:]))
             if random_source.random() < 0.5
-            else bytearray(bytes(data[:4]) + wrong)
+            else bytearray(bytes(data[:4]) + wrong_float)
         )
     if change_kind > 7 and len(data) == 8:
         data[1 + random_source.randrange(7)] = random_source.randrange(256)
@@ -127,12 +129,12 @@ def test_compiled_code_and_state_machine_give_equal_results(variant_name: str, s
     for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
         wired_drives.begin_tick()
         for _ in range(chance.randrange(4)):
-            known = [*heard, *open_reply(drive, state)]
+            known_frames = [*heard, *open_reply(drive, state)]
             good = chance.random() < 0.7
             frame = (
-                chance.choice(known)._replace(t_ns=t_ns)
+                chance.choice(known_frames)._replace(t_ns=t_ns)
                 if good
-                else random_frame(chance, known, t_ns)
+                else random_frame(chance, known_frames, t_ns)
             )
             state = drive.receive(state, frame)
             wired_drives.receive([frame])
@@ -187,20 +189,20 @@ def test_compiled_code_reads_every_setting_again(name: str) -> None:
         recheck = readback.RecheckCursor(step=i % count, due_ns=t_ns)
         state = state_enabled_at(state, drive.node_id, t_ns)._replace(recheck=recheck)
         wired_drives.store_drive_state(0, state)
-        one = drive.rechecks[i % count]
+        checked_setting = drive.rechecks[i % count]
         sent = wired_drives.send(DriveTarget.ENABLE, [0.0], t_ns)
-        assert one.request in sent
+        assert checked_setting.request in sent
         waiting = wired_drives.drive_state(0)
         assert waiting.recheck == (i % count, t_ns + readback.RECHECK_PERIOD_NS, 1)
         wired_drives.begin_tick()
-        wired_drives.receive([one.reply._replace(t_ns=t_ns)])
+        wired_drives.receive([checked_setting.reply._replace(t_ns=t_ns)])
         assert not wired_drives.frames_for_drives
-        right = waiting.recheck._replace(step=(i + 1) % count, tries=0)
-        assert wired_drives.drive_state(0).recheck == right
+        expected_recheck = waiting.recheck._replace(step=(i + 1) % count, tries=0)
+        assert wired_drives.drive_state(0).recheck == expected_recheck
         wired_drives.store_drive_state(0, waiting)
-        bits = bytearray(one.reply.data)
-        bits[one.compared_bytes[1] - 1] ^= 1
-        wrong_reply = one.reply._replace(data=bytes(bits), t_ns=t_ns)
+        bits = bytearray(checked_setting.reply.data)
+        bits[checked_setting.compared_bytes[1] - 1] ^= 1
+        wrong_reply = checked_setting.reply._replace(data=bytes(bits), t_ns=t_ns)
         wired_drives.receive([wrong_reply])
         assert wired_drives.frames_for_drives == [wrong_reply]
         assert wired_drives.drive_state(0).phase == DrivePhase.FAULT

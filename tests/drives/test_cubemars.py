@@ -138,7 +138,9 @@ def test_the_help_names_the_motor_types_of_the_drives() -> None:
         "robstride": robstride_codec.MOTOR_MODEL_RANGES,
         "robstride_mit": mit_mode.MOTOR_MODEL_RANGES,
     }
-    listed = {name: one.motor_types for name, one in PROTOCOL_TRAITS.items() if one.motor_types}
+    listed = {
+        name: traits.motor_types for name, traits in PROTOCOL_TRAITS.items() if traits.motor_types
+    }
     assert listed == {name: tuple(models) for name, models in ranges.items()}
 
 
@@ -147,12 +149,14 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
 
     Some motors send the temperature without the offset of 40.
     """
-    for more, temperature in (
+    for more_options, temperature in (
         ({}, 45.0),
         ({"temperature_offset_C": 0}, 85.0),
         ({"temperature_offset_C": -40.0}, 45.0),
     ):
-        drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
+        drive = make_drive(
+            motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more_options), 0
+        )
         state = drive.receive(
             drive.initial_state(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0)))
         )
@@ -190,8 +194,8 @@ def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -
 
 
 def test_checks_that_need_a_reported_state_are_not_made() -> None:
-    place = VirtualBench("cubemars")
-    rig = drive_rig_on(place, "cubemars", 0.1)
+    virtual_bench = VirtualBench("cubemars")
+    rig = drive_rig_on(virtual_bench, "cubemars", 0.1)
     checks = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     assert [check for check in checks if check.verdict is CheckVerdict.FAILED] == []
     settings, dead_host, cut = (
@@ -203,15 +207,15 @@ def test_checks_that_need_a_reported_state_are_not_made() -> None:
     assert cut.name == "is cut at once, and cleared on command only"
     assert "has no report of the drive's state" in cut.reason
     assert rig.confirm_disabled(0.05)
-    assert place.bench.motors[0].servo.torque == 0.0
+    assert virtual_bench.bench.motors[0].servo.torque == 0.0
 
 
 def test_a_motor_that_does_not_disable_is_detected() -> None:
-    place = VirtualBench("cubemars", "deaf")
-    rig = drive_rig_on(place, "cubemars", 0.5)
+    virtual_bench = VirtualBench("cubemars", "deaf")
+    rig = drive_rig_on(virtual_bench, "cubemars", 0.5)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
-    place.bench.motors[0].servo.kd = 1.0
-    place.bench.motors[0].omega = 8.0
+    virtual_bench.bench.motors[0].servo.kd = 1.0
+    virtual_bench.bench.motors[0].omega = 8.0
     rig.run_until(DriveTarget.DISABLE, lambda state: False, 0.02)
     assert rig.state.phase == DrivePhase.ENABLED
 

@@ -75,7 +75,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     dbc, hand = exported_dbc(bench.hand), bench.hand
     bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    wired_drives, seen = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
+    wired_drives, message_counts = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
     for i, state in enumerate(bench.states):
         wired_drives.store_drive_state(i, state)
     owners = {
@@ -97,7 +97,7 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
                     wired_drives, owners[frame.can_id][1], owners[frame.can_id][0]
                 ).items():
                     assert decoded_signals[name] == pytest.approx(value, abs=1e-9), (name, frame)
-                    seen[name] += 1
+                    message_counts[name] += 1
             if frame.can_id in bench.sensor_node.node_ids:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)
                 decoded_signals.pop("counter")
@@ -106,12 +106,12 @@ def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
                 assert decoded_signals == pytest.approx(
                     {name: names[name] for name in decoded_signals}, abs=1e-9
                 )
-                seen["sensors"] += 1
-        seen["torques"] += sum(
+                message_counts["sensors"] += 1
+        message_counts["torques"] += sum(
             is_torque_command(dbc, frame, bench, torque) for frame in bench.sent_frames
         )
-    assert min(seen[name] for name in ("position", "sensors")) >= EXCHANGED_TICKS // 4
-    assert seen["torques"] == (
+    assert min(message_counts[name] for name in ("position", "sensors")) >= EXCHANGED_TICKS // 4
+    assert message_counts["torques"] == (
         0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * EXCHANGED_TICKS
     )
 
@@ -129,10 +129,10 @@ def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque:
             is_command_frame = message.can_id == frame.can_id and message.length == len(frame.data)
             # A frame that writes a setting may have the identifier and the length of a torque
             # command. Only the first bytes tell the two apart.
-            first = min((signal.start for signal in message.signals), default=0) // 8
+            first_signal_byte = min((signal.start for signal in message.signals), default=0) // 8
             is_big_endian = any(signal.is_big_endian for signal in message.signals)
             is_command_frame = is_command_frame and (
-                is_big_endian or frame.data[:first] == message.base[:first]
+                is_big_endian or frame.data[:first_signal_byte] == message.base[:first_signal_byte]
             )
             if is_command_frame and signals and message.can_id not in drive.node_ids:
                 decoded_signals = dbc.decode_message(frame.can_id, frame.data)

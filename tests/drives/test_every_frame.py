@@ -44,10 +44,12 @@ def extended_ids(bench: ProtocolBench, random_source: random.Random) -> set[int]
     Each identifier also appears with one bit changed.
     """
     ours = sorted(
-        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
+        identifier
+        for identifier in bench.drives[0].node_ids | bench.drives[0].host_ids
+        if identifier & EXTENDED_FLAG
     )
     near_identifiers = random_source.sample(ours, min(len(ours), 4))
-    changed = {one ^ 1 << bit for one in near_identifiers for bit in range(29)}
+    changed = {identifier ^ 1 << bit for identifier in near_identifiers for bit in range(29)}
     return {
         *near_identifiers,
         *changed,
@@ -80,13 +82,13 @@ def silent_ready_and_enabled_states(bench: ProtocolBench) -> list[DriveState]:
 def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
     bench: ProtocolBench, state_index: int
 ) -> None:
-    drive, before = bench.drives[0], silent_ready_and_enabled_states(bench)[state_index]
+    drive, state_before = bench.drives[0], silent_ready_and_enabled_states(bench)[state_index]
     receive, own_node_ids, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
     for frame in frames_of_all_kinds(bench, state_index, t_ns):
-        state_after = receive(before, frame)
+        state_after = receive(state_before, frame)
         if frame.can_id not in own_node_ids:
-            assert state_after is before, frame
-        elif state_after is not before:
+            assert state_after is state_before, frame
+        elif state_after is not state_before:
             drive.advance(state_after, t_ns, DriveTarget.DISABLE, 0.0)
 
 

@@ -95,15 +95,15 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(
         virtual_bench.bench.nodes[0].parameters[guarded_setting] = b"\x03\0\0\0"
     rig = drive_rig_on(virtual_bench, protocol, 0.5)
     keep_setting(virtual_bench, guarded_setting)
-    seen = set()
+    reached_phases = set()
 
     def record_state(state):
-        seen.add(state.phase)
+        reached_phases.add(state.phase)
         return False
 
     rig.run_until(DriveTarget.ENABLE, record_state, 3.0)
-    assert DrivePhase.FAULT in seen
-    assert DrivePhase.ENABLED not in seen
+    assert DrivePhase.FAULT in reached_phases
+    assert DrivePhase.ENABLED not in reached_phases
     assert setting_name in rig.state.error_text
     assert virtual_bench.largest_torque == 0.0
 

@@ -107,8 +107,8 @@ def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float
 
 @given(torques_in_range, torques_in_range)
 def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque: float) -> None:
-    less, more = sorted((first_torque, second_torque))
-    assert COMMAND_TABLE.pack(less) <= COMMAND_TABLE.pack(more)
+    smaller_torque, larger_torque = sorted((first_torque, second_torque))
+    assert COMMAND_TABLE.pack(smaller_torque) <= COMMAND_TABLE.pack(larger_torque)
 
 
 @given(

@@ -35,8 +35,10 @@ def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None
     rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.is_silent = True
     rig.tick(DriveTarget.DISABLE)
-    old = Frame(0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1)
-    rig.state = rig.drive.receive(rig.state, old)
+    old_frame = Frame(
+        0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1
+    )
+    rig.state = rig.drive.receive(rig.state, old_frame)
     assert rig.state.phase == DrivePhase.ENABLED
 
 
@@ -150,11 +152,11 @@ def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> No
 
 
 def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
-    right = Frame(0x11, bytes([1, 0, 0x33, 10, 1, 0, 0, 0]), 0, 0, rig.t_ns)
+    register_reply = Frame(0x11, bytes([1, 0, 0x33, 10, 1, 0, 0, 0]), 0, 0, rig.t_ns)
     feedback = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns)
     rig.state = rig.drive.receive(rig.state, feedback)
     assert rig.state.phase == DrivePhase.CONFIGURING
-    assert rig.drive.receive(rig.state, right).private == rig.state.private
+    assert rig.drive.receive(rig.state, register_reply).private == rig.state.private
 
 
 def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:
@@ -168,9 +170,9 @@ def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: 
 
 def test_an_old_reply_after_enable_does_not_cancel_the_command(rig: MotorRig) -> None:
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
-    old = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns - 1)
+    old_reply = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns - 1)
     rig.tick(DriveTarget.ENABLE)
-    rig.pending_replies = [old]
+    rig.pending_replies = [old_reply]
     assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
 
 

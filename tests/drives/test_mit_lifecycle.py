@@ -47,11 +47,11 @@ def test_a_wrong_register_is_written_once_and_read_back(
     rig: MotorRig, register_number: int
 ) -> None:
     rig.motor.registers[9] = 1000
-    right = rig.motor.registers[register_number]
+    correct_value = rig.motor.registers[register_number]
     rig.motor.registers[register_number] = 3
     rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert rig.motor.written_registers == [register_number]
-    assert rig.motor.registers[register_number] == pytest.approx(right, rel=1e-6)
+    assert rig.motor.registers[register_number] == pytest.approx(correct_value, rel=1e-6)
 
 
 @pytest.mark.parametrize(

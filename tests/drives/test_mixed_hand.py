@@ -185,19 +185,19 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
     text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page, re.DOTALL)
     assert text
     pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
-    assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [
+    assert [(int(first_id, 16), int(last_id, 16)) for first_id, last_id in pairs] == [
         (a[0], a[-1]) for a in UNSHARED_NODE_NUMBERS
     ]
     options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
-    others = [("sensor", make_sensors(load_hand("jamia11")))]
+    other_nodes = [("sensor", make_sensors(load_hand("jamia11")))]
     canopen = [
         make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)
     ]
     for node in (number for numbers in UNSHARED_NODE_NUMBERS for number in numbers):
         drive = make_drive(motor_on_bench("odrive", node, 0.8, {}), 0)
-        check_identifiers([*others, ("odrive", drive)])
-        for other in canopen:
-            check_identifiers([("odrive", drive), ("cia402", other)])
+        check_identifiers([*other_nodes, ("odrive", drive)])
+        for canopen_drive in canopen:
+            check_identifiers([("odrive", drive), ("cia402", canopen_drive)])
     with pytest.raises(ConfigError, match="has two meanings"):
         check_identifiers(
             [

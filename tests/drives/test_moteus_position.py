@@ -44,8 +44,14 @@ NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo
 
 def drive_with_loop(**option_changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
-    given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | option_changes
-    return MoteusDrive.from_motor(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **given), 0)
+    motor_options = {
+        "control": "position",
+        "kp_N_m_per_rad": KP,
+        "kd_N_m_s_per_rad": KD,
+    } | option_changes
+    return MoteusDrive.from_motor(
+        motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **motor_options), 0
+    )
 
 
 def armed_rig(virtual_bench: VirtualBench) -> DriveRig:
@@ -110,8 +116,8 @@ def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -
 @pytest.mark.parametrize("setting_name", [*GAIN_BY_ITEM, *NAN_ITEMS])
 def test_a_setting_that_does_not_read_back_keeps_the_drive_off(setting_name: str) -> None:
     virtual_bench = VirtualBench("moteus")
-    items = node_of(virtual_bench).channel.items
-    items[setting_name] = 3.0
+    setting_values = node_of(virtual_bench).channel.items
+    setting_values[setting_name] = 3.0
     keep_setting(virtual_bench, setting_name)
     rig = armed_rig(virtual_bench)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
@@ -141,11 +147,11 @@ def test_a_restart_is_found_by_two_reads() -> None:
 
     After a restart of the drive, at least one of two consecutive settings has a wrong value.
     """
-    items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
-    for item, two in zip(items, items[1:] + items[:1], strict=True):
+    settings = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
+    for first_setting, second_setting in zip(settings, settings[1:] + settings[:1], strict=True):
         assert not all(
             setting.is_required_value(FACTORY_CONFIGURATION[setting.name])
-            for setting in (item, two)
+            for setting in (first_setting, second_setting)
         )
 
 
@@ -203,12 +209,12 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
-    first, count = cyclic_frames.encode_commands(
+    first_drive, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
         tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
         tables.servo_signal_reals, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip
-    assert first == len(torque)
+    assert first_drive == len(torque)
     return [frame.data for frame in Frames.from_rows(out[:count])]
 
 
@@ -234,7 +240,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
-        found = {(mark.id, mark.instance) for mark in hand_run.state.latched}
-        assert found
-        assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}
+        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        assert latched_faults
+        assert latched_faults <= {("N12", motor), ("N14", motor), ("N17", motor)}
         assert max(hand_run.simulated_hand.truth()["tension"]) < 60.0

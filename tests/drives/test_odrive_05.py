@@ -28,9 +28,9 @@ def test_odrive_05_with_watchdog_passes_all_checks_except_the_readback():
     virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD_FIRMWARE)
     rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
     results = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
-    (other,) = (check for check in results if check.verdict is not CheckVerdict.PASSED)
-    assert other.verdict is CheckVerdict.NOT_CHECKED
-    assert other.name == "identifies itself, takes its settings and reads them back"
+    (unpassed_check,) = (check for check in results if check.verdict is not CheckVerdict.PASSED)
+    assert unpassed_check.verdict is CheckVerdict.NOT_CHECKED
+    assert unpassed_check.name == "identifies itself, takes its settings and reads them back"
     assert len(rig.drive.unverified_protections) == 2
     assert 0.0 < virtual_bench.largest_torque <= 0.1001
 
@@ -72,13 +72,17 @@ def test_odrive_05_is_not_asked_for_missing_messages():
 def test_a_scan_names_odrive_05():
     virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
 
-    def advance_and_receive(bus, duration_s, seen):
+    def advance_and_receive(bus, duration_s, seen_frames):
         bus.bench.advance(bus.bench.t_ns + round(duration_s * 1e9))
-        seen += bus.drain()
+        seen_frames += bus.drain()
 
-    (found,) = scan_bus(virtual_bench, listen_function=advance_and_receive).found_nodes
-    assert (found.protocol, found.node_id, found.options) == ("odrive", DRIVE_NODE_ID, OLD_FIRMWARE)
-    assert "0.5" in found.notes[0]
+    (found_node,) = scan_bus(virtual_bench, listen_function=advance_and_receive).found_nodes
+    assert (found_node.protocol, found_node.node_id, found_node.options) == (
+        "odrive",
+        DRIVE_NODE_ID,
+        OLD_FIRMWARE,
+    )
+    assert "0.5" in found_node.notes[0]
 
 
 @pytest.mark.parametrize(

@@ -49,8 +49,8 @@ ENDPOINT_BY_PATH = {
 @pytest.fixture(scope="module")
 def odrive_script_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the scripts."""
-    if given := os.environ.get("HANDCTL_ODRIVE_SCRIPTS"):
-        return Path(given)
+    if folder_name := os.environ.get("HANDCTL_ODRIVE_SCRIPTS"):
+        return Path(folder_name)
     folder = tmp_path_factory.mktemp("scripts")
     for name in SCRIPT_NAMES:
         try:

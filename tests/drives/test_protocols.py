@@ -152,8 +152,11 @@ def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: D
             if can_id not in drive.node_ids:
                 assert state_after is known_state
             drive.advance(state_after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
-            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED_FLAG)):
-                assert drive.receive(known_state, other) is known_state
+            for other_frame in (
+                frame._replace(bus=1),
+                frame._replace(can_id=can_id | EXTENDED_FLAG),
+            ):
+                assert drive.receive(known_state, other_frame) is known_state
             assert (
                 drive.receive(known_state, frame._replace(can_id=can_id | REMOTE_FLAG))
                 is known_state

@@ -93,7 +93,7 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
 
     Therefore handctl sends this frame only while the motor is disabled.
     """
-    seen = []
+    fault_requests = []
     for target, phase in (
         (DriveTarget.ENABLE, DrivePhase.ENABLED),
         (DriveTarget.DISABLE, DrivePhase.READY),
@@ -102,13 +102,13 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> 
             phases_before = [state.phase for state in bench.states]
             bench.tick(target)
             read_requests = [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
-            seen += read_requests
+            fault_requests += read_requests
             assert not read_requests or DrivePhase.ENABLED not in phases_before
         assert {state.phase for state in bench.states} == {phase}
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
-        seen += [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
-    assert seen
+        fault_requests += [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
+    assert fault_requests
 
 
 def test_feedback_at_the_freezing_point_is_no_fault() -> None:
@@ -152,13 +152,13 @@ def test_no_numbers_share_an_identifier() -> None:
 
 
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
-    place = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
-    rig = drive_rig_on(place, "robstride_mit", 0.5)
+    virtual_bench = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
+    rig = drive_rig_on(virtual_bench, "robstride_mit", 0.5)
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     rig.run_tick(DriveTarget.ENABLE, 0.1)
-    assert place.bench.motors[0].servo.torque != 0.0
-    place.advance_time(0.2)
-    assert place.bench.motors[0].servo.torque == 0.0
+    assert virtual_bench.bench.motors[0].servo.torque != 0.0
+    virtual_bench.advance_time(0.2)
+    assert virtual_bench.bench.motors[0].servo.torque == 0.0
 
 
 def test_numbers_and_protocol_change_by_special_commands() -> None:
@@ -166,8 +166,8 @@ def test_numbers_and_protocol_change_by_special_commands() -> None:
 
     The drives of handctl send none of these commands.
     """
-    place = VirtualBench("robstride_mit")
-    node = place.bench.nodes[0]
+    virtual_bench = VirtualBench("robstride_mit")
+    node = virtual_bench.bench.nodes[0]
     assert isinstance(node, RobstrideMitNode)
     for area, code in ((0x33, 0xFA), (0xFD, 0x44), (0x00, 0xFD)):
         (answer,) = node.receive(SimFrame(node.node_id, b"\xff" * 6 + bytes((area, code))), 0) or []

@@ -71,12 +71,16 @@ def encode_frames(
     """
     frames = []
     for group in range(math.ceil(len(sensor_values) / 5)):
-        part = sensor_values[5 * group : 5 * group + 5]
+        frame_values = sensor_values[5 * group : 5 * group + 5]
         message = SENSOR_NODE_DBC.get_message_by_frame_id(first_id + group)
         signals: dict[str, float] = {f"{message_prefix}_{5 * group + i}": 0 for i in range(5)}
-        signals |= {f"{message_prefix}_{5 * group + i}": value for i, value in enumerate(part)}
+        signals |= {
+            f"{message_prefix}_{5 * group + i}": value for i, value in enumerate(frame_values)
+        }
         data = message.encode({**signals, "counter": sync_counter}, scaling=False)
-        frames.append(Frame(first_id + group, data[: (4 + 12 * len(part) + 7) // 8], t_ns=t_ns))
+        frames.append(
+            Frame(first_id + group, data[: (4 + 12 * len(frame_values) + 7) // 8], t_ns=t_ns)
+        )
     return frames
 
 
@@ -87,9 +91,11 @@ def tick_with_counter_nibble(node: SensorNode, counter_nibble: int) -> int:
 
 @pytest.mark.parametrize("joint_decimation", [1, 2, 3, 4, 5, 7, 8, 12, 16, 100, 256])
 def test_counters_keep_the_turn_of_the_joints(joint_decimation: int) -> None:
-    made = sync_counters(joint_decimation)
-    assert len(made) % joint_decimation == 0
-    assert all(counter % joint_decimation == k % joint_decimation for k, counter in enumerate(made))
+    counters = sync_counters(joint_decimation)
+    assert len(counters) % joint_decimation == 0
+    assert all(
+        counter % joint_decimation == k % joint_decimation for k, counter in enumerate(counters)
+    )
 
 
 @pytest.mark.parametrize("joint_decimation", [1, 2, 3, 4, 5, 6, 7])
@@ -228,11 +234,11 @@ def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
 
 def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
     wired_drives = state_after_sync(node, tick_with_counter_nibble(node, 1))
-    first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNEL_COUNT))
-    assert list(wired_drives.receive([second]).tensions) == [5, 6, 7, 8, 9]
+    first_frame, second_frame, _ = encode_frames(0x1A0, "tension", 1, range(CHANNEL_COUNT))
+    assert list(wired_drives.receive([second_frame]).tensions) == [5, 6, 7, 8, 9]
     wired_drives.begin_tick()
     assert wired_drives.tensions == {}
-    assert list(wired_drives.receive([first]).tensions) == [0, 1, 2, 3, 4]
+    assert list(wired_drives.receive([first_frame]).tensions) == [0, 1, 2, 3, 4]
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
@@ -246,8 +252,8 @@ def test_times_are_in_the_order_of_the_hand() -> None:
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
     assert wired_drives.field_view("group_ns").tolist() == [-1] * 5
-    first, second = encode_frames(0x1A0, "tension", 0, [0] * 6)
-    wired_drives.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
+    first_frame, second_frame = encode_frames(0x1A0, "tension", 0, [0] * 6)
+    wired_drives.receive([first_frame._replace(t_ns=10), second_frame._replace(t_ns=20)])
     assert [int(wired_drives.field_view("group_ns")[group]) for group in groups[:6]] == [
         10,
         10,
@@ -283,21 +289,25 @@ def without_unknown_counters(wired_drives: WiredDrives) -> bytes:
 def test_any_sensor_frame_is_survived(can_id: int, frame_flags: int, data: bytes, bus: int) -> None:
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired_drives = state_after_sync(node, 5)
-    state_before, here = (
+    state_before, is_sensor_frame = (
         without_unknown_counters(wired_drives),
         bus == 0 and can_id in node.node_ids,
     )
     wired_drives.receive([Frame(can_id | frame_flags, data, bus=bus)])
-    if frame_flags or not here:
+    if frame_flags or not is_sensor_frame:
         assert without_unknown_counters(wired_drives) == state_before
     assert len(wired_drives.foreign_frames) == (
         bus == 0 and not frame_flags and can_id in node.host_ids
     )
     assert wired_drives.field_number("strange") == (
-        not wired_drives.foreign_frames and not (here and frame_flags in (0, ERROR_FLAG))
+        not wired_drives.foreign_frames and not (is_sensor_frame and frame_flags in (0, ERROR_FLAG))
     )
-    fits = here and frame_flags == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired_drives.has_malformed_frame == (here and frame_flags != ERROR_FLAG and not fits)
+    fits = (
+        is_sensor_frame and frame_flags == 0 and len(data) == node.lengths[node.ids.index(can_id)]
+    )
+    assert wired_drives.has_malformed_frame == (
+        is_sensor_frame and frame_flags != ERROR_FLAG and not fits
+    )
 
 
 @pytest.mark.parametrize("frame_length", [0, 1, 7, 9, 64])
@@ -409,8 +419,12 @@ def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: Se
     wired_drives = WiredDrives((), node)
     counter = wired_drives.begin_tick_with_sync(1).data[0] & 0xF
     assert [node.group_of_joint(j) for j in range(CHANNEL_COUNT)] == [3] * 5 + [4] * 5 + [5]
-    first, second, _ = encode_frames(0x1B0, "joint", counter, range(CHANNEL_COUNT), t_ns=30)
-    assert wired_drives.receive([second._replace(t_ns=20)]).field_view("group_ns")[3:].tolist() == [
+    first_frame, second_frame, _ = encode_frames(
+        0x1B0, "joint", counter, range(CHANNEL_COUNT), t_ns=30
+    )
+    assert wired_drives.receive([second_frame._replace(t_ns=20)]).field_view("group_ns")[
+        3:
+    ].tolist() == [
         -1,
         20,
         -1,
@@ -419,7 +433,7 @@ def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: Se
     assert wired_drives.field_view("group_ns")[3:].tolist() == [-1, 20, -1], (
         "load cells are no joints"
     )
-    assert wired_drives.receive([first]).field_view("group_ns")[3:].tolist() == [30, 20, -1]
+    assert wired_drives.receive([first_frame]).field_view("group_ns")[3:].tolist() == [30, 20, -1]
 
 
 def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:

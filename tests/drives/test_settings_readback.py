@@ -38,8 +38,8 @@ def test_wrong_setting_is_written_and_read_again(lost_writes: int) -> None:
         assert cursor == ReadbackCursor(2, written=number + 1)
         cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send
-    after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
-    assert after == cursor
+    cursor_after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", lost_writes)
+    assert cursor_after == cursor
     assert problem == f"limit reads 3{' after writing' if lost_writes else ''}, expected 4"
 
 

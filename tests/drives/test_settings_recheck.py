@@ -146,6 +146,6 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
-        found = {(mark.id, mark.instance) for mark in hand_run.state.latched}
-        assert found <= {("N12", motor), ("N14", motor)}
-        assert found
+        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        assert latched_faults <= {("N12", motor), ("N14", motor)}
+        assert latched_faults

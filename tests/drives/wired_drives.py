@@ -107,40 +107,40 @@ class WiredDrives:
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
         """Return the frames that a tick sends to the drives for a requested state and given torques."""
         self.field_view("t_ns")[...] = t_ns
-        tables, sent, first = self.tables, list[Frame](), 0
+        tables, sent, first_drive = self.tables, list[Frame](), 0
         while True:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
-                first, count = cyclic_frames.encode_commands(
+                first_drive, count = cyclic_frames.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.command_signal_integers,
                     tables.command_signal_reals, tables.templates, np.asarray(torque, dtype=np.float64),
                     tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
-                    tables.recheck_ranges, tables.rechecks, first, 0,
+                    tables.recheck_ranges, tables.rechecks, first_drive, 0,
                 )  # fmt: skip
                 sent += Frames.from_rows(out[:count])
-            if first >= len(self.drives):
+            if first_drive >= len(self.drives):
                 return sent
-            state, frames = self.drives[first].advance(
-                self.drive_state(first), t_ns, target, torque[first]
+            state, frames = self.drives[first_drive].advance(
+                self.drive_state(first_drive), t_ns, target, torque[first_drive]
             )
-            self.store_drive_state(first, state)
+            self.store_drive_state(first_drive, state)
             sent += frames
-            first += 1
+            first_drive += 1
 
     def store_drive_state(self, drive_index: int, drive_state: DriveState) -> None:
         """Store the state of drive i. The values of the drive go into the state block."""
-        drive, whole, table = (
+        drive, integers, table = (
             self.drives[drive_index],
             *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
         )
         table[s.POSITION : s.POSITION + 4, drive_index] = drive_state[1:5]
-        whole[s.FEEDBACK_COUNT, drive_index], whole[s.FEEDBACK_NS, drive_index] = (
+        integers[s.FEEDBACK_COUNT, drive_index], integers[s.FEEDBACK_NS, drive_index] = (
             drive_state.feedback_count,
             drive_state.feedback_t_ns,
         )
-        whole[s.RECHECK_STEP : s.RECHECK_TRIES + 1, drive_index] = drive_state.recheck
-        whole[s.PHASE, drive_index] = drive_state.phase
-        whole[s.STATUS_EXPECTED, drive_index], whole[s.DRIVE_DUE_NS, drive_index] = (
+        integers[s.RECHECK_STEP : s.RECHECK_TRIES + 1, drive_index] = drive_state.recheck
+        integers[s.PHASE, drive_index] = drive_state.phase
+        integers[s.STATUS_EXPECTED, drive_index], integers[s.DRIVE_DUE_NS, drive_index] = (
             drive.steady_status(drive_state),
             drive.due_ns(drive_state),
         )
@@ -148,8 +148,8 @@ class WiredDrives:
 
     def drive_state(self, drive_index: int) -> DriveState:
         """Return the state of drive i with its values from the block."""
-        table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
-        return self.states[drive_index].with_values(*drive_values(table, whole, drive_index))
+        table, integers = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
+        return self.states[drive_index].with_values(*drive_values(table, integers, drive_index))
 
     # Readings that the sensor node has sent.
 

@@ -249,8 +249,10 @@ def test_train_policy_begins():
     assert len(out) == 1
     check_picture("training.png")
     picture = imread("training.png")[..., :3]
-    left = picture[:, : picture.shape[1] // 3]
-    assert (np.abs(left - LINE_BLUE_RGB).max(axis=-1) < 0.02).any(), "a single reward is visible"
+    left_third = picture[:, : picture.shape[1] // 3]
+    assert (np.abs(left_third - LINE_BLUE_RGB).max(axis=-1) < 0.02).any(), (
+        "a single reward is visible"
+    )
 
 
 @pytest.mark.nightly

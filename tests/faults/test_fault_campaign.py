@@ -68,10 +68,10 @@ def test_only_existing_load_cells_fail():
     """
     for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
-        found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
+        scenarios = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
         texts = [
             text
-            for result in found
+            for result in scenarios
             for text in (result.fault, result.second_fault)
             if "cell=" in text
         ]
@@ -80,10 +80,10 @@ def test_only_existing_load_cells_fail():
 
 
 def test_every_scenario_takes_effect_and_is_answered_in_time(campaign_report):
-    wrong = [
+    failed_results = [
         (result.scenario, result.problem) for result in campaign_report.all_results if not result.ok
     ]
-    assert wrong == []
+    assert failed_results == []
     assert {result.id for result in campaign_report.all_results} == set(SAMPLED_FAULTS)
     assert all(result.effects for result in campaign_report.all_results)
 
@@ -219,7 +219,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
             simulation,
             todo,
             2,
-            lambda simulation, one: run_scenario(simulation, one, "mit"),
+            lambda simulation, scenario: run_scenario(simulation, scenario, "mit"),
             results.append,
             lambda simulation, result: stored_log.touch(),
         )
@@ -277,15 +277,15 @@ def test_silent_joint_encoders_are_detected(joint):
     tendon left its pulley).
     """
     every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
-    for frames, found in ((3, ""), (4, f"N02b {joint}")):
+    for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
         row = MatrixRow("N02", fault, SafetyAction.RELAX, 4 * every, accepted_faults=("N02",))
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
             advance_to_stage(simulation, ARMING_STAGE)
             advance_to_stage(simulation, FREE_STAGE)
             result = run_scenario(simulation, FaultScenario(row, fault, FREE_STAGE), "mit")
-        assert (result.effects, result.detected_by) == (frames, found)
-        assert result.ok == bool(found), result.problem
+        assert (result.effects, result.detected_by) == (frames, detected_fault)
+        assert result.ok == bool(detected_fault), result.problem
 
 
 def results_of_hand(
@@ -310,7 +310,7 @@ def results_of_hand(
                 simulation,
                 todo,
                 1,
-                lambda simulation, one: run_scenario(simulation, one, protocol),
+                lambda simulation, case: run_scenario(simulation, case, protocol),
                 results.append,
                 lambda simulation, result: None,
             )
@@ -427,8 +427,8 @@ def test_only_missing_sensors_extend_a_time_limit():
         ("orca_like", True),
     ):
         hand = hand_with_protocol(name, "mit")
-        one = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
-        assert any(scenario.missing_sensor_ticks for scenario in one) == some
+        scenarios = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
+        assert any(scenario.missing_sensor_ticks for scenario in scenarios) == some
 
 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():
@@ -613,10 +613,12 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
     failed_checks = {
         result.scenario: result.problem for result in report.all_results if not result.ok
     }
-    known = KNOWN_FAILURES.get((hand, protocol), set())
-    assert {name: why for name, why in failed_checks.items() if name not in known} == {}
+    known_failures = KNOWN_FAILURES.get((hand, protocol), set())
+    assert {name: why for name, why in failed_checks.items() if name not in known_failures} == {}
     # A known failure that passes must be removed from the list.
-    assert known & {result.scenario for result in report.all_results} <= failed_checks.keys()
+    assert (
+        known_failures & {result.scenario for result in report.all_results} <= failed_checks.keys()
+    )
     assert report.false_alarms == {protocol: []}
 
 
@@ -628,10 +630,11 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
-    wrong: list[ScenarioResult] = []
+    failed_results: list[ScenarioResult] = []
     report = campaign.run_campaign(
         hand, [protocol], default_control_rate, jobs=2, is_quick=False, fault_free_s=600.0,
-        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
+        on_progress=lambda protocol, done, total: None,
+        on_failure=lambda simulation, result: failed_results.append(result),
     )  # fmt: skip
     assert [
         (result.scenario, result.problem) for result in report.all_results if not result.ok

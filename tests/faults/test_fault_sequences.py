@@ -66,9 +66,9 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
     simulated_hand = load_hand(str(path))
     drawn_sequences = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
     assert drawn_sequences == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
-    assert {one.stage for one in drawn_sequences} == set(RUN_STAGES)
-    assert len({one.steps for one in drawn_sequences}) == len(drawn_sequences)
-    for step in [step for one in drawn_sequences for step in one.steps]:
+    assert {sequence.stage for sequence in drawn_sequences} == set(RUN_STAGES)
+    assert len({sequence.steps for sequence in drawn_sequences}) == len(drawn_sequences)
+    for step in [step for sequence in drawn_sequences for step in sequence.steps]:
         assert 0 <= step.tick < SEQUENCE_TICKS
         if not step.fault.startswith(HOST_PREFIX):
             parse_fault(step.fault, simulated_hand)
@@ -109,18 +109,20 @@ def test_violated_rule_of_a_tick_is_found(copy_of_arming_simulation):
     state_before = copy_of_arming_simulation.state.copy()
     state_before.mode = HandMode.RELAX
     state_before.decide(latched=(LatchedFault("T03", "index_tendon"),))
-    after = state_before.copy()
-    after.view("setpoint")[...] += 1.0
-    assert violations_in_tick(state_before, after, is_cleared=False) == [
+    state_after = state_before.copy()
+    state_after.view("setpoint")[...] += 1.0
+    assert violations_in_tick(state_before, state_after, is_cleared=False) == [
         "a setpoint rises while the hand relaxes"
     ]
-    gone = state_before.copy()
-    gone.decide(latched=())
-    assert violations_in_tick(state_before, gone, is_cleared=False) == ["no longer latched: T03"]
-    assert violations_in_tick(state_before, gone, is_cleared=True) == []
-    back = state_before.copy()
-    back.mode = HandMode.ACTIVE
-    assert violations_in_tick(state_before, back, is_cleared=False) == [
+    state_without_fault = state_before.copy()
+    state_without_fault.decide(latched=())
+    assert violations_in_tick(state_before, state_without_fault, is_cleared=False) == [
+        "no longer latched: T03"
+    ]
+    assert violations_in_tick(state_before, state_without_fault, is_cleared=True) == []
+    active_state = state_before.copy()
+    active_state.mode = HandMode.ACTIVE
+    assert violations_in_tick(state_before, active_state, is_cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
 
@@ -141,14 +143,14 @@ def test_violated_rule_at_the_end_is_found(copy_of_arming_simulation):
 
 def test_a_tick_with_another_result_is_found(copy_of_arming_simulation):
     start = copy_of_arming_simulation.state
-    first = len(copy_of_arming_simulation.recorded_ticks)
+    first_tick_index = len(copy_of_arming_simulation.recorded_ticks)
     for _ in range(5):
         copy_of_arming_simulation.run_tick()
-    assert violations_on_replay(copy_of_arming_simulation, start, first) == []
+    assert violations_on_replay(copy_of_arming_simulation, start, first_tick_index) == []
     other_start = start.copy()
     other_start.goal_time += 1e-9
-    assert violations_on_replay(copy_of_arming_simulation, other_start, first) == [
-        f"tick {copy_of_arming_simulation.recorded_ticks[first][0].k} does not repeat with the same inputs"
+    assert violations_on_replay(copy_of_arming_simulation, other_start, first_tick_index) == [
+        f"tick {copy_of_arming_simulation.recorded_ticks[first_tick_index][0].k} does not repeat with the same inputs"
     ]
 
 

@@ -139,9 +139,10 @@ def check_relaxing(
         commanded.append(simulation.state.view("asked").copy())
     decision_state = recent[-2]
     force_before = np.nanmax(
-        [*(one.force for one in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]], axis=0
+        [*(sample.force for sample in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]],
+        axis=0,
     )
-    last = simulation.state.view("asked").copy()
+    last_command = simulation.state.view("asked").copy()
     peak = decision_state.tension
     force = force_before
     for _ in range(2000):
@@ -151,9 +152,9 @@ def check_relaxing(
         simulation.run_tick()
         command = simulation.state.view("asked").copy()
         if simulation.state.mode == mode == HandMode.RELAX:
-            is_command_rising = command > np.maximum(last, 0.0)
-            assert not is_command_rising.any(), f"{fault_command}: {command} after {last}"
-        last = command
+            is_command_rising = command > np.maximum(last_command, 0.0)
+            assert not is_command_rising.any(), f"{fault_command}: {command} after {last_command}"
+        last_command = command
         now = observe_instant(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
@@ -192,11 +193,11 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
-        found = {mark.id for mark in simulation.state.latched}
+        latched_ids = {mark.id for mark in simulation.state.latched}
         # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
         # tendon slack (T01).
-        assert found & {"T04b", "T03", "T01"}
-        if "T04b" in found:
+        assert latched_ids & {"T04b", "T03", "T01"}
+        if "T04b" in latched_ids:
             table, model = simulation.state.tendon, simulation.controller.model
             explained = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
             assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()

@@ -419,8 +419,8 @@ def test_a_command_of_another_mode_is_answered_without_effect(control_mode: int)
         3: Frame(0x202, struct.pack("<f", 3.0)),
         4: Frame(0x302, struct.pack("<fHH", 3.0, 1000, 10_000)),
     }
-    for other, frame in commands.items():
-        if other != control_mode:
+    for other_mode, frame in commands.items():
+        if other_mode != control_mode:
             (reply,) = bench.receive(frame)
             assert reply.data[0] >> 4 == 1
     bench.advance(100 * NS_PER_MS)
@@ -534,12 +534,12 @@ def test_a_cia402_drive_tells_its_name_in_segments() -> None:
     head = sdo_reply(bench, b"\x40\x08\x10\0" + bytes(4))
     text, toggle = b"", 0
     while len(text) < int.from_bytes(head[4:], "little"):
-        part = sdo_reply(bench, bytes((0x60 | toggle << 4,)) + bytes(7))
-        assert part[0] >> 4 & 1 == toggle
-        text += part[1 : 8 - (part[0] >> 1 & 7)]
+        segment = sdo_reply(bench, bytes((0x60 | toggle << 4,)) + bytes(7))
+        assert segment[0] >> 4 & 1 == toggle
+        text += segment[1 : 8 - (segment[0] >> 1 & 7)]
         toggle ^= 1
     assert text == b"firmware_sim CiA 402 drive"
-    assert part[0] & 1, "the last segment is marked"
+    assert segment[0] & 1, "the last segment is marked"
     assert sdo_reply(bench, b"\x60" + bytes(7))[0] == 0x80
 
 

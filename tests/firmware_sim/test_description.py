@@ -91,15 +91,15 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
     This motor replies on the second bus, and ignores frames on the first bus.
     """
-    first = write_edited_jamia(
+    first_file = write_edited_jamia(
         tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]'
     )
-    text = Path(first).read_text()
+    text = Path(first_file).read_text()
     head, _, tail = text.partition('name = "index_motor"')
-    Path(first).write_text(
+    Path(first_file).write_text(
         head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1)
     )
-    rig = LockstepHand(first)
+    rig = LockstepHand(first_file)
     zero = bytes.fromhex("7fff7ff0000007ff")
     answers = rig.step(0, [(1, zero, 0, 0, 0), (1, zero, 0, 1, 0), (2, zero, 0, 0, 0)])
     assert [(answer.can_id, answer.bus) for answer in answers] == [(0x11, 1), (0x12, 0)]

@@ -139,22 +139,22 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
 
     The division of a step changes the motion only slightly.
     """
-    whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
-    for plant in (whole, divided):
+    undivided, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
+    for plant in (undivided, divided):
         for motor in plant.motors.values():
             motor.servo.limit, motor.servo.torque = 0.8, 0.06
     for k in range(400):
-        whole.step()
+        undivided.step()
         for part_ns in (100_000, 250_000):
             divided.advance_part(part_ns)
         assert divided.t_ns == k * STEP_NS + 350_000
         divided.step()
-    assert divided.t_ns == whole.t_ns == 400 * STEP_NS
-    assert divided.steps == whole.steps
-    assert min(whole.tensions()) > 5.0, "tendons were under tension"
-    assert divided.tensions() == pytest.approx(whole.tensions(), abs=0.2)
-    assert divided.engine.q == pytest.approx(whole.engine.q, abs=0.01)
-    set_step = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]
+    assert divided.t_ns == undivided.t_ns == 400 * STEP_NS
+    assert divided.steps == undivided.steps
+    assert min(undivided.tensions()) > 5.0, "tendons were under tension"
+    assert divided.tensions() == pytest.approx(undivided.tensions(), abs=0.2)
+    assert divided.engine.q == pytest.approx(undivided.engine.q, abs=0.01)
+    set_step = [(motor.step, motor.lag, motor.velocity_lag) for motor in undivided.motors.values()]
     assert [
         (motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()
     ] == set_step
@@ -179,7 +179,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
             world.advance_exactly(k * period_ns)
             assert world.t_ns == k * period_ns
             angles.append(motor.theta)
-        steps = [after - before for before, after in pairwise(angles)]
+        steps = [angle_after - angle_before for angle_before, angle_after in pairwise(angles)]
         assert steps == pytest.approx([-3.0 / rate_hz] * 39, rel=1e-6)
 
 
@@ -202,12 +202,12 @@ def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: 
 def test_a_motor_fault_acts_in_every_step() -> None:
     rig = LockstepHand("jamia", homed=True)
     rig.inject("off node=index_motor")
-    seen: list[float] = []
+    commands: list[float] = []
     rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: (
-        seen.append(command) or 0.25
+        commands.append(command) or 0.25
     )
     rig.step(0, [])
-    assert len(seen) == 4
+    assert len(commands) == 4
     assert rig.world.plant.motors["ring_motor"].torque > 0.2
     assert rig.world.plant.motors["index_motor"].torque == 0.0
 
@@ -240,13 +240,13 @@ def test_a_truth_file_ends_after_a_part_of_the_rows_was_written(tmp_path: Path) 
     plant = LockstepHand("jamia").world.plant
     row_bytes = 8 * (1 + len(truth_columns(plant)))
     writer = TruthWriter(tmp_path / "truth", plant, {})
-    own, largest = resource.getrlimit(resource.RLIMIT_FSIZE)
+    present_limit, largest = resource.getrlimit(resource.RLIMIT_FSIZE)
     for t_ms in range(2000):
         if t_ms == 700:
             limit = 8192 + 600 * row_bytes + row_bytes // 2
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, largest))
         if t_ms == 800:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (own, largest))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (present_limit, largest))
         writer.write(t_ms * 1_000_000, plant)
     writer.close({})
     truth = read_truth(tmp_path / "truth")

@@ -120,7 +120,7 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
     unchanged.
     """
     can_id, data, flags, bus, t_ns = frame
-    other = [
+    disturbed_frames = [
         [],
         [frame, frame],
         [Frame(can_id, data[:-1], flags, bus, t_ns)],
@@ -157,7 +157,7 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
         ],
         [Frame(0x080, bytes((rng.randrange(256),)), 0, 0, t_ns), frame],
     ]
-    return rng.choice(other) if rng.random() < 0.03 else [frame]
+    return rng.choice(disturbed_frames) if rng.random() < 0.03 else [frame]
 
 
 def frames_of_ticks(
@@ -183,7 +183,11 @@ def frames_of_ticks(
                 else []
             )
             frames += [Frame(can_id, data, 0, bus, k) for can_id, data in sent_frames]
-        yield [other for frame in frames for other in disturb_frame(frame, rng)] if seed else frames
+        yield (
+            [sent_frame for frame in frames for sent_frame in disturb_frame(frame, rng)]
+            if seed
+            else frames
+        )
 
 
 EXCHANGE_CASES = [
@@ -210,12 +214,14 @@ def test_the_kernel_answers_as_the_nodes_do(
     for rig in rigs:
         rig.close()
     assert count > 400 * 3
-    truth, other = (read_truth(tmp_path / name) for name in ("kernel", "nodes"))
-    assert np.array_equal(truth.values, other.values)
+    truth_of_kernel, truth_of_nodes = (read_truth(tmp_path / name) for name in ("kernel", "nodes"))
+    assert np.array_equal(truth_of_kernel.values, truth_of_nodes.values)
     assert rigs[0].world.foreign == rigs[1].world.foreign
     assert rigs[0].world.malformed_frame_count == rigs[1].world.malformed_frame_count
     if not seed:
-        assert truth.column("tension/index_tendon").max() > 10.0, "the drives follow their torques"
+        assert truth_of_kernel.column("tension/index_tendon").max() > 10.0, (
+            "the drives follow their torques"
+        )
 
 
 @pytest.mark.parametrize("protocol", TESTED_PROTOCOLS)

@@ -79,8 +79,8 @@ def connect_client(hub: BusHub) -> Iterator[Callable[[], socket.socket]]:
 def read_all(client_socket: socket.socket) -> bytes:
     data = b""
     try:
-        while piece := client_socket.recv(1 << 20):
-            data += piece
+        while received_bytes := client_socket.recv(1 << 20):
+            data += received_bytes
     except BlockingIOError:
         pass
     return data

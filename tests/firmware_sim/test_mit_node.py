@@ -65,8 +65,8 @@ def bench() -> MotorBench:
 def test_a_motor_sends_only_answers(bench: MotorBench) -> None:
     assert bench.node.receive(Frame(MOTOR_ID + 1, FULL_TORQUE), 0) is None
     assert bench.node.receive(Frame(MOTOR_ID | EXTENDED_FLAG, FULL_TORQUE), 0) is None
-    other = struct.pack("<HBB4x", MOTOR_ID + 1, 0x33, 23)
-    assert bench.node.receive(Frame(0x7FF, other), 0) is None
+    request_for_other_motor = struct.pack("<HBB4x", MOTOR_ID + 1, 0x33, 23)
+    assert bench.node.receive(Frame(0x7FF, request_for_other_motor), 0) is None
 
 
 def test_no_torque_until_enabled_and_none_after_disable(bench: MotorBench) -> None:

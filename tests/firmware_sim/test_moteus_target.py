@@ -33,8 +33,8 @@ class SingleDriveBench:
         (node,) = self.bench.nodes
         assert isinstance(node, MoteusNode)
         self.node, self.motor = node, self.bench.motors[0]
-        for item in ("position_min", "position_max"):
-            node.channel.items[f"servopos.{item}"] = math.nan
+        for limit_name in ("position_min", "position_max"):
+            node.channel.items[f"servopos.{limit_name}"] = math.nan
         self.send_command(math.nan, kp=0.0, kd=0.0)
         self.bench.advance(20 * NS_PER_MS)
         self.send_command(math.nan, kp=0.0, kd=0.0)

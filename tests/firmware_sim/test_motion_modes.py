@@ -38,7 +38,11 @@ def largest_acceleration(velocities: list[float], window_ms: int = 20) -> float:
     The argument has one velocity for each millisecond.
     """
     pairs = zip(velocities, velocities[window_ms:], strict=False)
-    return max(abs(after - before) for before, after in pairs) * 1000 / window_ms
+    return (
+        max(abs(speed_after - speed_before) for speed_before, speed_after in pairs)
+        * 1000
+        / window_ms
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -410,9 +414,9 @@ def test_a_cia402_drive_lists_its_modes() -> None:
     # In this object, bit n - 1 stands for mode n. The drive supports profile position, homing, and
     # the three cyclic modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))
-    for mode, shown in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
+    for mode, displayed_mode in ((1, 1), (6, 6), (8, 8), (9, 9), (10, 10), (3, 0), (-1, 0)):
         write_object(bench, 0x6060, 0, mode, 1)
-        assert read_object(bench, 0x6061) == shown
+        assert read_object(bench, 0x6061) == displayed_mode
 
 
 def test_a_cyclic_position_is_followed_and_interpolated() -> None:
@@ -424,7 +428,10 @@ def test_a_cyclic_position_is_followed_and_interpolated() -> None:
         target += 200
         write_object(bench, 0x607A, 0, target, 4)
         angles += sample_each_ms(bench, 0.02, lambda: motor.theta)
-    speeds = [(after - before) * 1000 for before, after in itertools.pairwise(angles)]
+    speeds = [
+        (angle_after - angle_before) * 1000
+        for angle_before, angle_after in itertools.pairwise(angles)
+    ]
     rate = 200 / 0.02 / COUNTS_PER_TURN * TURN_RAD
     assert max(speeds[1000:]) < 1.1 * rate, "20 ms steps are smoothed"
     assert min(speeds[1000:]) > 0.9 * rate

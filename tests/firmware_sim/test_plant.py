@@ -44,8 +44,8 @@ def pull_tendons(plant: Plant, torque: float, duration_s: float, ramp_s: float =
     steps = round(duration_s * 2000)
     for i in range(steps):
         fraction = min(1.0, (i + 1) / (ramp_s * 2000))
-        for motor, first in zip(plant.motors.values(), start, strict=True):
-            motor.servo.torque = first + fraction * (torque - first)
+        for motor, first_torque in zip(plant.motors.values(), start, strict=True):
+            motor.servo.torque = first_torque + fraction * (torque - first_torque)
         plant.step()
 
 
@@ -85,8 +85,8 @@ def test_friction_makes_the_far_joints_lag() -> None:
         for motor in plant.motors.values():
             motor.servo.torque = 0.09 * k / 600
         plant.step()
-    first, second, third = plant.engine.q[:3]
-    assert first > second > third > 0.0
+    first_angle, second_angle, third_angle = plant.engine.q[:3]
+    assert first_angle > second_angle > third_angle > 0.0
 
 
 def test_a_slack_tendon_makes_no_force() -> None:
@@ -266,7 +266,7 @@ def hand_with_coupled_fingers(joint_coupling: list[list[float]], path: Path) -> 
     content["tendon"] = [tendon for tendon in content["tendon"] if tendon["name"] not in missing]
     content["motor"] = [motor for motor in content["motor"] if motor["name"] not in missing]
     for finger in COUPLED_FINGERS:
-        digit = next(one for one in content["digit"] if one["name"] == finger)
+        digit = next(entry for entry in content["digit"] if entry["name"] == finger)
         digit["coupling"] = joint_coupling
         flexor = next(tendon for tendon in content["tendon"] if tendon["name"] == f"{finger}_mcp")
         flexor["moment_arm_m"] = {f"{finger}_j2": 0.0075, f"{finger}_j3": 0.0075}

@@ -224,8 +224,8 @@ def test_impossible_hands_are_refused_by_both_simulators(
     run_folder: Path, capsys: pytest.CaptureFixture[str], case_name: str
 ) -> None:
     path = run_folder / "odd.toml"
-    old, new = INVALID_HANDS[case_name]
-    path.write_text(find_hand("jamia").read_text().replace(old, new))
+    old_text, new_text = INVALID_HANDS[case_name]
+    path.write_text(find_hand("jamia").read_text().replace(old_text, new_text))
     assert main(["--hand", str(path), "--bus", "local:x", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     with pytest.raises(SimulatorError):

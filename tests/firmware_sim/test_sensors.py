@@ -50,8 +50,8 @@ def channel_counts(data: bytes) -> tuple[int, list[int]]:
 def test_payloads_are_packed_as_on_the_wire(sync_counter: int, channel_codes: list[int]) -> None:
     data = pack(sync_counter, channel_codes)
     assert len(data) == math.ceil((4 + 12 * len(channel_codes)) / 8)
-    got, values = channel_counts(data)
-    assert got == sync_counter % 16
+    received_counter, values = channel_counts(data)
+    assert received_counter == sync_counter % 16
     assert values[: len(channel_codes)] == channel_codes
 
 
@@ -136,9 +136,9 @@ def test_drift_does_not_depend_on_the_sample_rate() -> None:
 
 def test_noise_equals_pythons_generator() -> None:
     noise, rng = NormalNoise("a seed"), random.Random("a seed")
-    taken = [float(number) for k in range(200) for number in noise.take(k % 12)]
-    assert len(taken) > 2 * BLOCK_SIZE
-    assert taken == pytest.approx([rng.gauss(0.0, 1.0) for _ in taken], rel=1e-14)
+    noise_samples = [float(number) for k in range(200) for number in noise.take(k % 12)]
+    assert len(noise_samples) > 2 * BLOCK_SIZE
+    assert noise_samples == pytest.approx([rng.gauss(0.0, 1.0) for _ in noise_samples], rel=1e-14)
 
 
 def test_equal_seeds_give_equal_readings() -> None:

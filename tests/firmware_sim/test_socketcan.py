@@ -42,10 +42,10 @@ class FakeSocket:
         assert size >= 72
         if not self.waiting:
             raise BlockingIOError
-        item = self.waiting.pop(0)
-        if isinstance(item, OSError):
-            raise item
-        return item
+        datagram = self.waiting.pop(0)
+        if isinstance(datagram, OSError):
+            raise datagram
+        return datagram
 
     def send(self, raw: bytes) -> int:
         if self.refusal:

@@ -16,7 +16,11 @@ def contact_forces(*force_by_digit: float) -> list[float]:
 
     The vector has the given size, and no axis is parallel to the vector.
     """
-    return [part for size in force_by_digit for part in (0.6 * size, 0.0, -0.8 * size)]
+    return [
+        force_component
+        for size in force_by_digit
+        for force_component in (0.6 * size, 0.0, -0.8 * size)
+    ]
 
 
 def advance_table(

@@ -49,9 +49,10 @@ class TendonOnSpool:
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
         step_drivetrain(*self.parts, q, dq, total, [0.0], False)
-        back = self.row.slope * self.row.speed
+        tension_rate = self.row.slope * self.row.speed
         torque[:] = [
-            before + all_ - 0.003 * back for before, all_ in zip(torque, total, strict=True)
+            earlier_torque + total_torque - 0.003 * tension_rate
+            for earlier_torque, total_torque in zip(torque, total, strict=True)
         ]
         return self.row.tension
 

@@ -37,9 +37,9 @@ def test_the_joints_get_the_work_that_the_tendons_do(hand_name: str, tmp_path: P
         dq = chance.uniform(-3.0, 3.0, len(hand.joints)).tolist()
         for motor in motors:
             motor.theta = chance.uniform(0.5, 2.0)
-        parts = routing.rows, routing.joints, routing.arms, motors
+        drivetrain_parts = routing.rows, routing.joints, routing.arms, motors
         torque = [0.0] * len(hand.joints)
-        step_drivetrain(*parts, q, dq, torque, [0.0] * len(specs), False)
+        step_drivetrain(*drivetrain_parts, q, dq, torque, [0.0] * len(specs), False)
         work = sum(row.tension * row.speed for row in routing.tendons)
         assert np.dot(torque, dq) == pytest.approx(work, rel=1e-9)
         assert abs(work) > 1e-3

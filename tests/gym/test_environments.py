@@ -51,8 +51,10 @@ def action_towards_reference(environment: Any, observation: Any) -> Any:
     The targets of the action are the reference angles at the time at which the hand will reach
     them.
     """
-    first = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
-    return environment.action_for(np.degrees(observation[first : first + len(environment.names)]))
+    first_element = environment.layout.names.index(f"reference_ahead_rad[{environment.names[0]}]")
+    return environment.action_for(
+        np.degrees(observation[first_element : first_element + len(environment.names)])
+    )
 
 
 def closing_action(environment: Any, step_index: int) -> Any:
@@ -69,13 +71,13 @@ def closing_action(environment: Any, step_index: int) -> Any:
 def run_episode(environment: Any, seed: int, step_count: int) -> bytes:
     """Run an episode with random actions, and return its observations and rewards as bytes."""
     rng = np.random.default_rng(seed)
-    seen, _ = environment.reset(seed=seed)
-    rows = [seen.tobytes()]
+    observation, _ = environment.reset(seed=seed)
+    rows = [observation.tobytes()]
     for _ in range(step_count):
-        seen, reward, ended, *_ = environment.step(
+        observation, reward, ended, *_ = environment.step(
             rng.uniform(-1.0, 1.0, environment.action_space.shape).astype(np.float32)
         )
-        rows += [seen.tobytes(), np.float64(reward).tobytes()]
+        rows += [observation.tobytes(), np.float64(reward).tobytes()]
         if ended:
             break
     return b"".join(rows)
@@ -113,10 +115,12 @@ def test_the_reference_can_be_tracked(hand_name: str, reference_span: float | No
         hand=hand_name,
         **({} if reference_span is None else {"span": (0.0, reference_span)}),
     )
-    seen, _ = env.reset(seed=3)
+    observation, _ = env.reset(seed=3)
     rewards, ended, is_truncated = [], False, False
     while not (ended or is_truncated):
-        seen, reward, ended, is_truncated, info = env.step(action_towards_reference(env, seen))
+        observation, reward, ended, is_truncated, info = env.step(
+            action_towards_reference(env, observation)
+        )
         rewards.append(reward)
     assert is_truncated, info
     assert len(rewards) == env.max_steps == 250
@@ -157,11 +161,13 @@ def test_hand_without_action_grasps_nothing() -> None:
 
 def test_a_fault_ends_an_episode() -> None:
     env = make_env(TRACK_ENV)
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     env.simulated_run.simulated_hand.inject("snap tendon=index_tendon at=1s")
     ended = False
     while not ended:
-        seen, _, ended, is_truncated, info = env.step(action_towards_reference(env, seen))
+        observation, _, ended, is_truncated, info = env.step(
+            action_towards_reference(env, observation)
+        )
         assert not is_truncated
     assert re.match("fault T0(1|2b) index_tendon", info["failure"])
     assert info["mode"] == "RELAX"
@@ -190,8 +196,8 @@ def test_names_are_those_of_the_client_s_observations() -> None:
     assert telemetry <= AXIS_OF_FIELD.keys()
     assert env.layout.names[:2] == ("q_rad[index_j1]", "q_rad[index_j2]")
     assert len(env.layout.names) == env.observation_space.shape[0]
-    seen, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(seen[:11], env.last_output.telemetry.q.astype(np.float32))
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(observation[:11], env.last_output.telemetry.q.astype(np.float32))
 
 
 def test_several_processes_give_the_episodes_of_one_process() -> None:
@@ -203,9 +209,9 @@ def test_several_processes_give_the_episodes_of_one_process() -> None:
     rows = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         vector_environment = kind([made, made])
-        seen = [vector_environment.reset(seed=[7, 8])[0]]
+        observations = [vector_environment.reset(seed=[7, 8])[0]]
         steps = [vector_environment.step(action) for action in actions]
-        rows.append(np.array([*seen, *(row[0] for row in steps)]))
+        rows.append(np.array([*observations, *(row[0] for row in steps)]))
         assert any(row[3].all() for row in steps)
         vector_environment.close()
     np.testing.assert_array_equal(*rows)

@@ -35,14 +35,14 @@ def test_a_picture_shows_the_moving_hand(environment_id: str, hand_name: str) ->
     env = make_env(environment_id, hand=hand_name, picture_size_px=(160, 120))
     for seed in range(3):
         env.reset(seed=seed)
-        first = env.render()
-        assert first.shape == (120, 160, 3)
-        assert first.dtype == np.uint8
+        first_picture = env.render()
+        assert first_picture.shape == (120, 160, 3)
+        assert first_picture.dtype == np.uint8
         # The hand and the object fill at least a tenth of the picture.
-        assert (first != first[0, 0]).any(axis=2).mean() > 0.1
-        assert (env.render() == first).all()
+        assert (first_picture != first_picture[0, 0]).any(axis=2).mean() > 0.1
+        assert (env.render() == first_picture).all()
         later_picture = closed_picture(env, seed)
-        assert (later_picture != first).any(axis=2).mean() > 0.01
+        assert (later_picture != first_picture).any(axis=2).mean() > 0.01
         assert (closed_picture(env, seed) == later_picture).all(), "equal seeds give equal pictures"
     env.close()
 
@@ -53,9 +53,12 @@ def test_the_object_is_drawn() -> None:
     for seed in range(3):
         environment_with_object.reset(seed=seed)
         environment_without_object.reset(seed=seed)
-        first, second = environment_with_object.render(), environment_without_object.render()
-        assert first.shape == second.shape == (480, 480, 3)
-        assert (first != second).any(axis=2).mean() > 0.05
+        first_picture, second_picture = (
+            environment_with_object.render(),
+            environment_without_object.render(),
+        )
+        assert first_picture.shape == second_picture.shape == (480, 480, 3)
+        assert (first_picture != second_picture).any(axis=2).mean() > 0.05
 
 
 @pytest.mark.parametrize("environment_id", [TRACK_ENV, GRASP_ENV])

@@ -15,23 +15,23 @@ def fifteen_motor_hand() -> dict[str, Any]:
     thumb and with two more fingers.
     """
     raw = hand_content("jamia11")
-    parts = {
+    entries_by_section = {
         name: [section for section in raw[name] if "thumb" not in section["name"]]
         for name in ("digit", "tendon", "motor")
     }
     for number, name in enumerate(("little", "outer")):
-        for section, entries in parts.items():
+        for section, entries in entries_by_section.items():
             entries += [
                 _renamed_section(entry, name) for entry in raw[section] if "index" in entry["name"]
             ]
-        parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
-    for node, motor in enumerate(parts["motor"], start=1):
+        entries_by_section["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
+    for node, motor in enumerate(entries_by_section["motor"], start=1):
         motor["node_id"] = node
-    tendons, joints = [tendon["name"] for tendon in parts["tendon"]], []
-    for digit in parts["digit"]:
+    tendons, joints = [tendon["name"] for tendon in entries_by_section["tendon"]], []
+    for digit in entries_by_section["digit"]:
         joints += [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
     node = raw["sensor_node"] | {"tendons": tendons, "joints": joints}
-    return raw | parts | {"name": "fifteen", "sensor_node": node}
+    return raw | entries_by_section | {"name": "fifteen", "sensor_node": node}
 
 
 def _renamed_section(section: Any, finger_name: str) -> Any:

@@ -77,8 +77,8 @@ def hand_with_meshes(hand_name: str) -> Hand:
     }
     for d, digit in enumerate(content["digit"]):
         count = len(digit["link_length_m"])
-        last = f"sub/mm.{'stl' if d % 2 else 'obj'}"
-        digit["link_mesh"] = ["m.stl"] * (count - 1) + [last]
+        last_mesh = f"sub/mm.{'stl' if d % 2 else 'obj'}"
+        digit["link_mesh"] = ["m.stl"] * (count - 1) + [last_mesh]
         if count > 1:
             digit["link_mesh"][0] = ""
         digit["link_mesh_scale"] = [1.0] * (count - 1) + [list(MESH_SCALE)]
@@ -103,15 +103,15 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
     data = mujoco.MjData(model)
     data.qpos[: len(q)] = q
     mujoco.mj_kinematics(model, data)
-    found = {}
+    corners_of_link = {}
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         mesh = model.geom_dataid[geom]
-        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        corners = model.mesh_vert[first : first + count]
+        first_vertex, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        corners = model.mesh_vert[first_vertex : first_vertex + count]
         body = model.body(model.geom_bodyid[geom]).name
-        place = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        found[PALM_LINK if body == "world" else body] = place
-    return found
+        placed_corners = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        corners_of_link[PALM_LINK if body == "world" else body] = placed_corners
+    return corners_of_link
 
 
 def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
@@ -120,15 +120,19 @@ def corners_of_hand(hand, mesh_folder: Path, q: np.ndarray) -> dict[str, np.ndar
     tree = HandLinkTree.from_hand(hand)
     all_poses = tree.poses(q)
     for digit in tree.digits:
-        own = all_poses[digit.joints]
-        for i, pose in enumerate(zip(joint_positions(own), link_rotations(own), strict=True)):
+        poses_of_digit = all_poses[digit.joints]
+        for i, pose in enumerate(
+            zip(joint_positions(poses_of_digit), link_rotations(poses_of_digit), strict=True)
+        ):
             poses[f"{digit.name}_link{i + 1}"] = pose
-    found = {}
+    corners_of_link = {}
     for mesh in meshes_of_hand(hand):
         position, rotation = poses[mesh.link]
         content = (mesh_folder / mesh.file).read_bytes()
-        found[mesh.link] = mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
-    return found
+        corners_of_link[mesh.link] = (
+            mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position
+        )
+    return corners_of_link
 
 
 def assert_same_corners(

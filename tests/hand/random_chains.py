@@ -67,10 +67,10 @@ def random_hand(seed: int, *joint_counts: int, rng: np.random.Generator | None =
         "tendons": [tendon["name"] for tendon in tendons],
         "joints": [],
     }
-    parts = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
+    entries_by_section = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
     mount = {"gravity_m_s2": (9.81 * gravity / np.linalg.norm(gravity)).tolist()}
     return hand_from_content(
-        content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}"
+        content | entries_by_section | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}"
     )
 
 

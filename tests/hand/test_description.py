@@ -87,11 +87,11 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
     )
     assert slow_hand.stream != hand.stream
     assert slow_hand.identity == hand.identity
-    for one in (slow_hand, hand):
+    for described_hand in (slow_hand, hand):
         path = tmp_path / "copy.toml"
-        path.write_text(one.to_toml())
-        assert "speed_deg_s" in one.to_toml()
-        assert load_hand(path).stream == one.stream
+        path.write_text(described_hand.to_toml())
+        assert "speed_deg_s" in described_hand.to_toml()
+        assert load_hand(path).stream == described_hand.stream
 
 
 def changeable_values(content):
@@ -114,9 +114,9 @@ DIGITS_AND_JOINTS = {
 
 
 def test_links_and_joints_have_names_and_places(hand):
-    first, last = hand.digit[0], hand.digit[-1]
-    assert hand.joints[0] == f"{first.name}_j1"
-    assert hand.joints[-1] == f"{last.name}_j{len(last.link_length_m)}"
+    first_digit, last_digit = hand.digit[0], hand.digit[-1]
+    assert hand.joints[0] == f"{first_digit.name}_j1"
+    assert hand.joints[-1] == f"{last_digit.name}_j{len(last_digit.link_length_m)}"
     digits, joints = DIGITS_AND_JOINTS.get(hand.name, (("index", "middle", "ring", "thumb"), 11))
     assert hand.digit_names == digits
     assert hand.moment_arms.shape == (len(hand.tendon_names), joints)

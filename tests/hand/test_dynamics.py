@@ -38,17 +38,17 @@ def arrays_agree(computed, reference):
 def pinocchio_by_hand(digit: DigitModel, gravity_m_s2) -> pinocchio.Model:
     """Build a digit in pinocchio as a chain of hinges and prismatic joints, without using its URDF."""
     model, parent = pinocchio.Model(), 0
-    place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
+    placement = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
     for i in range(digit.joint_count):
         turned_pose = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
         kinds = (pinocchio.JointModelRevoluteUnaligned, pinocchio.JointModelPrismaticUnaligned)
         joint = kinds[int(digit.is_prismatic[i])](np.array(digit.axes[i]))
-        parent = model.addJoint(parent, joint, place * turned_pose, digit.joint_names[i])
+        parent = model.addJoint(parent, joint, placement * turned_pose, digit.joint_names[i])
         body = pinocchio.Inertia(
             digit.masses[i], np.array(digit.centres_of_mass[i]), np.array(digit.inertias[i])
         )
         model.appendBodyToJoint(parent, body, pinocchio.SE3.Identity())
-        place = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
+        placement = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
     model.gravity.linear = np.array(gravity_m_s2)
     model.armature = np.array(digit.armature)
     return model
@@ -255,21 +255,23 @@ def test_sums_are_sums_of_their_parts(digits, rng):
                 weight + dynamics.spring_torque(digit, q),
                 rtol=1e-12,
             )
-            parts = (
+            sum_of_parts = (
                 dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
             )
-            assert arrays_agree(rigid_body_torque, parts)
+            assert arrays_agree(rigid_body_torque, sum_of_parts)
 
 
 def test_reduced_dynamics_is_the_projection(digits, rng):
     for digit in digits:
         coupling = digit.coupling
         for theta, dtheta, ddtheta in random_motions(rng, coupling.shape[1], 100):
-            mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
+            mass, bias_torque = dynamics.reduced_dynamics(digit, theta, dtheta)
             unprojected_torque = dynamics.required_torque(
                 digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta
             )
-            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(unprojected_torque))
+            assert arrays_agree(
+                mass @ ddtheta + bias_torque, coupling.T @ np.array(unprojected_torque)
+            )
 
 
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):

@@ -112,7 +112,7 @@ SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
 
 @pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
 def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wrong_number):
-    wrong = [
+    wrong_values = [
         (math.nan, "nan"),
         (math.inf, "inf"),
         (-math.inf, "-inf"),
@@ -121,10 +121,10 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wr
         ([1.0], "[1.0]"),
     ]
     if wrong_number != 0 and not SIGNED_KEYS.search(str(key_path)):
-        wrong.append((-wrong_number, str(-wrong_number)))
-    for bad, shown in wrong:
-        line = refusal(content_with_value(content, key_path, bad))
-        assert line.startswith(f"my/hand.toml: {key_path_text(content, key_path)}: {shown};")
+        wrong_values.append((-wrong_number, str(-wrong_number)))
+    for wrong_value, shown_text in wrong_values:
+        line = refusal(content_with_value(content, key_path, wrong_value))
+        assert line.startswith(f"my/hand.toml: {key_path_text(content, key_path)}: {shown_text};")
 
 
 @pytest.mark.parametrize(("content", "key_path", "wrong_number"), SAMPLED_NUMBER_CASES)
@@ -143,16 +143,16 @@ def test_a_missing_key_is_refused(refusal, hand_name):
                 continue
             content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key), None)
             node = content
-            for part in path:
-                node = node[part]
+            for key_or_index in path:
+                node = node[key_or_index]
             del node[key]
             line = refusal(content)
-            place = key_path_text(content, path)
+            key_text = key_path_text(content, path)
             if key in OPTIONAL_KEYS:
-                assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
+                assert "index_tendon" in line or f"{key_text}.{key}: its tendons" in line
             else:
                 assert line.startswith(
-                    f"my/hand.toml: {place}{'.' if place else ''}{key}: missing;"
+                    f"my/hand.toml: {key_text}{'.' if key_text else ''}{key}: missing;"
                 )
 
 
@@ -160,9 +160,9 @@ def test_a_missing_key_is_refused(refusal, hand_name):
 def test_an_unknown_key_is_refused(refusal, hand_name):
     for path, _ in content_tables(CONTENT_BY_HAND[hand_name]):
         line = refusal(content_with_value(CONTENT_BY_HAND[hand_name], (*path, "colour"), 1.0))
-        place = key_path_text(CONTENT_BY_HAND[hand_name], path)
+        key_text = key_path_text(CONTENT_BY_HAND[hand_name], path)
         assert line.startswith(
-            f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of "
+            f"my/hand.toml: {key_text}{'.' if key_text else ''}colour: unknown key; expected one of "
         )
 
 
@@ -174,8 +174,8 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, hand_name):
                 continue
             content = content_with_value(CONTENT_BY_HAND[hand_name], (*path, key + "s"), table[key])
             node = content
-            for part in path:
-                node = node[part]
+            for key_or_index in path:
+                node = node[key_or_index]
             del node[key]
             line = refusal(content)
             assert f"{key}s: unknown key; expected {key}" in line

@@ -89,9 +89,9 @@ def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
 def test_tables_are_merged_key_by_key() -> None:
     content = jamia_content()
     content["digit"][0]["tendon"] = {"tendon": {"knee_N": 150.0, "moment_arm_m": {"j3": 0.002}}}
-    first, second, *_ = hand_of_content(content).tendon
-    assert first.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
-    assert (first.knee_N, second.knee_N) == (150.0, 200.0)
+    first_tendon, second_tendon, *_ = hand_of_content(content).tendon
+    assert first_tendon.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
+    assert (first_tendon.knee_N, second_tendon.knee_N) == (150.0, 200.0)
 
 
 def test_tendons_and_motors_have_templates_too() -> None:

@@ -74,12 +74,12 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
             configuration[columns] = q
             pinocchio.framesForwardKinematics(model, data, configuration)
             for transform in link_transforms(digit, q):
-                place = data.oMf[model.getFrameId(transform.frame)]
-                assert np.allclose(transform.position, place.translation, atol=1e-14)
+                placement = data.oMf[model.getFrameId(transform.frame)]
+                assert np.allclose(transform.position, placement.translation, atol=1e-14)
                 turned_rotation = pinocchio.Quaternion(
                     np.array(transform.quaternion_xyzw)
                 ).toRotationMatrix()
-                assert np.allclose(turned_rotation, place.rotation, atol=1e-13)
+                assert np.allclose(turned_rotation, placement.rotation, atol=1e-13)
             world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
             pinocchio_result = pinocchio.computeFrameJacobian(
                 model, data, configuration, tip, world
@@ -155,7 +155,7 @@ def test_quaternions_of_all_rotations(rng):
         (0, 0, 0),
     ]:
         q = quaternion_of_rotation(rotation_of_rpy(roll, pitch, yaw))
-        assert math.isclose(sum(part * part for part in q), 1.0, rel_tol=1e-12)
+        assert math.isclose(sum(component * component for component in q), 1.0, rel_tol=1e-12)
         rotation_matrix = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
         assert np.allclose(
             pinocchio.Quaternion(np.array(q)).toRotationMatrix(), rotation_matrix, atol=1e-13
@@ -212,10 +212,10 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            found, gap = inverse_kinematics_coupled(
+            coordinate, gap = inverse_kinematics_coupled(
                 digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1]
             )
-            assert abs(found - theta) < 1e-7
+            assert abs(coordinate - theta) < 1e-7
             assert gap < 1e-9
 
 

@@ -121,9 +121,9 @@ def test_a_file_that_is_no_mesh_is_named_with_what_is_right(
     file, content, text = INVALID_MESH_FILES[mistake_kind]
     (tmp_path / file).write_bytes(content)
     hand = hand_with_mesh_keys("t42", link_mesh=["", file])
-    (left, _) = mesh_mistakes(hand, tmp_path)
-    assert text in f"{left.what}; expected {left.right}"
-    assert left.where == "digit[left].link_mesh[1]"
+    (left_mistake, _) = mesh_mistakes(hand, tmp_path)
+    assert text in f"{left_mistake.what}; expected {left_mistake.right}"
+    assert left_mistake.where == "digit[left].link_mesh[1]"
 
 
 def hand_with_mesh_keys(hand_name: str, **mesh_keys: object):
@@ -138,8 +138,8 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
     with (tmp_path / "large.stl").open("wb") as large_file:
         large_file.truncate(17 << 20)
     hand = hand_with_mesh_keys("t42", link_mesh=["folder.stl", "large.stl"])
-    found = [*mesh_mistakes(hand, tmp_path), *mesh_mistakes(hand, tmp_path / "elsewhere")]
-    assert [mistake.what for mistake in found] == 2 * [
+    mistakes = [*mesh_mistakes(hand, tmp_path), *mesh_mistakes(hand, tmp_path / "elsewhere")]
+    assert [mistake.what for mistake in mistakes] == 2 * [
         '"folder.stl": no such file',
         '"large.stl": 18 MB',
     ] + [
@@ -176,9 +176,11 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
 def test_an_absurd_size_is_refused(
     mesh_folder: Path, mesh_keys: dict[str, object], expected_message: str
 ) -> None:
-    (left, right) = mesh_mistakes(hand_with_mesh_keys("t42", **mesh_keys), mesh_folder)
-    assert expected_message in f"{left.what}; {left.right}"
-    assert right.where == "digit[right].link_mesh[0]"
+    (left_mistake, right_mistake) = mesh_mistakes(
+        hand_with_mesh_keys("t42", **mesh_keys), mesh_folder
+    )
+    assert expected_message in f"{left_mistake.what}; {left_mistake.right}"
+    assert right_mistake.where == "digit[right].link_mesh[0]"
 
 
 @pytest.mark.parametrize(
@@ -338,11 +340,11 @@ def test_meshes_have_no_effect_on_the_dynamics(
         simulated_hand(str(mesh_folder / "hand.toml")), load_scene("cylinder")
     )
     assert meshed_plant == model_text(simulated, load_scene("cylinder"))
-    for kind, other in models_without_meshes.items():
+    for kind, model_without_meshes in models_without_meshes.items():
         model = models[kind]
-        assert np.array_equal(model.body_mass, other.body_mass)
-        assert np.array_equal(model.body_inertia, other.body_inertia)
-        assert np.array_equal(model.body_ipos, other.body_ipos)
+        assert np.array_equal(model.body_mass, model_without_meshes.body_mass)
+        assert np.array_equal(model.body_inertia, model_without_meshes.body_inertia)
+        assert np.array_equal(model.body_ipos, model_without_meshes.body_ipos)
         is_mesh = model.geom_type == mujoco.mjtGeom.mjGEOM_MESH
         assert not (model.geom_contype[is_mesh] | model.geom_conaffinity[is_mesh]).any()
         assert set(model.geom_group[is_mesh]) == {VISUAL_GROUP}
@@ -351,11 +353,11 @@ def test_meshes_have_no_effect_on_the_dynamics(
         assert not (model.geom_group[~with_mesh] == HIDDEN_GROUP).any()
         q = random_angles(hand, rng)
         ends = []
-        for one in (model, other):
-            data = mujoco.MjData(one)
+        for stepped_model in (model, model_without_meshes):
+            data = mujoco.MjData(stepped_model)
             data.qpos[: len(q)] = q
             for _ in range(20):
-                mujoco.mj_step(one, data)
+                mujoco.mj_step(stepped_model, data)
             ends.append(np.concatenate((data.qpos, data.qvel)))
         assert np.array_equal(*ends)
 

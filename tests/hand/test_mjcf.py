@@ -46,16 +46,16 @@ def test_tips_masses_and_torques_are_the_model_s(hand, digits, mjcf_model, rng):
         mujoco.mj_forward(mjcf_model, data)
         mujoco.mj_fullM(mjcf_model, data, mass_matrix)
         for digit in digits:
-            own = q[digit.joints]
-            tip = joint_points(digit, own)[-1]
+            angles_of_digit = q[digit.joints]
+            tip = joint_points(digit, angles_of_digit)[-1]
             assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
             assert mass_matrix[digit.joints, digit.joints] == pytest.approx(
-                dynamics.mass_matrix(digit, own), rel=1e-9
+                dynamics.mass_matrix(digit, angles_of_digit), rel=1e-9
             )
-            spring = -np.array(dynamics.spring_torque(digit, own))
+            spring = -np.array(dynamics.spring_torque(digit, angles_of_digit))
             assert data.qfrc_spring[digit.joints] == pytest.approx(spring, rel=1e-9)
             assert data.qfrc_bias[digit.joints] == pytest.approx(
-                dynamics.gravity_torque(digit, own), abs=1e-12
+                dynamics.gravity_torque(digit, angles_of_digit), abs=1e-12
             )
         assert data.qfrc_actuator == pytest.approx(hand.moment_arms.T @ tension, rel=1e-9)
 

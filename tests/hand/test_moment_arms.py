@@ -37,8 +37,8 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
             slope = [
-                (excursions(digit, q + one) - excursions(digit, q - one)) / (2 * step)
-                for one in step * np.eye(digit.joint_count)
+                (excursions(digit, q + joint_step) - excursions(digit, q - joint_step)) / (2 * step)
+                for joint_step in step * np.eye(digit.joint_count)
             ]
             np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
             assert digit.with_moment_arms_at(q).has_varying_arm

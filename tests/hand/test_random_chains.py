@@ -167,12 +167,12 @@ def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
         pinocchio.framesForwardKinematics(model, data, pinocchio_result[0])
         for digit in digits:
             for transform in link_transforms(digit, q[digit.joints]):
-                place = data.oMf[model.getFrameId(transform.frame)]
-                assert np.allclose(transform.position, place.translation, atol=1e-12)
+                placement = data.oMf[model.getFrameId(transform.frame)]
+                assert np.allclose(transform.position, placement.translation, atol=1e-12)
                 turned_rotation = pinocchio.Quaternion(
                     np.array(transform.quaternion_xyzw)
                 ).toRotationMatrix()
-                assert np.allclose(turned_rotation, place.rotation, atol=1e-12)
+                assert np.allclose(turned_rotation, placement.rotation, atol=1e-12)
 
 
 def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
@@ -182,10 +182,10 @@ def link_position(link: LinkFrame, q: np.ndarray) -> np.ndarray:
 
 def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tuple[float, ...]]]:
     """Return the position and the orientation of each link frame in the palm frame, from the transforms in the log."""
-    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
+    pose_by_frame = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
-        position, turn = place[link.parent]
-        here = (
+        position, turn = pose_by_frame[link.parent]
+        link_origin = (
             np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix())
             @ link_position(link, q)
             + position
@@ -193,8 +193,8 @@ def frames_in_log(hand: Hand, q: np.ndarray) -> dict[str, tuple[np.ndarray, tupl
         own_link_quaternion = (
             tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
         )
-        place[link.child] = here, multiply_quaternions(turn, own_link_quaternion)
-    return place
+        pose_by_frame[link.child] = link_origin, multiply_quaternions(turn, own_link_quaternion)
+    return pose_by_frame
 
 
 def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
@@ -204,10 +204,10 @@ def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rn
     """
     hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
-    place = frames_in_log(hand, q)
+    pose_by_frame = frames_in_log(hand, q)
     for digit in digits:
         for transform in link_transforms(digit, q[digit.joints]):
-            position, turn = place[transform.frame]
+            position, turn = pose_by_frame[transform.frame]
             assert np.allclose(transform.position, position, atol=1e-12)
             assert np.isclose(abs(np.dot(turn, transform.quaternion_xyzw)), 1.0, atol=1e-12)
 
@@ -284,7 +284,7 @@ def test_random_trees_have_digits_on_digits_on_digits():
 
 
 def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_path):
-    hand, whole = random_hand_tree
+    hand, tree = random_hand_tree
     path = tmp_path / "tree.toml"
     path.write_text(hand.to_toml())
     for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
@@ -292,12 +292,12 @@ def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_pat
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
         for q, dq, ddq in random_motions(rng, model.nv, 10):
             pinocchio_result, mass_matrix = inverse_by_mujoco(model, q, dq, ddq)
-            assert arrays_agree(whole.inverse_dynamics(q, dq, ddq), pinocchio_result)
-            assert arrays_agree(whole.mass_matrix(q), mass_matrix)
+            assert arrays_agree(tree.inverse_dynamics(q, dq, ddq), pinocchio_result)
+            assert arrays_agree(tree.mass_matrix(q), mass_matrix)
 
 
 def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
-    hand, whole = random_hand_tree
+    hand, tree = random_hand_tree
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
@@ -306,28 +306,28 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
         pinocchio_result = [np.zeros(model.nv) for _ in range(3)]
         for vector, own_vector in zip(pinocchio_result, (q, dq, ddq), strict=True):
             vector[order] = own_vector
-        armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
+        armature = tree.table[rigid_body.ARMATURE_ROW] * ddq
         assert arrays_agree(
-            whole.inverse_dynamics(q, dq, ddq) - armature,
+            tree.inverse_dynamics(q, dq, ddq) - armature,
             pinocchio.rnea(model, data, *pinocchio_result)[order],
         )
         torque_at_rest = pinocchio.computeGeneralizedGravity(model, data, pinocchio_result[0])[
             order
         ]
-        springs = whole.stiffness * (q + whole.preload)
-        assert np.allclose(whole.static_torque(q) - springs, torque_at_rest, rtol=0.0, atol=1e-12)
+        springs = tree.stiffness * (q + tree.preload)
+        assert np.allclose(tree.static_torque(q) - springs, torque_at_rest, rtol=0.0, atol=1e-12)
         pinocchio.framesForwardKinematics(model, data, pinocchio_result[0])
-        for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
-            place = data.oMf[model.getFrameId(f"{digit.name}_tip")]
-            assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
+        for digit, points_of_digit in zip(tree.digits, tree.points(q), strict=True):
+            placement = data.oMf[model.getFrameId(f"{digit.name}_tip")]
+            assert np.allclose(points_of_digit[-1], placement.translation, atol=1e-12)
 
 
 def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
-    hand, whole = random_hand_tree
+    hand, tree = random_hand_tree
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
-    place = frames_in_log(hand, q)
-    for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
-        assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
+    pose_by_frame = frames_in_log(hand, q)
+    for digit, points_of_digit in zip(tree.digits, tree.points(q), strict=True):
+        assert np.allclose(pose_by_frame[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
 
 
 def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
@@ -335,14 +335,14 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tr
 
     The digits that carry this digit are at angle zero.
     """
-    hand, whole = random_hand_tree
-    for digit in whole.digits:
+    hand, tree = random_hand_tree
+    for digit in tree.digits:
         if digit.name in hand.carrier_digits:
             continue
         q = np.zeros(len(hand.joints))
         q[digit.joints] = rng.uniform(-2.0, 2.0, digit.joint_count)
         assert np.allclose(
-            whole.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints])
+            tree.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints])
         )
 
 
@@ -351,7 +351,7 @@ def test_each_number_of_a_table_matters(rng):
     hand = random_hand(3, 3)
     digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(random_motions(rng, 3, 1)))
-    right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
+    correct_torques = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
     for row in range(rigid_body.LENGTH_ROW):
         table = digit.table.copy()
         table[row, 1] *= 1.001
@@ -359,4 +359,4 @@ def test_each_number_of_a_table_matters(rng):
             table, digit.parent, digit.gravity, q, dq, ddq
         )
         is_unused = table[row, 1] == 0.0
-        assert is_unused != (not arrays_agree(wrong_torques, right)), row
+        assert is_unused != (not arrays_agree(wrong_torques, correct_torques)), row

@@ -32,14 +32,14 @@ def test_an_old_file_still_loads() -> None:
 
 
 def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
-    old = SCHEMA_1_FILE.read_text("utf-8")
-    new = convert_to_schema_2(old, "old")
-    assert hand_after_conversion(old).identity == IDENTITY_BY_HAND["jamia"]
-    assert len(new.splitlines()) < 120 < 230 < len(old.splitlines())
-    for comment in re.findall(r"# *(.*)", old):
-        assert comment.strip() in new, comment
+    old_text = SCHEMA_1_FILE.read_text("utf-8")
+    new_text = convert_to_schema_2(old_text, "old")
+    assert hand_after_conversion(old_text).identity == IDENTITY_BY_HAND["jamia"]
+    assert len(new_text.splitlines()) < 120 < 230 < len(old_text.splitlines())
+    for comment in re.findall(r"# *(.*)", old_text):
+        assert comment.strip() in new_text, comment
     for text in ("1_000_000", "0x1A0", "6.384e-3", "0.3e-3"):
-        assert text in new, "numbers keep their notation"
+        assert text in new_text, "numbers keep their notation"
 
 
 @pytest.mark.parametrize("hand_name", packaged_hands())
@@ -60,12 +60,16 @@ def test_a_random_hand_is_the_same_hand(seed: int) -> None:
 
 
 def test_differing_comments_of_one_value_are_joined() -> None:
-    old = SCHEMA_1_FILE.read_text("utf-8")
-    place = old.index("knee_N = 200.0", old.index('name = "middle_tendon"'))
-    old = old[:place] + "knee_N = 200.0  # measured in May" + old[place + len("knee_N = 200.0") :]
+    old_text = SCHEMA_1_FILE.read_text("utf-8")
+    knee_position = old_text.index("knee_N = 200.0", old_text.index('name = "middle_tendon"'))
+    old_text = (
+        old_text[:knee_position]
+        + "knee_N = 200.0  # measured in May"
+        + old_text[knee_position + len("knee_N = 200.0") :]
+    )
     assert re.search(
         r"^knee_N = 200.0 .*# the paper's section 5.*; measured in May$",
-        convert_to_schema_2(old, "old"),
+        convert_to_schema_2(old_text, "old"),
         re.M,
     )
 

@@ -193,5 +193,5 @@ def test_maps_between_tendon_and_joint_space_are_inverse(digits, rng):
         assert np.allclose(digit.excursion_to_joints @ excursions(digit, q), q, rtol=1e-9)
         assert np.allclose(digit.joints_to_coordinates @ q, theta, rtol=1e-9)
         tau = rng.normal(size=digit.joint_count)
-        made = digit.reduced_moment_arms.T @ digit.torque_to_tension @ tau
-        assert np.allclose(made, digit.coupling.T @ tau, rtol=1e-9)
+        computed_torque = digit.reduced_moment_arms.T @ digit.torque_to_tension @ tau
+        assert np.allclose(computed_torque, digit.coupling.T @ tau, rtol=1e-9)

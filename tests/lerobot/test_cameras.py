@@ -105,11 +105,11 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     assert dataset.meta.camera_keys == ["observation.images.wrist"]
     random = np.random.default_rng(0)
     for i in {0, frames - 1, *random.integers(0, frames, 20).tolist()}:
-        item = dataset[i]
-        image = item["observation.images.wrist"]
+        dataset_row = dataset[i]
+        image = dataset_row["observation.images.wrist"]
         assert image.shape == (3, IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX)
-        episode = int(item["episode_index"])
-        frame_time_s = spans[episode][0] + float(item["timestamp"]) - starts[episode]
+        episode = int(dataset_row["episode_index"])
+        frame_time_s = spans[episode][0] + float(dataset_row["timestamp"]) - starts[episode]
         latest_camera_time_s = np.floor(frame_time_s * CAMERA_HZ + 1e-6) / CAMERA_HZ
         assert brightness(image) == pytest.approx(
             20.0 + BRIGHTNESS_PER_S * latest_camera_time_s, abs=3.0
@@ -120,15 +120,15 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     images = np.stack([dataset[i]["observation.images.wrist"].numpy() for i in range(frames)])
     for channel in range(3):
         values = images[:, channel]
-        for name, own in (
+        for name, value_of_frames in (
             ("mean", values.mean()),
             ("std", values.std()),
             ("min", values.min()),
             ("max", values.max()),
         ):
-            assert float(statistics[name][channel, 0, 0]) == pytest.approx(float(own), abs=0.03), (
-                name
-            )
+            assert float(statistics[name][channel, 0, 0]) == pytest.approx(
+                float(value_of_frames), abs=0.03
+            ), name
 
 
 def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:

@@ -47,8 +47,10 @@ def link_ffmpeg(lerobot_python: str, link_folder: Path) -> str:
     Returns: The folders that ``LD_LIBRARY_PATH`` must contain.
     """
     code = "import av, pathlib; print(pathlib.Path(av.__file__).parent.with_name('av.libs'))"
-    found = subprocess.run([lerobot_python, "-c", code], capture_output=True, text=True, check=True)
-    libraries = Path(found.stdout.strip())
+    result = subprocess.run(
+        [lerobot_python, "-c", code], capture_output=True, text=True, check=True
+    )
+    libraries = Path(result.stdout.strip())
     link_folder.mkdir()
     for path in libraries.glob("lib*.so.*"):
         if name := re.fullmatch(r"(lib(?:av|sw)\w+)-[0-9a-f]+\.so\.(\d+)\..*", path.name):
@@ -63,18 +65,18 @@ def lerobot_python(tmp_path: Path) -> str:
         return LEROBOT_PYTHON_PATH
     folder = tmp_path / "env"
     subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
-    made = str(folder / "bin" / "python")
-    run_pip(made, "--requirement", str(Path(__file__).parent / "requirements.txt"))
-    run_pip(made, "--no-deps", LEROBOT_REQUIREMENT)
-    run_pip(made, "--editable", f"{REPOSITORY_ROOT}[sim,export]")
+    python_path = str(folder / "bin" / "python")
+    run_pip(python_path, "--requirement", str(Path(__file__).parent / "requirements.txt"))
+    run_pip(python_path, "--no-deps", LEROBOT_REQUIREMENT)
+    run_pip(python_path, "--editable", f"{REPOSITORY_ROOT}[sim,export]")
     run_pip(
-        made,
+        python_path,
         "--no-deps",
         "--no-build-isolation",
         "--editable",
         str(REPOSITORY_ROOT / "lerobot_robot_handctl"),
     )
-    return made
+    return python_path
 
 
 @pytest.mark.nightly

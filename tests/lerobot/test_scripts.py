@@ -129,9 +129,9 @@ def test_the_loader_reads_exported_episodes_with_statistics(tmp_path) -> None:
         assert frame["task"]
     assert bool(dataset[frames - 1]["next.done"])
     stats = dataset.meta.stats["action"]
-    whole = np.array(dataset.hf_dataset["action"])
-    np.testing.assert_allclose(stats["mean"], whole.mean(axis=0), atol=1e-4)
-    np.testing.assert_allclose(stats["std"], whole.std(axis=0), atol=1e-4)
+    all_actions = np.array(dataset.hf_dataset["action"])
+    np.testing.assert_allclose(stats["mean"], all_actions.mean(axis=0), atol=1e-4)
+    np.testing.assert_allclose(stats["std"], all_actions.std(axis=0), atol=1e-4)
 
 
 def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:
@@ -161,12 +161,18 @@ def test_episodes_split_by_lerobot(tmp_path) -> None:
     ):
         export_lerobot([log, two], tmp_path / "data")
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data")
-    parts = split_dataset(dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts")
-    assert {name: part.num_episodes for name, part in parts.items()} == {"train": 1, "val": 1}
+    dataset_by_split = split_dataset(
+        dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts"
+    )
+    assert {
+        name: dataset_of_split.num_episodes for name, dataset_of_split in dataset_by_split.items()
+    } == {"train": 1, "val": 1}
     episode = dataset.meta.episodes[1]
-    own = np.array(dataset.hf_dataset["action"])[
+    actions_of_episode = np.array(dataset.hf_dataset["action"])[
         episode["dataset_from_index"] : episode["dataset_to_index"]
     ]
     np.testing.assert_allclose(
-        parts["val"].meta.stats["action"]["mean"], own.mean(axis=0), atol=1e-4
+        dataset_by_split["val"].meta.stats["action"]["mean"],
+        actions_of_episode.mean(axis=0),
+        atol=1e-4,
     )

@@ -27,15 +27,15 @@ def log_with_changed_metadata(
         change_metadata: function that takes the name and the entries of a metadata record, and returns the
             new entries.
     """
-    parts = [MCAP_MAGIC]
+    file_parts = [MCAP_MAGIC]
     for code, body in _split_records(log_bytes):
         if code == Opcode.METADATA:
             name, entries = _parsed_metadata(body)
             body = _packed_metadata(name, change_metadata(name, entries))
         elif code in (Opcode.DATA_END, Opcode.FOOTER):
             body = body[:-4] + bytes(4)
-        parts.append(_RECORD_HEAD_STRUCT.pack(code, len(body)) + body)
-    return b"".join([*parts, MCAP_MAGIC])
+        file_parts.append(_RECORD_HEAD_STRUCT.pack(code, len(body)) + body)
+    return b"".join([*file_parts, MCAP_MAGIC])
 
 
 def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -> Path:
@@ -46,7 +46,9 @@ def write_log_with_run_metadata(log_path: Path, out: Path, **json_by_key: str) -
     out.write_bytes(
         log_with_changed_metadata(
             log_path.read_bytes(),
-            lambda name, old: old | json_by_key if name == "handctl.run" else old,
+            lambda name, old_metadata: (
+                old_metadata | json_by_key if name == "handctl.run" else old_metadata
+            ),
         )
     )
     return out

@@ -36,10 +36,10 @@ def _log_with_chunks(small_log: Path, chunks: bytes) -> bytes:
     return small_log.read_bytes()[: scan.chunks[1].end] + chunks
 
 
-def _compressed_zeros(size: int) -> bytes:
+def _zstd_compressed_zero_bytes(size: int) -> bytes:
     compressor = zstandard.ZstdCompressor(level=1).compressobj()
-    part = bytes(1 << 20)
-    return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
+    zero_bytes = bytes(1 << 20)
+    return b"".join(compressor.compress(zero_bytes) for _ in range(size >> 20)) + compressor.flush()
 
 
 def hostile_files(small_log: Path) -> dict[str, bytes]:
@@ -48,8 +48,8 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     Most hostile files begin like a real log.
     """
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
-    other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
-    many = (message + other) * (MAX_CHUNK_BYTES // 62)
+    message_of_other_channel = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
+    many = (message + message_of_other_channel) * (MAX_CHUNK_BYTES // 62)
     zero_bytes = bytes(MAX_CHUNK_BYTES)
     channels = b"".join(
         struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)
@@ -66,10 +66,10 @@ def hostile_files(small_log: Path) -> dict[str, bytes]:
     text = struct.pack("<I", 2**32 - 1)
     return {
         "zstd of a gigabyte": _log_with_chunks(
-            small_log, _chunk_record("zstd", _compressed_zeros(1 << 30), 1 << 20)
+            small_log, _chunk_record("zstd", _zstd_compressed_zero_bytes(1 << 30), 1 << 20)
         ),
         "zstd that says how large it is": _log_with_chunks(
-            small_log, _chunk_record("zstd", _compressed_zeros(1 << 30), 1 << 30)
+            small_log, _chunk_record("zstd", _zstd_compressed_zero_bytes(1 << 30), 1 << 30)
         ),
         "lz4 of more than it says": _log_with_chunks(
             small_log, _chunk_record("lz4", lz4.frame.compress(zero_bytes), 1000)

@@ -55,13 +55,13 @@ def synthetic_header(
         "initial_state": bytes(range(64)),
         "hand.urdf": urdf_text(hand).encode(),
     }
-    given: dict[str, object] = {
+    header_fields: dict[str, object] = {
         "metadata": {"hand": hand_name, "note": "synthetic", "seed": "0"},
         "gains": {"motion.position_error_m": "0.0006", "tension.rate_N_per_s": "200.0"},
         "attachments": attachments,
         "deterministic": True,
     }
-    return RunHeader.from_hand(hand.to_toml(), 10**9 // rate_hz, **(given | other_fields))
+    return RunHeader.from_hand(hand.to_toml(), 10**9 // rate_hz, **(header_fields | other_fields))
 
 
 def _phase_name_at(run_fraction: float) -> str:
@@ -131,8 +131,10 @@ class SyntheticRunTicks:
         goal = np.full(len(run.joints), 1.2 * self._closing_fraction(run_fraction))
         stop = 0.75 + 0.1 * np.array(self._digit_of)
         q = np.minimum(goal, stop) + 2e-4 * self._random.standard_normal(len(goal))
-        before = np.minimum(1.2 * self._closing_fraction(run_fraction - 1 / self.ticks), stop)
-        dq = (np.minimum(goal, stop) - before) / period
+        angles_before = np.minimum(
+            1.2 * self._closing_fraction(run_fraction - 1 / self.ticks), stop
+        )
+        dq = (np.minimum(goal, stop) - angles_before) / period
         pressing = np.array(
             [
                 max(0.0, 1.2 * self._closing_fraction(run_fraction) - (0.75 + 0.1 * d))
@@ -167,13 +169,15 @@ class SyntheticRunTicks:
     def _tick_in(self, tick_index: int, telemetry: Telemetry) -> TickIn:
         t_ns, frames = tick_index * self.run.period_ns, []
         if tick_index:
-            before = t_ns - self.run.period_ns
+            previous_tick_ns = t_ns - self.run.period_ns
             for index, motor in enumerate(telemetry.motor_position):
                 word = int(np.clip((motor + 12.5) / 25 * 65535, 0, 65535))
                 data = bytes((index + 1, word >> 8, word & 255, 0x80, 0, 0x80, 30, 30))
-                frames.append(Frame(0x11 + index, data, 0, 0, before + 150_000 + 120_000 * index))
+                frames.append(
+                    Frame(0x11 + index, data, 0, 0, previous_tick_ns + 150_000 + 120_000 * index)
+                )
             raw = int(np.clip((telemetry.tension_raw[0] + 6) / 0.0625, 0, 4095))
-            frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, before + 90_000))
+            frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, previous_tick_ns + 90_000))
         io_events = (
             (IoEvent("enobufs", self.run.buses[0], 3),) if tick_index == self.ticks // 2 else ()
         )

@@ -32,11 +32,11 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
     recover_log(log, recovered_log)
     for path in (log, recovered_log):
         with RunLog(path) as opened_log:
-            found, missing = attached_meshes(
+            mesh_by_link, missing = attached_meshes(
                 described_hand(opened_log.header, "the log"), opened_log.header.attachments
             )
         assert not missing
-        assert {link: one.data for link, one in found.items()} == {
+        assert {link: mesh.data for link, mesh in mesh_by_link.items()} == {
             mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes()
             for mesh in meshes_of_hand(hand)
         }
@@ -48,14 +48,14 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
     attachments, left_out = mesh_attachments(hand, tmp_path)
     assert not left_out
     assert set(attachments) == {"mesh/m.stl", "mesh/sub/mm.stl", "mesh/sub/mm.obj"}
-    found, missing = attached_meshes(hand, attachments)
+    mesh_by_link, missing = attached_meshes(hand, attachments)
     assert not missing
-    assert found.keys() == {mesh.link for mesh in meshes_of_hand(hand)}
+    assert mesh_by_link.keys() == {mesh.link for mesh in meshes_of_hand(hand)}
     for mesh in meshes_of_hand(hand):
         expected = tetrahedron_triangles() / max(
             abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
         )
-        assert found[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
+        assert mesh_by_link[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
 
 
 def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:
@@ -76,9 +76,9 @@ def test_a_mesh_that_is_wrong_is_left_out_with_a_line(tmp_path: Path) -> None:
     assert left_out == [
         'digit[left].link_mesh[1]: "sub/mm.obj": no such file; expected a file, relative to the hand file'
     ]
-    found, missing = attached_meshes(hand_with_meshes("t42"), attachments)
+    mesh_by_link, missing = attached_meshes(hand_with_meshes("t42"), attachments)
     assert missing == ["left_link2"]
-    assert found.keys() == {"palm", "right_link2"}
+    assert mesh_by_link.keys() == {"palm", "right_link2"}
 
 
 def test_a_damaged_mesh_in_a_log_is_missing(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ def _write_log(
     log_path: Path, clock_readings: list[tuple[int, int]], duration_s: float, deterministic: bool
 ) -> Path:
     run = synthetic_run.synthetic_header(rate_hz=10, deterministic=deterministic)
-    left = iter(clock_readings)
-    writer = LogWriter(log_path, run, lambda *what: None, 1, lambda: next(left))
+    remaining_readings = iter(clock_readings)
+    writer = LogWriter(log_path, run, lambda *arguments: None, 1, lambda: next(remaining_readings))
     for tick in synthetic_run.SyntheticRunTicks(run, duration_s):
         writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)

@@ -74,8 +74,8 @@ def test_an_hour_of_chunks_is_less_than_half_a_megabyte() -> None:
     for k in range(chunks_an_hour):
         size = chance.randrange(60_000, 90_000)
         times = (250_000_000 * k, 250_000_000 * k + 248_000_000)
-        place = ChunkEntry(start, size, size - 40, 3 * size, *times, 4000)
-        table.add_chunk(place, {channel: 50 * channel + k % 7 for channel in channels})
+        chunk_entry = ChunkEntry(start, size, size - 40, 3 * size, *times, 4000)
+        table.add_chunk(chunk_entry, {channel: 50 * channel + k % 7 for channel in channels})
         start += size + 4000
     memory, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()

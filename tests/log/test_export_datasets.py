@@ -70,8 +70,8 @@ def test_polars_reads_the_text(golden_log: RunLog, tmp_path: Path) -> None:
 
 def test_the_dataset_has_the_values_of_the_log(golden_log: RunLog, exported_dataset: Path) -> None:
     info = json.loads((exported_dataset / "meta" / "info.json").read_text())
-    place = {"chunk_index": 0, "file_index": 0}
-    table = polars.read_parquet(exported_dataset / info["data_path"].format(**place))
+    file_numbers = {"chunk_index": 0, "file_index": 0}
+    table = polars.read_parquet(exported_dataset / info["data_path"].format(**file_numbers))
     active = golden_log.mode == int(HandMode.ACTIVE)
     state = np.hstack([golden_log.field("q")[active], golden_log.field("tension")[active]]).astype(
         np.float32
@@ -159,12 +159,12 @@ def test_several_logs_become_episodes_of_one_dataset(
         exported_dataset / "data" / "chunk-000" / "file-000.parquet"
     )
     for episode in episodes:
-        part = table[episode["dataset_from_index"] : episode["dataset_to_index"]]
-        assert set(part["episode_index"]) == {episode["episode_index"]}
-        assert part["frame_index"].to_list() == list(range(episode["length"]))
-        assert {tasks[i]["task"] for i in part["task_index"]} == set(episode["tasks"])
+        episode_rows = table[episode["dataset_from_index"] : episode["dataset_to_index"]]
+        assert set(episode_rows["episode_index"]) == {episode["episode_index"]}
+        assert episode_rows["frame_index"].to_list() == list(range(episode["length"]))
+        assert {tasks[i]["task"] for i in episode_rows["task_index"]} == set(episode["tasks"])
         assert episode["stats/action/mean"] == pytest.approx(
-            part["action"].to_numpy().mean(axis=0), abs=1e-4
+            episode_rows["action"].to_numpy().mean(axis=0), abs=1e-4
         )
     middle_table = table.filter(polars.col("episode_index") == 1)
     for name in ("observation.state", "action", "timestamp", "next.done"):
@@ -221,10 +221,10 @@ def test_a_lower_frame_rate_takes_the_latest_tick(
     golden_log: RunLog, exported_dataset: Path, tmp_path: Path
 ) -> None:
     frames = export_lerobot([golden_log], tmp_path / "slow", fps=40)
-    whole, slow = [frames_of(path) for path in (exported_dataset, tmp_path / "slow")]
-    assert len(slow) == frames == (len(whole) - 1) // 5 + 1
-    assert slow["action"].to_list() == whole["action"].to_list()[::5]
-    assert slow["timestamp"].to_list() == pytest.approx([i / 40 for i in range(frames)])
+    all_frames, slow_frames = [frames_of(path) for path in (exported_dataset, tmp_path / "slow")]
+    assert len(slow_frames) == frames == (len(all_frames) - 1) // 5 + 1
+    assert slow_frames["action"].to_list() == all_frames["action"].to_list()[::5]
+    assert slow_frames["timestamp"].to_list() == pytest.approx([i / 40 for i in range(frames)])
     for fps in (0, 201):
         with pytest.raises(ConfigError, match=f"--fps: {fps} Hz; expected 1 to 200 Hz"):
             export_lerobot([golden_log], tmp_path / "wrong", fps=fps)

@@ -158,11 +158,11 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
 def test_a_hand_with_other_names_than_the_columns_is_refused(
     log_folder: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
-    def metadata_with_other_name(name: str, old: dict[str, str]) -> dict[str, str]:
+    def metadata_with_other_name(name: str, old_metadata: dict[str, str]) -> dict[str, str]:
         if name != "handctl.run":
-            return old
-        joints = json.loads(old["joints"])
-        return old | {"joints": json.dumps([*joints[:-1], "another"])}
+            return old_metadata
+        joints = json.loads(old_metadata["joints"])
+        return old_metadata | {"joints": json.dumps([*joints[:-1], "another"])}
 
     (log_folder / "odd.mcap").write_bytes(
         log_with_changed_metadata(GOLDEN_LOG.read_bytes(), metadata_with_other_name)
@@ -174,9 +174,12 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
 def test_invalid_truth_offset_is_refused(
     log_folder: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
-    more = {"truth_offset_ns": text}
+    changed_fields = {"truth_offset_ns": text}
     changed_log = log_with_changed_metadata(
-        GOLDEN_LOG.read_bytes(), lambda name, old: old | more if name == "handctl" else old
+        GOLDEN_LOG.read_bytes(),
+        lambda name, old_metadata: (
+            old_metadata | changed_fields if name == "handctl" else old_metadata
+        ),
     )
     (log_folder / "odd.mcap").write_bytes(changed_log)
     assert "truth_offset_ns" in _refusal_line(capsys, "report", "odd.mcap")

@@ -71,12 +71,12 @@ def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path:
     assert little_memory
     assert len(outcomes) == 10 * len(list(folder.glob("*.mcap")))
     for name, words, code, output, seconds in outcomes:
-        what = f"{words} on {name}: {output}"
-        assert code in EXIT_CODES.get(" ".join(words[:2]), (2,)), what
-        assert len(output) <= 2, what
-        assert "\x1b" not in "".join(output), what
-        assert "Traceback" not in "".join(output), what
-        assert seconds < 1.0, what
+        failure_text = f"{words} on {name}: {output}"
+        assert code in EXIT_CODES.get(" ".join(words[:2]), (2,)), failure_text
+        assert len(output) <= 2, failure_text
+        assert "\x1b" not in "".join(output), failure_text
+        assert "Traceback" not in "".join(output), failure_text
+        assert seconds < 1.0, failure_text
 
 
 def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
@@ -85,13 +85,13 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     inner = tmp_path / "inner"
     inner.mkdir()
     escape_sequence = "\x1b]0;mine\x07\x1b[2J"
-    more = {
+    hostile_names = {
         "metadata": {"hand": escape_sequence, "note": escape_sequence},
         "gains": {escape_sequence: escape_sequence},
         "attachments": {f"../{escape_sequence}": b"x"},
     }
-    run = synthetic_run.synthetic_header(rate_hz=50, **more)
-    writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
+    run = synthetic_run.synthetic_header(rate_hz=50, **hostile_names)
+    writer = LogWriter(inner / "run.mcap", run, lambda *arguments: None, 1)
     for tick in synthetic_run.SyntheticRunTicks(run, 0.5):
         writer.add_tick(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(escape_sequence, 0)

@@ -73,7 +73,7 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
 def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
     topics = messages_by_topic(varied_log)
     kinds = {message.kind for messages in topics.values() for message in messages}
-    parts = {
+    inner_types = {
         "Time",
         "Header",
         "Vector3",
@@ -83,9 +83,16 @@ def test_every_topic_has_messages_in_the_lively_run(varied_log: Path) -> None:
         "Wrench",
         "KeyValue",
     }
-    parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
+    inner_types |= {
+        "DiagnosticStatus",
+        "ParameterValue",
+        "Parameter",
+        "CanFrame",
+        "IoEvent",
+        "Event",
+    }
     assert kinds == {
-        schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in parts
+        schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in inner_types
     }
 
 
@@ -95,7 +102,7 @@ def test_a_snapshot_is_read_as_it_was_written(varied_log: Path) -> None:
 
 
 def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
-    seen = 0
+    message_count = 0
     for messages in messages_by_topic(varied_log).values():
         first_message = messages[0]
         for serialiser in other_serialisers(first_message.kind, first_message.schema):
@@ -103,8 +110,8 @@ def test_both_serialisers_give_back_every_message(varied_log: Path) -> None:
                 assert serialiser.encode(serialiser.decode(message.data)) == message.data, (
                     message.topic
                 )
-                seen += 1
-    assert seen > 5000
+                message_count += 1
+    assert message_count > 5000
 
 
 def _built_message(type_name: str, field_values: dict[str, object]) -> bytes:

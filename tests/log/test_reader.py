@@ -104,9 +104,9 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(varied_log: Path
         expected = [(tick_in.k, event) for tick_in, out in ticks for event in out.events]
         assert [(event.k, event.event) for event in log.events] == expected
         assert [phase.name for phase in log.phases] == ["idle", "close", "h\u00e4lt", ""]
-        before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
-        assert [gap.last_tick_before for gap in log.gaps] == before
-        assert len(before) == 7
+        ticks_before_gaps = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
+        assert [gap.last_tick_before for gap in log.gaps] == ticks_before_gaps
+        assert len(ticks_before_gaps) == 7
         assert int(log.end["missed"]) == 21
 
 
@@ -160,7 +160,7 @@ def test_a_changed_bit_is_detected_or_harmless(small_log: Path, tmp_path: Path, 
             errors.append(str(error))
         assert time.process_time() - start < 1.0
     assert len(errors) > 40
-    assert all("bad.mcap, byte " in one for one in errors)
+    assert all("bad.mcap, byte " in error_text for error_text in errors)
 
 
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

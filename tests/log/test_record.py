@@ -178,7 +178,7 @@ def test_a_payload_longer_than_any_frames_is_refused() -> None:
     quiet = TickOut((), HandMode.READY, "", SafetyAction.PASS, telemetry, (), bytes(8))
     message = bytearray(pack_tick(TickIn(1, 2, 0, (Frame(5, bytes(64), FDF),)), quiet))
     message[message_layout(bytes(message)).received.start + 15] = 65
-    for decode in (unpack_tick, lambda one: unpack_ticks([one])):
+    for decode in (unpack_tick, lambda tick_message: unpack_ticks([tick_message])):
         with pytest.raises(ValueError, match="payload of 65 bytes"):
             decode(bytes(message))
 
@@ -191,7 +191,7 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
     message = bytearray(pack_tick(tick_in, out))
     if data.draw(st.booleans()):
         del message[data.draw(st.integers(0, len(message) - 1)) :]
-        for decode in (unpack_tick, lambda one: unpack_ticks([one])):
+        for decode in (unpack_tick, lambda tick_message: unpack_ticks([tick_message])):
             with pytest.raises(ValueError):
                 decode(bytes(message))
         return

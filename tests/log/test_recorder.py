@@ -129,8 +129,8 @@ def test_a_process_started_ahead_ends_with_its_controller() -> None:
 
 def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
     chance = random.Random(5)
-    for first in range(0, FEEDER_KILLS, PARALLEL_KILLS):
-        paths = [tmp_path / f"{n}.mcap" for n in range(first, first + PARALLEL_KILLS)]
+    for first_number in range(0, FEEDER_KILLS, PARALLEL_KILLS):
+        paths = [tmp_path / f"{n}.mcap" for n in range(first_number, first_number + PARALLEL_KILLS)]
         feeders = [
             subprocess.Popen(
                 [sys.executable, FEEDER_PROGRAM, path],
@@ -188,22 +188,22 @@ def test_a_stalled_recorder_never_holds_up_the_controller(
     recorder, records = start_recorder(), _make_records(3000)
     recorder.send_record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
-    taken, longest, events = [], 0.0, []
+    accepted_ticks, longest, events = [], 0.0, []
     for k, record in enumerate(records[1:], 1):
         started = time.perf_counter()
         if recorder.send_record(record):
-            taken.append(k)
+            accepted_ticks.append(k)
         longest = max(longest, time.perf_counter() - started)
         events += recorder.take_events()
     os.kill(recorder._child.pid, signal.SIGCONT)
     assert longest < 0.05
-    assert 100 < len(taken) < len(records) - 100
+    assert 100 < len(accepted_ticks) < len(records) - 100
     assert [event.where for event in events][:2] == ["filling", "dropped"]
     assert sum(event.number for event in events if event.where == "dropped") == recorder.dropped
     assert _wait_until(lambda: recorder.send_record(records[-1]))
     summary = recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
-        assert log.k.tolist() == [0, *taken, len(records) - 1]
+        assert log.k.tolist() == [0, *accepted_ticks, len(records) - 1]
         assert int(log.end["dropped"]) == summary["dropped"] > 0
         assert len(log.gaps) >= 1
 
@@ -230,7 +230,7 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
 def test_records_longer_than_an_atomic_write_stay_whole(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    recorder, chance, taken = start_recorder(), random.Random(3), []
+    recorder, chance, accepted_records = start_recorder(), random.Random(3), []
     ticks = list(synthetic_run.SyntheticRunTicks(synthetic_run.synthetic_header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
         if k % 250 == 100:
@@ -240,11 +240,13 @@ def test_records_longer_than_an_atomic_write_stay_whole(
             time.sleep(0.1)
         text = chance.choice("ab") * chance.randrange(9_000, 30_000)
         if recorder.send_record(pack_tick_record(tick_in._replace(requests=(text,)), out)):
-            taken.append((k, text))
+            accepted_records.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100
     recorder.close("finished")
     with RunLog(tmp_path / "run.mcap") as log:
-        assert [(tick.tick_in.k, *tick.tick_in.requests) for tick in log.ticks()] == taken
+        assert [
+            (tick.tick_in.k, *tick.tick_in.requests) for tick in log.ticks()
+        ] == accepted_records
 
 
 def test_telemetry_of_another_shape_is_announced(
@@ -389,7 +391,7 @@ def test_a_full_disk_leaves_a_whole_file(
 def test_a_log_that_is_renamed_during_the_run_is_completed(tmp_path: Path) -> None:
     """Reproduce a defect: the recorder process ended with FileNotFoundError, and the log had no end."""
     path = tmp_path / "run.mcap"
-    writer = LogWriter(path, synthetic_run.synthetic_header(), lambda *what: None, 1)
+    writer = LogWriter(path, synthetic_run.synthetic_header(), lambda *arguments: None, 1)
     records = _make_records(100)
     for record in records[:50]:
         writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
@@ -407,18 +409,18 @@ def test_a_full_disk_has_reserved_space_for_the_end(two_megabyte_disk: Path) -> 
     writer = LogWriter(
         two_megabyte_disk / "run.mcap",
         synthetic_run.synthetic_header(),
-        lambda *what: events.append(what),
+        lambda *arguments: events.append(arguments),
         700_000,
     )
     for record in _make_records(200):
         writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
-    with (two_megabyte_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+    with (two_megabyte_disk / "other").open("wb", buffering=0) as other_file, suppress(OSError):
         while True:
-            other.write(bytes(4096))
+            other_file.write(bytes(4096))
     writer.sync()
     writer.finish("finished", 0)
-    assert [what for what, _ in events] == ["disk_full"]
+    assert [event_name for event_name, _ in events] == ["disk_full"]
     with RunLog(two_megabyte_disk / "run.mcap") as log:
         assert (len(log), log.warning, log.end["reason"]) == (200, "", "disk full")
 
@@ -428,7 +430,7 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(two_megabyte_disk:
     writer = LogWriter(
         two_megabyte_disk / "run.mcap",
         synthetic_run.synthetic_header(),
-        lambda *what: None,
+        lambda *arguments: None,
         1,
         sync_file=disk_syncer,
     )
@@ -436,9 +438,9 @@ def test_the_syncing_process_does_not_hold_the_reserved_space(two_megabyte_disk:
         writer.add_tick(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
-    with (two_megabyte_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+    with (two_megabyte_disk / "other").open("wb", buffering=0) as other_file, suppress(OSError):
         while True:
-            other.write(bytes(4096))
+            other_file.write(bytes(4096))
     writer._reserved.release()
     assert _wait_until(lambda: shutil.disk_usage(two_megabyte_disk).free > 256 << 10, 5.0)
     writer.finish("finished", 0)

@@ -130,12 +130,14 @@ def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
     assert recovery.lost_ranges[-1][1] == scan.chunks[6].end + 5
     recovered_messages = read_messages(out)
     assert len(recovered_messages) == recovery.messages
-    last = max(one.log_time for one in recovered_messages if one.topic == "/tick")
-    whole_messages = [message for message in read_messages(small_log) if message.log_time <= last]
+    last_time = max(message.log_time for message in recovered_messages if message.topic == "/tick")
+    whole_messages = [
+        message for message in read_messages(small_log) if message.log_time <= last_time
+    ]
     assert sorted(recovered_messages) == sorted(whole_messages)
-    with RunLog(out) as log, RunLog(small_log) as old:
+    with RunLog(out) as log, RunLog(small_log) as whole_log:
         assert "without an end mark" in log.end["recovered"]
-        assert log.header == old.header
+        assert log.header == whole_log.header
         assert len(list(log.ticks())) == len(log)
 
 
@@ -147,9 +149,9 @@ def test_a_complete_file_is_copied_unchanged(small_log: Path, tmp_path: Path) ->
         "",
     )
     assert read_messages(out) == read_messages(small_log)
-    with RunLog(out) as log, RunLog(small_log) as old:
-        assert log.end == old.end
-        assert log.header == old.header
+    with RunLog(out) as log, RunLog(small_log) as whole_log:
+        assert log.end == whole_log.end
+        assert log.header == whole_log.header
 
 
 def test_one_damaged_chunk_is_left_out_and_the_rest_copied(small_log: Path, tmp_path: Path) -> None:

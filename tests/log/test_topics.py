@@ -70,9 +70,9 @@ def test_rosbags_reads_every_message(run_log: Path) -> None:
             topics[connection.topic] += 1
         assert sum(topics.values()) == reader.message_count
         latched_topics = {
-            one.topic
-            for one in reader.connections
-            if one.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+            connection.topic
+            for connection in reader.connections
+            if connection.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
         }
     assert latched_topics == {"/robot_description", "/tf_static", "/controller/names"}
     topics_of_every_tick = [topic for topic, number in topics.items() if number == 1000]
@@ -107,10 +107,10 @@ def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
         "/cycle",
         "/fingertip/thumb/wrench",
     ):
-        assert [one.sequence for one in topics[topic]] == list(range(1000)), topic
-        assert [one.log_time for one in topics[topic]] == [2_000_000 * k for k in range(1000)], (
-            topic
-        )
+        assert [message.sequence for message in topics[topic]] == list(range(1000)), topic
+        assert [message.log_time for message in topics[topic]] == [
+            2_000_000 * k for k in range(1000)
+        ], topic
 
 
 @settings(
@@ -140,8 +140,8 @@ def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Pa
     for path, run in zip(paths, runs, strict=True):
         synthetic_run.write_synthetic_run(path, run, 1.0)
     assert read_messages(paths[0]) == read_messages(paths[1])
-    first, second = (path.read_bytes() for path in paths)
-    assert first != second
+    first_content, second_content = (path.read_bytes() for path in paths)
+    assert first_content != second_content
     wall = synthetic_run.synthetic_header(rate_hz=500)
     other_paths = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
     for path in other_paths:
@@ -156,10 +156,10 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
     shifted_log = read_messages(
         _write_log(tmp_path / "b", varied_run.varied_header(offset_ns=offset), bodies)
     )
-    assert [one.log_time + offset for one in plain_messages] == [
-        one.log_time for one in shifted_log
+    assert [message.log_time + offset for message in plain_messages] == [
+        message.log_time for message in shifted_log
     ]
-    states = [one for one in shifted_log if one.topic == "/joint_states"]
+    states = [message for message in shifted_log if message.topic == "/joint_states"]
     serialiser = RosbagsSerialiser(states[0].kind, states[0].schema)
     for state in states:
         stamp = serialiser.decode(state.data).header.stamp
@@ -184,13 +184,15 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
     assert len(tf) == 50
     for (_, out), message in zip(ticks, tf, strict=True):
         pose = {"palm": (np.zeros(3), Rotation.identity())}
-        for one in serialiser.decode(message.data).transforms + tips:
-            move, turn = one.transform.translation, one.transform.rotation
-            origin, frame = pose[one.header.frame_id]
+        for transform in serialiser.decode(message.data).transforms + tips:
+            move, turn = transform.transform.translation, transform.transform.rotation
+            origin, frame = pose[transform.header.frame_id]
             turned = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
-            pose[one.child_frame_id] = origin + frame.apply([move.x, move.y, move.z]), turned
-        for digit, place in zip(digits, hand_description.digit_joints.values(), strict=True):
-            for link in link_transforms(digit, out.telemetry.q[place]):
+            pose[transform.child_frame_id] = origin + frame.apply([move.x, move.y, move.z]), turned
+        for digit, joints_of_digit in zip(
+            digits, hand_description.digit_joints.values(), strict=True
+        ):
+            for link in link_transforms(digit, out.telemetry.q[joints_of_digit]):
                 origin, frame = pose[link.frame]
                 np.testing.assert_allclose(origin, link.position, atol=1e-12)
                 assert (frame.inv() * Rotation.from_quat(link.quaternion_xyzw)).magnitude() < 1e-12
@@ -261,15 +263,24 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     )
     targets = topics["/stream/target"]
     serialiser = RosbagsSerialiser(targets[0].kind, targets[0].schema)
-    first, other, last = (serialiser.decode(target.data) for target in targets)
-    assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
-    assert first.age == pytest.approx(0.003)
-    np.testing.assert_array_equal(first.value, [1.5, math.nan])
-    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), (
-        "a stream that was never opened"
+    first_target, other_target, last_target = (serialiser.decode(target.data) for target in targets)
+    assert (first_target.stream, first_target.number, first_target.name) == (
+        "s",
+        0,
+        ["index_j1", "thumb_j1"],
     )
-    assert (last.number, last.name) == (2**63 - 1, [])
-    lines = [RosbagsSerialiser(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
+    assert first_target.age == pytest.approx(0.003)
+    np.testing.assert_array_equal(first_target.value, [1.5, math.nan])
+    assert (other_target.stream, other_target.name, other_target.value.tolist()) == (
+        "t",
+        [],
+        [1e308],
+    ), "a stream that was never opened"
+    assert (last_target.number, last_target.name) == (2**63 - 1, [])
+    lines = [
+        RosbagsSerialiser(line_message.kind, line_message.schema).decode(line_message.data)
+        for line_message in topics["/rosout"]
+    ]
     request_lines = [line.msg for line in lines if line.name == "handctl.request"]
     assert request_lines[:2] == [json.dumps(opening), '{"do": "stop"}']
     assert not any("target" in line for line in request_lines)
@@ -280,23 +291,25 @@ def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
     ticks = list(varied_run.varied_ticks(run))
     topics = messages_by_topic(_write_log(tmp_path / "a", run, _tick_bodies(run)))["/cycle"]
     serialiser = RosbagsSerialiser(topics[0].kind, topics[0].schema)
-    last = None
+    last_tick_and_start = None
     for (tick_in, out), message in zip(ticks, topics, strict=True):
-        one, start = serialiser.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
-        assert one.missed == (tick_in.k - last[0] - 1 if last else 0)
-        assert one.late == tick_in.late_ns * 1e-9
-        assert (one.mode, one.action) == (out.mode, out.action)
-        if last is None:
-            assert np.isnan(one.period)
+        cycle, start = serialiser.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
+        assert cycle.missed == (
+            tick_in.k - last_tick_and_start[0] - 1 if last_tick_and_start else 0
+        )
+        assert cycle.late == tick_in.late_ns * 1e-9
+        assert (cycle.mode, cycle.action) == (out.mode, out.action)
+        if last_tick_and_start is None:
+            assert np.isnan(cycle.period)
         else:
-            assert one.period == pytest.approx(start - last[1])
-            received = [frame.t_ns * 1e-9 - last[1] for frame in tick_in.frames]
+            assert cycle.period == pytest.approx(start - last_tick_and_start[1])
+            received = [frame.t_ns * 1e-9 - last_tick_and_start[1] for frame in tick_in.frames]
             assert (
-                one.last_reply == pytest.approx(max(received), abs=1e-12)
+                cycle.last_reply == pytest.approx(max(received), abs=1e-12)
                 if received
-                else np.isnan(one.last_reply)
+                else np.isnan(cycle.last_reply)
             )
-        last = tick_in.k, start
+        last_tick_and_start = tick_in.k, start
 
 
 def test_the_wrench_points_against_closing(run_log: Path) -> None:

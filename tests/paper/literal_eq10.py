@@ -44,8 +44,8 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     weight = gx * sin(angle) - gy * cos(angle)
     moving = sum(term.evaluate(states) for term in EQUATION_TERMS[:-1])
     term_at_rest = EQUATION_TERMS[-1].evaluate({**states, "th1": 0.0}) * weight
-    first = moving + term_at_rest + tau2 - r2 * ddq[1] + r1 * ddq[0]
-    return (float(first), tau2, tau3)[: digit.joint_count]
+    tau1 = moving + term_at_rest + tau2 - r2 * ddq[1] + r1 * ddq[0]
+    return (float(tau1), tau2, tau3)[: digit.joint_count]
 
 
 dynamics._rigid_body_torque = torque_of_eq10

@@ -165,9 +165,9 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
             rows.append([sp.diff(torque, DERIVATIVE_SYMBOLS[f"ddth{k}"]) for k in (1, 2, 3)])
         return sp.Matrix(rows)
 
-    right, printed = matrix("right"), matrix("readings")
-    assert (right - right.T).applyfunc(sp.simplify) == sp.zeros(3, 3)
-    asymmetry = (printed - printed.T).applyfunc(sp.simplify)
+    corrected_matrix, printed_matrix = matrix("right"), matrix("readings")
+    assert (corrected_matrix - corrected_matrix.T).applyfunc(sp.simplify) == sp.zeros(3, 3)
+    asymmetry = (printed_matrix - printed_matrix.T).applyfunc(sp.simplify)
     assert all(asymmetry[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))
 
 
@@ -191,10 +191,10 @@ EXPECTED_ERRATA = {
 
 
 def test_no_known_misprint_is_missing() -> None:
-    found = {item.id: item.verdict for item in sections.page_items(None)}
+    verdict_by_id = {item.id: item.verdict for item in sections.page_items(None)}
     for verdict, ids in EXPECTED_ERRATA.items():
         for id in ids.split():
-            assert found[id] == verdict, id
+            assert verdict_by_id[id] == verdict, id
 
 
 def test_ids_are_unique_and_reasons_given() -> None:
@@ -235,8 +235,8 @@ def test_ids_are_unique_and_reasons_given() -> None:
     ],
 )
 def test_items_have_the_known_values(item_id: str, expected_value: float) -> None:
-    found = {item.id: item.computed for item in sections.page_items(None)}
-    assert found[item_id] == pytest.approx(expected_value, rel=1e-4)
+    value_by_id = {item.id: item.computed for item in sections.page_items(None)}
+    assert value_by_id[item_id] == pytest.approx(expected_value, rel=1e-4)
 
 
 @pytest.mark.parametrize("printed_number", ["1", "0.86"])
@@ -253,26 +253,29 @@ def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> 
     """
     digit = motion.upright_digit("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
-    held = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
-    found = {item.id: item for item in sections.page_items(None)}
-    assert found["eq10.static"].computed == pytest.approx(held, rel=1e-9)
+    held_torque = 9.81 * float(np.array(digit.masses) @ (base + digit.centres_of_mass[:, 0]))
+    item_by_id = {item.id: item for item in sections.page_items(None)}
+    assert item_by_id["eq10.static"].computed == pytest.approx(held_torque, rel=1e-9)
 
 
 def test_numbers_of_the_paper_are_judged_without_springs() -> None:
     """The hand in the paper has no springs, so its numbers are compared with the torque of the links alone."""
     fast_torques = motion.closing_torques("index", motion.CLOSING_DURATIONS_S[-1])
-    links = sum(fast_torques.torque_by_cause[part] for part in ("inertia", "Coriolis", "gravity"))
-    found = {item.id: item for item in sections.page_items(None)}
-    assert found["sec7.complete"].computed == pytest.approx(
+    links = sum(
+        fast_torques.torque_by_cause[torque_cause]
+        for torque_cause in ("inertia", "Coriolis", "gravity")
+    )
+    item_by_id = {item.id: item for item in sections.page_items(None)}
+    assert item_by_id["sec7.complete"].computed == pytest.approx(
         float(np.abs(links).max()) / fast_torques.lever_m
     )
-    assert found["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
+    assert item_by_id["sec8.torque"].computed == pytest.approx(1000.0 * float(np.abs(links).max()))
 
 
 def test_no_erratum_denies_a_statement_that_the_paper_makes() -> None:
-    found = {item.id: item for item in sections.page_items(None)}
-    assert "Never said" not in found["sec4-7.angles"].why
-    assert "Section 7 states that its angles are absolute" in found["sec4-7.angles"].why
+    item_by_id = {item.id: item for item in sections.page_items(None)}
+    assert "Never said" not in item_by_id["sec4-7.angles"].why
+    assert "Section 7 states that its angles are absolute" in item_by_id["sec4-7.angles"].why
 
 
 def test_torques_convert_between_relative_and_absolute_angles() -> None:

@@ -36,10 +36,10 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
 def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
     measured = json.loads(json.dumps(experiments.run_job({"do": "pull"}, tmp_path)))
     bent_finger_curve, straight_finger_curve = force_displacement.curves_of_tendons(measured)
-    for found in (bent_finger_curve, straight_finger_curve):
-        assert found.stiffness == pytest.approx(1e5, rel=0.01)
-        assert found.force.max() > 240.0
-        assert found.force.min() < 30.0
+    for curve in (bent_finger_curve, straight_finger_curve):
+        assert curve.stiffness == pytest.approx(1e5, rel=0.01)
+        assert curve.force.max() > 240.0
+        assert curve.force.min() < 30.0
     assert bent_finger_curve.knee == pytest.approx(200.0, abs=5.0)
     assert straight_finger_curve.knee is None
     end = bent_finger_curve.force > 235.0

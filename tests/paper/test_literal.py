@@ -62,13 +62,13 @@ def outcome_by_equation() -> dict[str, tuple[set[str], str]]:
 def test_the_printed_equation_fails_the_model_s_tests(
     outcome_by_equation: dict[str, tuple[set[str], str]],
 ) -> None:
-    failed_tests, last = outcome_by_equation["printed"]
-    assert failed_tests >= TESTS_NEEDING_EQ10, last
+    failed_tests, last_line = outcome_by_equation["printed"]
+    assert failed_tests >= TESTS_NEEDING_EQ10, last_line
 
 
 def test_the_corrected_equation_passes_them(
     outcome_by_equation: dict[str, tuple[set[str], str]],
 ) -> None:
-    failed_tests, last = outcome_by_equation["corrected"]
+    failed_tests, last_line = outcome_by_equation["corrected"]
     assert not failed_tests
-    assert "passed" in last
+    assert "passed" in last_line

@@ -80,9 +80,9 @@ def test_page_has_every_measured_result(measured_results: dict[str, Any]) -> Non
 
 def test_every_figure_of_the_page_exists(measured_results: dict[str, Any]) -> None:
     text = PAGE_FILE.read_text(encoding="utf-8")
-    found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
-    assert len(found) == len(set(found)) == len(page.FIGURE_CAPTIONS)
-    for name in found:
+    figure_names = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
+    assert len(figure_names) == len(set(figure_names)) == len(page.FIGURE_CAPTIONS)
+    for name in figure_names:
         assert (PAGE_FILE.parent / name).stat().st_size > 20_000
         assert (PAGE_FILE.parent / name).with_suffix(".svg").is_file()
 
@@ -106,7 +106,7 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
         assert item["verdict"] in set(ErrataVerdict)
         assert isinstance(item["computed"], int | float | str | None)
         assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
-        assert all(isinstance(part, str) for part in item["evidence"])
+        assert all(isinstance(evidence_text, str) for evidence_text in item["evidence"])
     verdicts_without_experiments = set(ErrataVerdict) - {ErrataVerdict.LOWER_BOUND}
     assert {item["verdict"] for item in items} == {
         verdict.value for verdict in verdicts_without_experiments
@@ -116,14 +116,14 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_measured_items_are_judged_by_what_was_measured(measured_results: dict[str, Any]) -> None:
-    found = {item.id: item for item in sections.page_items(measured_results)}
-    assert found["payload.z.d30"].verdict == ErrataVerdict.WRONG
-    assert found["payload.z.d35"].verdict == ErrataVerdict.LOWER_BOUND
-    assert found["payload.z.d40"].unit == "kg or more"
-    assert "still held" in found["payload.z.d40"].why
-    assert found["fig5.measured200"].computed == pytest.approx(200.0, abs=3.0)
-    assert found["fig5.measured250"].computed is None
-    assert "none up to" in found["fig5.measured250"].why
+    item_by_id = {item.id: item for item in sections.page_items(measured_results)}
+    assert item_by_id["payload.z.d30"].verdict == ErrataVerdict.WRONG
+    assert item_by_id["payload.z.d35"].verdict == ErrataVerdict.LOWER_BOUND
+    assert item_by_id["payload.z.d40"].unit == "kg or more"
+    assert "still held" in item_by_id["payload.z.d40"].why
+    assert item_by_id["fig5.measured200"].computed == pytest.approx(200.0, abs=3.0)
+    assert item_by_id["fig5.measured250"].computed is None
+    assert "none up to" in item_by_id["fig5.measured250"].why
 
 
 def test_html_page_loads_no_other_file(

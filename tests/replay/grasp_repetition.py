@@ -18,14 +18,14 @@ def mean_angle_differences(original_log: RunLog, repeated_log: RunLog) -> NDArra
     start, end = active_interval(original_log)
     times = np.arange(0.0, end - start, 0.005)
     hand = load_hand(original_log.header.metadata["hand"])
-    old, new = (
+    recorded_angles, repeated_angles = (
         mean_angles(hand, resampled_field(log, "q", start, times))
         for log, start in (
             (original_log, start),
             (repeated_log, start_of_repetition_s(repeated_log)),
         )
     )
-    return np.degrees(np.abs(new - old))
+    return np.degrees(np.abs(repeated_angles - recorded_angles))
 
 
 def mean_held_tensions(

@@ -192,8 +192,8 @@ def write_golden_logs(log_folder: Path) -> None:
     log_folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as scratch:
         task = short_task(Path(scratch))
-    for old in log_folder.glob("*.mcap"):
-        old.unlink()
+    for old_log in log_folder.glob("*.mcap"):
+        old_log.unlink()
     record_lockstep_run(log_folder / "jamia-grasp.mcap", task, rate_hz=200.0)
     record_lockstep_run(log_folder / "jamia-lost.mcap", task, rate_hz=200.0, friction_factor=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}

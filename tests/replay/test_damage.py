@@ -110,8 +110,8 @@ def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log_copy: Path)
     _change_message(log_copy, "/joint_states", 321, 300, False)
     message = describe_first_damage(log_copy)
     assert "its ticks are intact" in message
-    first, last = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
-    assert first <= 321 <= last
+    first_tick, last_tick = (int(word) for word in message.rpartition("ticks ")[2].split(" to "))
+    assert first_tick <= 321 <= last_tick
 
 
 def test_log_check_reports_any_changed_byte_of_a_chunk(

@@ -89,10 +89,12 @@ def test_a_wrong_identity_is_reported(golden_folder: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_unknown_values_have_no_difference_and_no_delay() -> None:
-    before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
-    signals_after = np.roll(before, 10, axis=0)
+    signals_before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
+    signals_after = np.roll(signals_before, 10, axis=0)
     signals_after[:, 1], signals_after[7, 2] = np.nan, np.nan
-    comparison = compare_signals(("known", "unknown", "nearly"), before, signals_after, 0.01)
+    comparison = compare_signals(
+        ("known", "unknown", "nearly"), signals_before, signals_after, 0.01
+    )
     assert comparison["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
     assert np.isnan(list(comparison["unknown"].values())).all()
     assert np.isfinite(comparison["nearly"]["rms"])
@@ -106,10 +108,15 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     """
     noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
     sine_signal = np.sin(np.linspace(0.0, 9.0, 420))
-    before = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
-    after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * sine_signal[10:-10] + noise[1]])
+    signals_before = np.column_stack([noise[0], 0.1 + noise[0], sine_signal[20:] + noise[0]])
+    signals_after = np.column_stack(
+        [noise[1], 0.1 + noise[1], 0.5 + 0.9 * sine_signal[10:-10] + noise[1]]
+    )
     comparison = compare_signals(
-        ("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01
+        ("stands", "stands elsewhere", "moves, weaker and beside"),
+        signals_before,
+        signals_after,
+        0.01,
     )
     delays = [row["delay_s"] for row in comparison.values()]
     assert np.isnan(delays[:2]).all()

@@ -63,13 +63,13 @@ def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
         start = next(
             change.t_ns * 1e-9 for change in replayed_log.phases if change.name == "playback"
         )
-        old, new = (
+        recorded_tensions, repeated_tensions = (
             resampled_field(*run, times).mean(axis=0)
             for run in ((original_log, "tension", recorded_start), (replayed_log, "tension", start))
         )
     assert all(row["rms"] < 1.0 for row in comparison["joint_deg"].values())
     assert all(abs(row["delay_s"]) < 0.02 for row in comparison["joint_deg"].values())
-    np.testing.assert_allclose(new, old, rtol=0.05)
+    np.testing.assert_allclose(repeated_tensions, recorded_tensions, rtol=0.05)
 
 
 def test_the_driven_run_can_be_executed_again(replayed_logs: Path) -> None:
@@ -91,20 +91,20 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden_fol
     with RunLog(golden_folder / "jamia-grasp.mcap") as log:
         recorded_goals = recorded_targets(log, log.header.period_ns * 1e-9)
         start, end = active_interval(log)
-        inside = (log.times >= start) & (log.times <= end)
+        is_in_playback = (log.times >= start) & (log.times <= end)
         np.testing.assert_allclose(
-            recorded_goals.q, log.field("q_goal")[inside], rtol=0, atol=1e-12
+            recorded_goals.q, log.field("q_goal")[is_in_playback], rtol=0, atol=1e-12
         )
         np.testing.assert_allclose(
-            recorded_goals.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9
+            recorded_goals.tension, log.field("tension_goal")[is_in_playback], rtol=0, atol=1e-9
         )
     assert np.isnan(recorded_goals.q).any()
     assert not np.isnan(recorded_goals.tension).any()
     assert (np.isnan(recorded_goals.q) == np.isnan(recorded_goals.ddq)).all()
     goals_from_text = RecordedGoals.from_text(recorded_goals.to_text(), 11, 4)
     assert all(
-        one.tobytes() == two.tobytes()
-        for one, two in zip(
+        first_array.tobytes() == second_array.tobytes()
+        for first_array, second_array in zip(
             (recorded_goals.q, recorded_goals.ddq, recorded_goals.tension),
             (goals_from_text.q, goals_from_text.ddq, goals_from_text.tension),
             strict=True,
@@ -126,10 +126,12 @@ def test_another_hand_is_refused_with_both_identities(golden_folder: Path) -> No
 @given(st.integers(-15, 15), st.floats(0.5, 3.0))
 def test_a_delay_is_measured(delay_ticks: int, rate_hz: float) -> None:
     t = np.arange(400) * 0.005
-    before, after = (
+    original_signal, delayed_signal = (
         np.sin(2 * np.pi * rate_hz * (t - late)) for late in (0.0, delay_ticks * 0.005)
     )
-    assert signal_delay(before, after, 0.005) == pytest.approx(delay_ticks * 0.005, abs=2e-4)
+    assert signal_delay(original_signal, delayed_signal, 0.005) == pytest.approx(
+        delay_ticks * 0.005, abs=2e-4
+    )
 
 
 def test_a_constant_signal_has_no_delay() -> None:

@@ -53,14 +53,16 @@ class RunAndRepeat:
             recorded_start, end = active_interval(original_log)
             start = next(change.t_ns for change in replayed_log.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
-        first, second = (
+        recorded_truth, repeated_truth = (
             read_truth(path)
             for path in (self.folder / "first.truth", self.repeat.with_suffix(".truth"))
         )
         return (
             t_ns / 1e9,
-            first.interpolated_columns(list(truth_columns), t_ns + int(recorded_start * 1e9)),
-            second.interpolated_columns(list(truth_columns), t_ns + start),
+            recorded_truth.interpolated_columns(
+                list(truth_columns), t_ns + int(recorded_start * 1e9)
+            ),
+            repeated_truth.interpolated_columns(list(truth_columns), t_ns + start),
         )
 
     def at_rest(self) -> tuple[float, float]:
@@ -78,20 +80,23 @@ class RunAndRepeat:
 
         The result of each run has one mean for each named column (names,).
         """
-        times, before, after = self.true_values(*truth_columns)
+        times, recorded_values, repeated_values = self.true_values(*truth_columns)
         start, end = self.at_rest()
-        inside = (times >= start) & (times <= end)
-        return before[inside].mean(axis=0), after[inside].mean(axis=0)
+        is_at_rest = (times >= start) & (times <= end)
+        return recorded_values[is_at_rest].mean(axis=0), repeated_values[is_at_rest].mean(axis=0)
 
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Record the first run, and return the folder that contains its log and its truth file."""
-    made = tmp_path_factory.mktemp("pair")
+    folder = tmp_path_factory.mktemp("pair")
     short_runs.record_lockstep_run(
-        made / "first.mcap", short_runs.short_task(made), rate_hz=200.0, truth=made / "first.truth"
+        folder / "first.mcap",
+        short_runs.short_task(folder),
+        rate_hz=200.0,
+        truth=folder / "first.truth",
     )
-    return made
+    return folder
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
@@ -100,17 +105,17 @@ def run_and_repeat(run_folder: Path, request: pytest.FixtureRequest) -> RunAndRe
 
     The repetition follows either the recorded angles or the recorded tensions.
     """
-    made = RunAndRepeat(run_folder, request.param)
+    run_pair = RunAndRepeat(run_folder, request.param)
     with RunLog(run_folder / "first.mcap") as original_log:
-        program = playback_program(original_log, 1 / RATE_HZ, made.raw)
-    truth = made.repeat.with_suffix(".truth")
+        program = playback_program(original_log, 1 / RATE_HZ, run_pair.raw)
+    truth = run_pair.repeat.with_suffix(".truth")
     assert (
         short_runs.record_lockstep_run(
-            made.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth
+            run_pair.repeat, program, rate_hz=RATE_HZ, seed=5, truth=truth
         ).failure
         == ""
     )
-    return made
+    return run_pair
 
 
 def test_second_replay_gives_the_same_log(run_and_repeat: RunAndRepeat) -> None:
@@ -145,19 +150,26 @@ def test_second_replay_gives_the_same_truth(run_and_repeat: RunAndRepeat, digit:
     of a tendon is divided among the joints.
     """
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
-    _, before, after = run_and_repeat.true_values(*joints)
-    apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
-    assert apart.max() < (6.0 if run_and_repeat.raw else 1.0)
-    assert apart.mean() < (1.5 if run_and_repeat.raw else 0.3)
+    _, recorded_angles, repeated_angles = run_and_repeat.true_values(*joints)
+    angle_difference = np.degrees(
+        np.abs(repeated_angles.mean(axis=1) - recorded_angles.mean(axis=1))
+    )
+    assert angle_difference.max() < (6.0 if run_and_repeat.raw else 1.0)
+    assert angle_difference.mean() < (1.5 if run_and_repeat.raw else 0.3)
 
 
 def test_a_replayed_grasp_is_as_strong_as_the_recorded_one(run_and_repeat: RunAndRepeat) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGIT_NAMES]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGIT_NAMES for axis in "xyz"]
-    before, after = run_and_repeat.mean_at_rest(*tensions)
-    np.testing.assert_allclose(after, before, rtol=0.08 if run_and_repeat.raw else 0.05)
-    old, new = (
-        np.linalg.norm(one.reshape(-1, 3), axis=1) for one in run_and_repeat.mean_at_rest(*forces)
+    recorded_tensions, repeated_tensions = run_and_repeat.mean_at_rest(*tensions)
+    np.testing.assert_allclose(
+        repeated_tensions, recorded_tensions, rtol=0.08 if run_and_repeat.raw else 0.05
     )
-    assert old.min() > 1.0, "every digit has contact"
-    np.testing.assert_allclose(new, old, rtol=0.2 if run_and_repeat.raw else 0.05)
+    recorded_forces, repeated_forces = (
+        np.linalg.norm(mean_forces.reshape(-1, 3), axis=1)
+        for mean_forces in run_and_repeat.mean_at_rest(*forces)
+    )
+    assert recorded_forces.min() > 1.0, "every digit has contact"
+    np.testing.assert_allclose(
+        repeated_forces, recorded_forces, rtol=0.2 if run_and_repeat.raw else 0.05
+    )

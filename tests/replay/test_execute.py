@@ -106,12 +106,21 @@ def test_a_changed_byte_of_the_log_is_named(recorded_grasp_log: Path) -> None:
         assert are_outputs_equal(logged, numbers, out)
         assert list(differing_fields(columns, logged, numbers, out)) == []
         changed_numbers = np.frombuffer(numbers, "<f8").copy()
-        place = columns.field_names.index("tension")
-        changed_numbers[place] = np.nextafter(changed_numbers[place], np.inf)
-        (one,) = differing_fields(columns, logged, changed_numbers.tobytes(), out)
-        assert (one.k, one.field, one.name, one.ulps) == (0, "tension", log.header.tendons[0], 1)
-        (one,) = differing_fields(columns, logged._replace(phase="else"), numbers, out)
-        assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
+        field_index = columns.field_names.index("tension")
+        changed_numbers[field_index] = np.nextafter(changed_numbers[field_index], np.inf)
+        (difference,) = differing_fields(columns, logged, changed_numbers.tobytes(), out)
+        assert (difference.k, difference.field, difference.name, difference.ulps) == (
+            0,
+            "tension",
+            log.header.tendons[0],
+            1,
+        )
+        (difference,) = differing_fields(columns, logged._replace(phase="else"), numbers, out)
+        assert (difference.field, difference.logged, difference.computed) == (
+            "phase",
+            "else",
+            out.phase,
+        )
         tick_with_other_hash = logged._replace(state_hash=bytes(8))
         assert [
             differing_field.field

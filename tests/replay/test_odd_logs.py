@@ -49,7 +49,7 @@ def grasp_ticks(golden_folder: Path) -> tuple[RunHeader, TickList]:
 
 
 def write_ticks(log_path: Path, run_header: RunHeader, ticks: TickList) -> Path:
-    writer = LogWriter(log_path, run_header, lambda *what: None, 1)
+    writer = LogWriter(log_path, run_header, lambda *arguments: None, 1)
     for entry, out in ticks:
         writer.add_tick(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)

@@ -37,14 +37,14 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(
             log, write_limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }")
         )
         raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
-        first = int(log.k[raw > 20.0][0])
-        after = int((log.k >= first).sum())
-    assert judgement.stops[0][:1] == (first,)
+        first_tick_above = int(log.k[raw > 20.0][0])
+        tick_count_after = int((log.k >= first_tick_above).sum())
+    assert judgement.stops[0][:1] == (first_tick_above,)
     assert {(stop.fault, stop.instance, stop.occurs_in_logged_run) for stop in judgement.stops} == {
         ("T03", "thumb_tendon", False)
     }
     assert judgement.stops[0].value > 20.0
-    assert (judgement.stopped, judgement.ticks_stopped_by_old_limits) == (after, 0), (
+    assert (judgement.stopped, judgement.ticks_stopped_by_old_limits) == (tick_count_after, 0), (
         "the stop is latched until the operator clears it"
     )
 

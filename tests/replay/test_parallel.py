@@ -43,11 +43,11 @@ def execute_both_ways(recorded_grasp_log: Path, monkeypatch: pytest.MonkeyPatch)
         original_tick = Controller.tick
 
         def tick(
-            controller: Controller, before: ControllerState, entry: TickIn
+            controller: Controller, state_before: ControllerState, entry: TickIn
         ) -> tuple[ControllerState, TickOut]:
             if change:
-                change(before, entry)
-            return original_tick(controller, before, entry)
+                change(state_before, entry)
+            return original_tick(controller, state_before, entry)
 
         monkeypatch.setattr(Controller, "tick", tick)
         monkeypatch.setattr(parallel_execution, "MIN_TICKS_PER_PROCESS", 50)
@@ -70,9 +70,9 @@ def change_state_at_tick(field_name: str, first_wrong_tick: int) -> StateChange:
     The function changes the field ``field_name`` of the second tendon.
     """
 
-    def change(before: ControllerState, entry: TickIn) -> None:
+    def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == first_wrong_tick:
-            before.view(field_name)[1] += 1e-9
+            state_before.view(field_name)[1] += 1e-9
 
     return change
 
@@ -92,9 +92,9 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
                 state.digest(),
                 snapshot_bytes(state),
             )
-            other, restored_output = controller.tick(repeated_state, logged.tick_in)
+            other_state, restored_output = controller.tick(repeated_state, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
-            assert (restored_output.state_hash, other.digest()) == (
+            assert (restored_output.state_hash, other_state.digest()) == (
                 out.state_hash,
                 logged.state_hash,
             )
@@ -103,17 +103,17 @@ def test_a_snapshot_restores_the_state_unchanged(recorded_grasp_log: Path) -> No
 @pytest.mark.parametrize("protocol", VERIFIABLE_PROTOCOLS)
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
-        seen = set()
+        seen_modes = set()
         for _ in simulation.run_ticks(max_duration_s=10.0):
             if simulation.state.mode == HandMode.ACTIVE:
                 break
-            seen.add(simulation.state.mode)
+            seen_modes.add(simulation.state.mode)
             repeated_state = restore_state(
                 simulation.controller.derived.layout, snapshot_bytes(simulation.state)
             )
             assert plain_bytes(repeated_state.decisions) == plain_bytes(simulation.state.decisions)
             assert repeated_state.digest() == simulation.state.digest()
-    assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen
+    assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen_modes
 
 
 def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
@@ -126,9 +126,9 @@ def test_a_log_has_a_snapshot_every_second(recorded_grasp_log: Path) -> None:
 def test_three_processes_find_no_difference_where_one_finds_none(
     execute_both_ways: ExecuteBothWays,
 ) -> None:
-    one, three_processes = execute_both_ways()
-    assert execution_findings(three_processes) == execution_findings(one)
-    assert (one.differing_ticks, three_processes.differing_ticks) == (0, 0)
+    one_process, three_processes = execute_both_ways()
+    assert execution_findings(three_processes) == execution_findings(one_process)
+    assert (one_process.differing_ticks, three_processes.differing_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize("first_wrong_tick", [150, 199, 200, 201, 330])
@@ -139,21 +139,23 @@ def test_three_processes_find_the_first_difference_wherever_it_is(
 
     Some cases are at the border between two parts.
     """
-    one, three_processes = execute_both_ways(change_state_at_tick("travel", first_wrong_tick))
-    assert one.first_difference is not None
-    assert execution_findings(three_processes) == execution_findings(one)
+    one_process, three_processes = execute_both_ways(
+        change_state_at_tick("travel", first_wrong_tick)
+    )
+    assert one_process.first_difference is not None
+    assert execution_findings(three_processes) == execution_findings(one_process)
 
 
 def test_the_first_field_of_the_state_that_differs_is_named(
     execute_both_ways: ExecuteBothWays,
 ) -> None:
-    def change(before: ControllerState, entry: TickIn) -> None:
+    def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k >= 150:
-            before.view("nis_mean")[1] += 1e-6
+            state_before.view("nis_mean")[1] += 1e-6
 
-    one, _ = execute_both_ways(change)
-    assert one.first_state_difference is not None
-    assert (one.first_state_difference.field, one.first_state_difference.k) == (
+    one_process, _ = execute_both_ways(change)
+    assert one_process.first_state_difference is not None
+    assert (one_process.first_state_difference.field, one_process.first_state_difference.k) == (
         "state nis_mean",
         200,
     )
@@ -177,7 +179,7 @@ def test_a_decision_that_differs_is_named(recorded_grasp_log: Path) -> None:
 def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(
     execute_both_ways: ExecuteBothWays,
 ) -> None:
-    def change(before: ControllerState, entry: TickIn) -> None:
+    def change(state_before: ControllerState, entry: TickIn) -> None:
         if entry.k == 330:
             raise ValueError("no such angle")
 
@@ -199,8 +201,8 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
         assert (
             len(parallel_execution.split_log(replace(runner, snapshots=changed_snapshots), 3)) == 1
         )
-        other = dict.fromkeys(runner.snapshots, b"x" * 40)
-        assert len(parallel_execution.split_log(replace(runner, snapshots=other), 3)) == 1
+        wrong_snapshots = dict.fromkeys(runner.snapshots, b"x" * 40)
+        assert len(parallel_execution.split_log(replace(runner, snapshots=wrong_snapshots), 3)) == 1
         monkeypatch.setattr(RunLog, "snapshots", changed_snapshots)
         assert execute_log(log, worker_count=3).differing_ticks == 0
 

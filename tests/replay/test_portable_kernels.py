@@ -14,7 +14,7 @@ from handctl import blas_kernels
 from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
 
 WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
-PRINT_KERNELS_AND_NUMPY = (
+PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
     f"cli.use_portable_kernels(); print(os.environ.get('{KERNELS_VARIABLE}'))"
 )
@@ -58,7 +58,7 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
 def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
     environment = {name: value for name, value in os.environ.items() if name != KERNELS_VARIABLE}
     result = subprocess.run(
-        [sys.executable, "-c", PRINT_KERNELS_AND_NUMPY],
+        [sys.executable, "-c", PROGRAM_THAT_PRINTS_KERNELS],
         env=environment,
         capture_output=True,
         text=True,

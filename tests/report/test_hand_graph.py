@@ -15,8 +15,8 @@ from tests.cli.command_refusals import refusal_line
 def test_the_text_names_all_parts(hand_name: str) -> None:
     hand = load_hand(hand_name)
     text = text_graph(hand)
-    for part in (*hand.bus_names, *hand.digit_names, *hand.tendon_names, *hand.motor_names):
-        assert part in text
+    for name in (*hand.bus_names, *hand.digit_names, *hand.tendon_names, *hand.motor_names):
+        assert name in text
     assert text.count("[load cell]") == len(hand.sensor_node.tendons)
     assert text.count("mit") == len(hand.motor)
     assert text.count("(j1)") == (len(hand.digit) + 1 if hand.sensor_node.joints else 0)

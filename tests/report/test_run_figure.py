@@ -105,8 +105,8 @@ def test_all_tensions_are_inside_the_plot(
     """Reproduce a defect: with a dead load cell, the axis of the plot ended below the command and the true tension."""
     hand = load_hand(hand_name)
     log, truth = generated_run_of(hand_name, True), zero_truth(hand, 120)
-    for other in ("tension", "tension_goal", "tension_sigma"):
-        log.fields[other][:] = 0.5
+    for field_name in ("tension", "tension_goal", "tension_sigma"):
+        log.fields[field_name][:] = 0.5
     if field == "truth":
         set_truth_column(truth, f"tension/{hand.tendon_names[-1]}", 60.0)
     else:
@@ -146,7 +146,7 @@ def test_names_of_phases_do_not_overlap_and_are_not_cut_off(seed: int) -> None:
     assert positions[7] is None, "outside of the axis"
     shown_positions = [position for position in positions if position]
     assert len(shown_positions) >= 7
-    for i, (left, height) in enumerate(shown_positions):
-        assert limits[0] <= left <= limits[1] - width + 1e-9
-        for other, other_height in shown_positions[:i]:
-            assert height != other_height or abs(left - other) >= width
+    for i, (left_edge, height) in enumerate(shown_positions):
+        assert limits[0] <= left_edge <= limits[1] - width + 1e-9
+        for other_left_edge, other_height in shown_positions[:i]:
+            assert height != other_height or abs(left_edge - other_left_edge) >= width

@@ -261,9 +261,9 @@ def test_measured_load_equals_a_hand_calculation() -> None:
     The other 13 bits of the frame get no stuff bits.
     """
     log = log_without_faults()
-    one = (98 + 97 // 4 + 13) / 1e6
+    frame_time_s = (98 + 97 // 4 + 13) / 1e6
     assert measured_bus_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(
-        10 * one / 1.99
+        10 * frame_time_s / 1.99
     )
 
 

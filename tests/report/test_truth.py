@@ -127,17 +127,19 @@ def test_a_copy_has_the_rows_between_two_times(
     write_truth(tmp_path / "whole", whole_truth)
     with (tmp_path / "whole").open("ab") as file:
         file.write(b"an incomplete row")
-    first, step = int(whole_truth.t_ns[0]), int(whole_truth.t_ns[1] - whole_truth.t_ns[0])
+    first_ns, step = int(whole_truth.t_ns[0]), int(whole_truth.t_ns[1] - whole_truth.t_ns[0])
     copied = copy_truth(
-        tmp_path / "whole", tmp_path / "part", first + step * start_ns, first + step * end_ns
+        tmp_path / "whole", tmp_path / "part", first_ns + step * start_ns, first_ns + step * end_ns
     )
     assert copied == len(expected_rows)
-    part = read_truth(tmp_path / "part")
-    assert part.columns == whole_truth.columns
+    partial_truth = read_truth(tmp_path / "part")
+    assert partial_truth.columns == whole_truth.columns
     np.testing.assert_array_equal(
-        part.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
+        partial_truth.t_ns, whole_truth.t_ns[expected_rows.start : expected_rows.stop]
     )
-    np.testing.assert_array_equal(part.values, values[expected_rows.start : expected_rows.stop])
+    np.testing.assert_array_equal(
+        partial_truth.values, values[expected_rows.start : expected_rows.stop]
+    )
 
 
 def test_a_copy_without_rows_is_no_file(tmp_path: Path, truth_record: TruthRecord) -> None:

@@ -102,8 +102,8 @@ def test_every_node_receives_all_frames_but_its_own(bus_under_test: BusUnderTest
     for number, bus in enumerate(buses):
         assert bus.send([Frame(number, b"me")]) == 1
     for number, bus in enumerate(buses):
-        others = {0, 1, 2} - {number}
-        assert {frame.can_id for frame in drain_bus(bus, 2)} == others
+        other_numbers = {0, 1, 2} - {number}
+        assert {frame.can_id for frame in drain_bus(bus, 2)} == other_numbers
         assert bus.drain() == []
 
 

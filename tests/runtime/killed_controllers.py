@@ -270,10 +270,10 @@ class SyncListener:
         until = time.monotonic() + duration_s
         while True:
             self._read_bus()
-            left = until - time.monotonic()
-            if left <= 0.0:
+            remaining_s = until - time.monotonic()
+            if remaining_s <= 0.0:
                 return
-            time.sleep(min(left, 0.02))
+            time.sleep(min(remaining_s, 0.02))
 
     def _read_bus(self) -> None:
         with suppress(BlockingIOError):
@@ -358,15 +358,15 @@ def disturb_controllers(
     The signals SIGKILL and SIGSTOP alternate.
     """
     chance = random.Random(seed)
-    place = KillTestHand(work_folder, time_scale)
+    test_hand = KillTestHand(work_folder, time_scale)
     runs: list[DisturbedRun] = []
     try:
         for number in range(controller_count):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
-            runs.append(place.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
+            runs.append(test_hand.disturb_controller(number, how, chance.uniform(0.0, MAX_DELAY_S)))
     finally:
-        end_process(place.simulator)
-    return place.kill_verdicts(runs)
+        end_process(test_hand.simulator)
+    return test_hand.kill_verdicts(runs)
 
 
 CONTROLLERS_PER_SIMULATOR = 25
@@ -383,13 +383,13 @@ def disturb_in_batches(
 
     For each batch, a new simulator is started.
     """
-    for first in range(0, controller_count, CONTROLLERS_PER_SIMULATOR):
+    for first_number in range(0, controller_count, CONTROLLERS_PER_SIMULATOR):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder
             yield disturb_controllers(
                 Path(folder),
-                min(CONTROLLERS_PER_SIMULATOR, controller_count - first),
-                seed + first,
+                min(CONTROLLERS_PER_SIMULATOR, controller_count - first_number),
+                seed + first_number,
                 time_scale,
             )
 

@@ -392,8 +392,8 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
 
         def occupy_watcher_slots():
             while time.monotonic() < until:
-                for other in other_watchers:
-                    other.request_status_line(0.0)
+                for other_watcher in other_watchers:
+                    other_watcher.request_status_line(0.0)
 
         occupying_thread = threading.Thread(target=occupy_watcher_slots)
         occupying_thread.start()
@@ -403,8 +403,8 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(work_folder
         watcher.close()
         occupying_thread.join()
     assert controller.taken.count("arm") == 20
-    for other in other_watchers:
-        other.close()
+    for other_watcher in other_watchers:
+        other_watcher.close()
 
 
 def fill_mailbox(mailbox_path: Path) -> int:

@@ -167,10 +167,16 @@ def test_every_call_has_its_coroutine():
         - {"description"}
     )
     for name in names:
-        one, other = getattr(library.HandClient, name), getattr(library.AsyncHandClient, name)
-        assert inspect.iscoroutinefunction(other), name
-        expected = set(inspect.signature(one).parameters)
-        own_parameters = set(inspect.signature(other).parameters)
+        blocking_call, asynchronous_call = (
+            getattr(library.HandClient, name),
+            getattr(library.AsyncHandClient, name),
+        )
+        assert inspect.iscoroutinefunction(asynchronous_call), name
+        expected = set(inspect.signature(blocking_call).parameters)
+        own_parameters = set(inspect.signature(asynchronous_call).parameters)
         assert own_parameters == expected or "options" in own_parameters, name
-    one, other = inspect.signature(library.connect), inspect.signature(library.connect_async)
-    assert one.parameters == other.parameters
+    blocking_call, asynchronous_call = (
+        inspect.signature(library.connect),
+        inspect.signature(library.connect_async),
+    )
+    assert blocking_call.parameters == asynchronous_call.parameters

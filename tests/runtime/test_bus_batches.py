@@ -101,12 +101,12 @@ def udp_bus() -> Iterator[tuple[SocketCanBus, socket.socket]]:
 
 
 def drain_frames(bus: Bus, frame_count: int) -> Frames:
-    parts = [bus.drain()]
+    frame_batches = [bus.drain()]
     end = time.monotonic() + 20.0
-    while sum(map(len, parts)) < frame_count and time.monotonic() < end:
+    while sum(map(len, frame_batches)) < frame_count and time.monotonic() < end:
         time.sleep(0.001)
-        parts.append(bus.drain())
-    return join_frames(parts)
+        frame_batches.append(bus.drain())
+    return join_frames(frame_batches)
 
 
 def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
@@ -128,13 +128,13 @@ def test_local_bus_carries_every_batch_both_ways(
 ) -> None:
     bus, link = local_bus
     batch = BATCH_BY_NAME[batch_name]
-    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    all_records = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
     assert bus.send(frames_as_records(batch)) == len(batch)
     sent = b""
-    while len(sent) < len(whole):
+    while len(sent) < len(all_records):
         sent += link.recv(1 << 20)
-    assert sent == whole
-    link.sendall(whole)
+    assert sent == all_records
+    link.sendall(all_records)
     frames = drain_frames(bus, len(batch))
     assert frame_contents(frames) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(frames)
@@ -164,14 +164,14 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
         for bus, link in (local_bus, udp_bus):
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
             if bus is local_bus[0]:
-                whole = b"".join(
+                all_records = b"".join(
                     frame_record(frame.can_id, frame.data, frame.flags) for frame in test_batch
                 )
                 sent = b""
-                while len(sent) < len(whole):
+                while len(sent) < len(all_records):
                     sent += link.recv(1 << 20)
-                assert sent == whole
-                link.sendall(whole)
+                assert sent == all_records
+                link.sendall(all_records)
             else:
                 assert [link.recv(100) for _ in test_batch] == [
                     kernel_datagram(frame) for frame in test_batch
@@ -196,11 +196,11 @@ def test_bytes_behind_a_payload_are_ignored(
     assert frame_contents(frames) == [frame[:4] for frame in batch]
     assert has_zeros_behind_payloads(frames)
     can, far_end = udp_bus
-    for part in (batch[:11], batch[11:22], batch):
-        for frame in part:
+    for sent_frames in (batch[:11], batch[11:22], batch):
+        for frame in sent_frames:
             far_end.send(kernel_datagram(frame, trailing_bytes))
-        frames = drain_frames(can, len(part))
-        assert frame_contents(frames) == [frame[:4] for frame in part]
+        frames = drain_frames(can, len(sent_frames))
+        assert frame_contents(frames) == [frame[:4] for frame in sent_frames]
         assert has_zeros_behind_payloads(frames)
 
 
@@ -239,15 +239,15 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
 ) -> None:
     bus, link = local_bus
     batch = mixed_frames(30, 4)
-    whole = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
-    parts = []
+    all_records = b"".join(frame_record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    frame_batches = []
     at = 0
-    for cut in (1, 71, 72, 73, 100, 500, 700, len(whole)):
-        link.sendall(whole[at : at + cut])
-        parts.append(bus.drain())
+    for cut in (1, 71, 72, 73, 100, 500, 700, len(all_records)):
+        link.sendall(all_records[at : at + cut])
+        frame_batches.append(bus.drain())
         at += cut
-        assert sum(map(len, parts)) == min(at, len(whole)) // 72
-    assert frame_contents(join_frames(parts)) == [frame[:4] for frame in batch]
+        assert sum(map(len, frame_batches)) == min(at, len(all_records)) // 72
+    assert frame_contents(join_frames(frame_batches)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("payload_size", [9, 12, 64])

@@ -95,8 +95,8 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
     sent = 0
     while sum(number for _, _, number in bus.take_events()) == 0:
         batch = [Frame((sent + i) & 0x7FF, (sent + i).to_bytes(4, "little")) for i in range(97)]
-        taken = bus.send(batch)
-        accepted += [frame.data for frame in batch[:taken]]
+        accepted_count = bus.send(batch)
+        accepted += [frame.data for frame in batch[:accepted_count]]
         sent += len(batch)
     refused = [Frame(1, b"late")] * 5
     assert bus.send(refused) == 0
@@ -109,7 +109,7 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
     while len(stream) < (len(accepted) + 1) * RECORD_BYTES:
         stream += link.recv(1 << 20)
     records = [stream[at : at + RECORD_BYTES] for at in range(0, len(stream), RECORD_BYTES)]
-    assert [item[8:12] for item in records[:-1]] == accepted
+    assert [record[8:12] for record in records[:-1]] == accepted
     assert records[-1] == frame_record(2, b"after")
 
 

@@ -112,9 +112,9 @@ def test_garbage_of_a_serial_adapter_is_counted_and_skipped(virtual_bus: PythonC
 
 @pytest.fixture(scope="module")
 def socket_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    made = tmp_path_factory.mktemp("tools")
-    with hub_process("tools", made):
-        yield made
+    folder = tmp_path_factory.mktemp("tools")
+    with hub_process("tools", folder):
+        yield folder
 
 
 @pytest.fixture
@@ -176,11 +176,11 @@ def test_fd_can_be_disabled(handctl_bus: Bus) -> None:
 
 def test_stamps_are_wall_clock_time(handctl_bus: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as python_can_bus:
-        before = time.time()
+        time_before = time.time()
         handctl_bus.send([Frame(1, b"")])
         received_message = python_can_bus.recv(5.0)
     assert received_message is not None
-    assert before - 0.02 <= received_message.timestamp <= time.time() + 0.02
+    assert time_before - 0.02 <= received_message.timestamp <= time.time() + 0.02
 
 
 def test_a_notifier_receives_messages(handctl_bus: Bus) -> None:

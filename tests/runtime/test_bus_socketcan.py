@@ -117,10 +117,10 @@ def test_stamps_are_times_of_arrival_not_of_reading(
     sent_time_ns = time.monotonic_ns()
     time.sleep(0.1)
     far_end.send(CLASSICAL_FRAME_STRUCT.pack(2, 0, b""))
-    first, second = wait_for_frames(bus, 2)
+    first_frame, second_frame = wait_for_frames(bus, 2)
     slack = 20_000_000
-    assert start - slack <= first.t_ns <= sent_time_ns + slack
-    assert second.t_ns - first.t_ns >= 80_000_000
+    assert start - slack <= first_frame.t_ns <= sent_time_ns + slack
+    assert second_frame.t_ns - first_frame.t_ns >= 80_000_000
 
 
 def test_stamps_never_run_backwards_or_ahead(

@@ -80,34 +80,38 @@ class SimulatedBus:
 
 
 def watched_hand(hand_path):
-    place = SimulatedBuses(hand_path)
+    simulated_buses = SimulatedBuses(hand_path)
     watch = BusWatch(
-        make_drives(place.hand), make_sensors(place.hand), place.buses(), place, PERIOD_NS
+        make_drives(simulated_buses.hand),
+        make_sensors(simulated_buses.hand),
+        simulated_buses.buses(),
+        simulated_buses,
+        PERIOD_NS,
     )
-    return place, watch
+    return simulated_buses, watch
 
 
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
 def test_every_protocol_is_read_without_torque(protocol, tmp_path):
-    place, watch = watched_hand(hand_file(tmp_path, [protocol]))
+    simulated_buses, watch = watched_hand(hand_file(tmp_path, [protocol]))
     for _ in range(120):
         watch.run_tick()
-    place.motors[0].theta = TURNED_ANGLE_RAD
+    simulated_buses.motors[0].theta = TURNED_ANGLE_RAD
     for _ in range(30):
         watch.run_tick()
     assert watch.silent_motors() == []
     assert {state.phase for state in watch.states} == {DrivePhase.READY}
     assert [state.position for state in watch.states] == pytest.approx(
-        [m.theta for m in place.motors], abs=0.01
+        [m.theta for m in simulated_buses.motors], abs=0.01
     )
     assert watch.states[0].position == pytest.approx(TURNED_ANGLE_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
     )  # CiA 402 has no object for a temperature
-    tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
-    assert len(tensions) == len(place.motors)
+    tensions = [reading.value_at(simulated_buses.t_ns) for reading in watch.tensions.values()]
+    assert len(tensions) == len(simulated_buses.motors)
     assert all(abs(tension) < 8.0 for tension in tensions)
-    assert place.max_torque_N_m == 0.0, "no motor ever made torque"
+    assert simulated_buses.max_torque_N_m == 0.0, "no motor ever made torque"
     watch.send_release()
 
 
@@ -127,13 +131,13 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
 def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
     path = tmp_path / "hand.toml"
     path.write_text(hand_with_amplifiers(process_value=process_value).to_toml())
-    place, watch = watched_hand(path)
+    simulated_buses, watch = watched_hand(path)
     for _ in range(120):
         watch.run_tick()
-    tensions = [reading.value_at(place.t_ns) for reading in watch.tensions.values()]
+    tensions = [reading.value_at(simulated_buses.t_ns) for reading in watch.tensions.values()]
     assert len(tensions) == 4
     assert all(abs(tension) < 8.0 for tension in tensions)
-    place.rig.inject("saturate cell=index_tendon")
+    simulated_buses.rig.inject("saturate cell=index_tendon")
     for _ in range(3):
         watch.run_tick()
     saturated_lines = [
@@ -145,10 +149,10 @@ def test_amplifiers_are_set_up_and_read(process_value, tmp_path):
 @pytest.mark.parametrize("missed_ticks", [0, 1, 50])
 def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
     """Reproduce a defect: after a stall of the host, the requests of all missed ticks were sent at once."""
-    place, watch = watched_hand("jamia")
+    simulated_buses, watch = watched_hand("jamia")
     for _ in range(120):
         watch.run_tick()
-    wait = place.wait
+    wait = simulated_buses.wait
     waiting_times = []
 
     def stall_at_first_wait(k):
@@ -157,7 +161,7 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
         wait(k + late_missed_ticks)
         return late_missed_ticks * PERIOD_NS + 7
 
-    place.wait = stall_at_first_wait
+    simulated_buses.wait = stall_at_first_wait
     for _ in range(3):
         watch.run_tick()
     assert waiting_times == [120, 121 + missed_ticks, 122 + missed_ticks]
@@ -166,11 +170,11 @@ def test_missed_ticks_are_skipped_and_not_executed_later(missed_ticks):
 
 
 def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
-    place, watch = watched_hand("jamia")
+    simulated_buses, watch = watched_hand("jamia")
     for _ in range(120):
         watch.run_tick()
     lost_node_ids = watch.drives[1].node_ids
-    place.rig.step = lambda t_ns, frames, step=place.rig.step: [
+    simulated_buses.rig.step = lambda t_ns, frames, step=simulated_buses.rig.step: [
         f for f in step(t_ns, frames) if f[0] not in lost_node_ids
     ]
     for _ in range(80):
@@ -182,10 +186,10 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
 
 def test_another_host_is_noticed():
     _, watch = watched_hand("jamia")
-    assert watch.find_other_host(0.0, lambda bus, duration_s, seen: None) == ""
+    assert watch.find_other_host(0.0, lambda bus, duration_s, seen_frames: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
     assert (
-        watch.find_other_host(0.0, lambda bus, duration_s, seen: seen.append(foreign))
+        watch.find_other_host(0.0, lambda bus, duration_s, seen_frames: seen_frames.append(foreign))
         == f"{foreign.can_id:#x}"
     )
 

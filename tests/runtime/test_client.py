@@ -101,7 +101,7 @@ def test_replies_to_other_programs_are_ignored(unserved_client, monkeypatch, for
     reply = "refused: the hand is not ready yet"
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         unserved_client.move(index=3, wait=False)
-    assert len({one["by"] for one in sent}) == 2
+    assert len({request["by"] for request in sent}) == 2
     unserved_client._has_commanded = False
 
 
@@ -145,8 +145,10 @@ def test_digits_may_come_as_a_mapping(unserved_client, monkeypatch):
 
 def test_an_unknown_space_of_a_stream_names_all_spaces(unserved_client):
     """Reproduce a defect: the message did not name the space ``fingertip``."""
-    right = "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
-    with pytest.raises(ConfigError, match=right):
+    expected_message = (
+        "stream.space: 'torque'; expected joint or digit or tension or tip_force or fingertip"
+    )
+    with pytest.raises(ConfigError, match=expected_message):
         unserved_client.stream(100, space="torque")
 
 
@@ -247,8 +249,8 @@ def test_a_program_moves_holds_and_reads_the_state(
         assert client.state()["t_s"] >= before_s + 0.5, (
             "the duration is in the slower time of the hand"
         )
-        with library.connect("jamia", LOCAL_BUS) as other:
-            assert other.state()["phase"] == "live"
+        with library.connect("jamia", LOCAL_BUS) as other_client:
+            assert other_client.state()["phase"] == "live"
         assert client.state()["mode"] == "ACTIVE", "a client without requests does not end the run"
         client.hold(thumb=12.0)
         for _ in range(200):
@@ -274,8 +276,8 @@ def test_a_stopped_run_and_a_closed_client_are_named(
     with library.connect(
         "jamia", LOCAL_BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale_options
     ) as client:
-        with library.connect("jamia", LOCAL_BUS) as other:
-            ticks = other.observations()
+        with library.connect("jamia", LOCAL_BUS) as other_client:
+            ticks = other_client.observations()
             next(ticks)
         # Earlier defect: a program that asked for another hand got a client of this hand, without
         # any error.
@@ -287,9 +289,9 @@ def test_a_stopped_run_and_a_closed_client_are_named(
         ):
             pass
         for client_method in (
-            other.observe,
+            other_client.observe,
             lambda: next(ticks),
-            lambda: next(other.observations()),
+            lambda: next(other_client.observations()),
         ):
             with pytest.raises(BusError, match="this client is closed"):
                 client_method()
@@ -323,7 +325,7 @@ def test_every_thread_gets_the_end_of_the_run(
     with ThreadPoolExecutor(len(calls)) as threads:
         running = [threads.submit(repeat, client_method) for client_method in calls]
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
-        exceptions = [one.exception(60.0) for one in running]
+        exceptions = [future.exception(60.0) for future in running]
     # A goal that arrives while the hand relaxes is refused. This is an error of the caller.
     expected_errors = {
         DriveError: "the controller ended: it was stopped|the hand no longer accepts goals",

@@ -75,7 +75,7 @@ def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
 
 
 def test_the_clock_busy_waits_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
-    for spin, left in ((True, 60_000), (False, 0)):
+    for spin, remaining_ns in ((True, 60_000), (False, 0)):
         wall = FakeMonotonicClock(monkeypatch)
         clock = RealClock(PERIOD_NS, 1.0, spin)
         clock.start()
@@ -83,7 +83,7 @@ def test_the_clock_busy_waits_only_before_the_deadline(monkeypatch: pytest.Monke
         wall.sleeps_s.clear()
         clock.wait(1)
         assert len(wall.sleeps_s) == 1
-        assert PERIOD_NS - wall.sleeps_s[0] * 1e9 == pytest.approx(left, abs=5000)
+        assert PERIOD_NS - wall.sleeps_s[0] * 1e9 == pytest.approx(remaining_ns, abs=5000)
 
 
 def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,15 +137,15 @@ def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> N
     peer = RecordingPeer()
     clock = LockstepClock(peer, PERIOD_NS)
     bus = LockstepBus(clock)
-    seen = []
+    seen_frames = []
     for k in range(4):
         assert clock.wait(k) == 0
         assert clock.now_ns() == k * PERIOD_NS
-        seen.append(bus.drain())
+        seen_frames.append(bus.drain())
         assert bus.send([Frame(k, bytes((k,)))]) == 1
     assert [t for t, _ in peer.steps] == [0, PERIOD_NS, 2 * PERIOD_NS]
     assert [[f.can_id for f in frames] for _, frames in peer.steps] == [[0], [1], [2]]
-    assert seen == [
+    assert seen_frames == [
         [],
         *[[Frame(0x10 + k, bytes((k,)), 0, 0, k * PERIOD_NS + 300)] for k in range(3)],
     ]
@@ -202,17 +202,17 @@ def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     for peer in (RecordingPeer(), RecordReturningPeer()):
         clock = LockstepClock(peer, PERIOD_NS)
         bus = LockstepBus(clock)
-        seen = []
+        seen_frames = []
         for _ in range(2):
             for k in range(4):
                 clock.wait(k)
-                seen.append(bus.drain())
+                seen_frames.append(bus.drain())
                 if k != 2:
                     bus.send([Frame(k, bytes(range(k))), Frame(0x100 + k, bytes(8), bus=1)])
                     bus.send(frames_as_records([Frame(0x200 + k, b"later")]))
             clock.restart()
             assert bus.drain() == []
-        runs.append((seen, peer.steps))
+        runs.append((seen_frames, peer.steps))
     assert runs[0] == runs[1]
     assert [len(frames) for frames in runs[0][0]] == [0, 3, 3, 0] * 2
     assert [frame.bus for frame in runs[0][0][1]] == [0, 1, 0]

@@ -32,9 +32,9 @@ OPTIONS_WITHOUT_ENDPOINTS = {"torque_feedback": True}
 def check_results(
     protocol, drive_fault="", drive_options=None, shaft_inertia=None, delay_ticks=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
-    place = VirtualBench(protocol, drive_fault, shaft_inertia, delay_ticks)
-    rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M, drive_options)
-    return checks_of(rig), place, rig
+    virtual_bench = VirtualBench(protocol, drive_fault, shaft_inertia, delay_ticks)
+    rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
+    return checks_of(rig), virtual_bench, rig
 
 
 def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
@@ -85,11 +85,11 @@ def unchecked_results(check_results):
 
 
 def test_a_good_drive_passes_every_conformance_check(protocol):
-    failures, place, rig = check_results(protocol)
+    failures, virtual_bench, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
-    assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.001
+    assert 0.0 < virtual_bench.largest_torque <= TORQUE_LIMIT_N_M * 1.001
     assert rig.confirm_disabled(0.05)
-    assert place.bench.motors[0].servo.torque == 0.0
+    assert virtual_bench.bench.motors[0].servo.torque == 0.0
 
 
 @pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
@@ -103,18 +103,18 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
     source = random.Random(seed)
     wait = VirtualBench.wait
 
-    def wait_and_stall(place, k):
-        late = wait(place, k)
+    def wait_and_stall(virtual_bench, k):
+        late = wait(virtual_bench, k)
         if source.random() < 1.0 / 40.0:
-            place.advance_time(source.uniform(0.0, 0.03))
-            late = wait(place, k)
+            virtual_bench.advance_time(source.uniform(0.0, 0.03))
+            late = wait(virtual_bench, k)
         return late
 
     monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
-    found, place, rig = check_results(protocol)
-    assert failed_checks(found) == []
-    assert (unchecked_results(found) == []) is (protocol in VERIFIABLE_PROTOCOLS)
-    assert 0.0 < place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
+    checks, virtual_bench, rig = check_results(protocol)
+    assert failed_checks(checks) == []
+    assert (unchecked_results(checks) == []) is (protocol in VERIFIABLE_PROTOCOLS)
+    assert 0.0 < virtual_bench.largest_torque <= TORQUE_LIMIT_N_M * 1.05
     assert rig.confirm_disabled(0.05)
 
 
@@ -123,10 +123,10 @@ def test_a_good_drive_passes_three_times_running(protocol):
 
     So these drives failed when the checks ran a second time.
     """
-    place = VirtualBench(protocol)
-    for found in checks_of_three_runs(place, protocol):
-        assert failed_checks(found) == []
-        late_rig = drive_rig_on(place, protocol, TORQUE_LIMIT_N_M)
+    virtual_bench = VirtualBench(protocol)
+    for checks in checks_of_three_runs(virtual_bench, protocol):
+        assert failed_checks(checks) == []
+        late_rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
         late_rig.run_tick(DriveTarget.LISTEN)
         late_rig.run_for(DriveTarget.POLL, 0.3)
         assert late_rig.state.error_text == "", "nothing is latched after a silence of two seconds"
@@ -136,11 +136,11 @@ def test_a_good_drive_passes_three_times_running(protocol):
 @pytest.mark.parametrize("shaft_inertia", [2e-5, 1e-4, 2e-3])
 @pytest.mark.parametrize("delay_ticks", [1, 3])
 def test_a_light_shaft_and_a_slow_wire_pass_conformance(protocol, shaft_inertia, delay_ticks):
-    failures, place, _ = check_results(
+    failures, virtual_bench, _ = check_results(
         protocol, shaft_inertia=shaft_inertia, delay_ticks=delay_ticks
     )
     assert failed_checks(failures) == []
-    assert abs(place.bench.motors[0].omega) < 20.0
+    assert abs(virtual_bench.bench.motors[0].omega) < 20.0
 
 
 TORQUE_CUT_CHECK_TITLE = "is cut at once, and cleared on command only"
@@ -172,8 +172,8 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
             check_fault_has_effect(protocol, drive_fault)
         return
     check_fault_has_effect(protocol, drive_fault)
-    found, place, _ = check_results(protocol, drive_fault, options)
-    check = found[FAILED_CHECK[drive_fault]]
+    checks, virtual_bench, _ = check_results(protocol, drive_fault, options)
+    check = checks[FAILED_CHECK[drive_fault]]
     assert (
         check.verdict
         is {
@@ -182,8 +182,8 @@ def test_each_defect_is_found_or_not_as_the_documentation_says(
         }[expected_result]
     )
     if expected_result == "not checked":
-        assert failed_checks(found) == []
-    assert place.largest_torque <= TORQUE_LIMIT_N_M * 1.05
+        assert failed_checks(checks) == []
+    assert virtual_bench.largest_torque <= TORQUE_LIMIT_N_M * 1.05
 
 
 def test_the_documentation_has_each_defect_of_each_protocol():
@@ -199,30 +199,32 @@ def test_the_documentation_has_each_defect_of_each_protocol():
 )
 def test_a_silent_motor_is_reported_with_the_expected_identifier(protocol, expected_identifier):
     """Reproduce a defect: the reason "stays in SILENT" did not name the expected frames."""
-    found, _, _ = check_results(protocol, "mute")
-    check = found[FAILED_CHECK["mute"]]
+    checks, _, _ = check_results(protocol, "mute")
+    check = checks[FAILED_CHECK["mute"]]
     assert check.reason == f"no reply; expected frames with the identifier {expected_identifier}"
 
 
 @pytest.mark.parametrize("drive_fault", ["", "deaf", "twin"])
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(drive_fault):
-    place = VirtualBench("odrive", drive_fault, firmware="0.5", usb_watchdog_s=0.1)
-    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
-    found = {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))}
-    assert failed_checks(found)[:1] == ([FAILED_CHECK[drive_fault]] if drive_fault else [])
-    assert not any("nan" in check.reason for check in found.values())
+    virtual_bench = VirtualBench("odrive", drive_fault, firmware="0.5", usb_watchdog_s=0.1)
+    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M, {"firmware": "0.5"})
+    checks = {
+        check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))
+    }
+    assert failed_checks(checks)[:1] == ([FAILED_CHECK[drive_fault]] if drive_fault else [])
+    assert not any("nan" in check.reason for check in checks.values())
 
 
 def test_a_second_drive_never_turns(protocol):
     """The second drive is never enabled, because the checks stop when a second drive replies."""
-    _, place, _ = check_results(protocol, "twin")
-    assert place.largest_torque == 0.0
+    _, virtual_bench, _ = check_results(protocol, "twin")
+    assert virtual_bench.largest_torque == 0.0
 
 
 def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
-    _, place, rig = check_results(protocol, "deaf")
+    _, virtual_bench, rig = check_results(protocol, "deaf")
     assert rig.confirm_disabled(0.05)
-    assert place.bench.motors[0].servo.torque == 0.0
+    assert virtual_bench.bench.motors[0].servo.torque == 0.0
 
 
 def test_a_blocked_shaft_is_no_failure(protocol):
@@ -245,16 +247,16 @@ def test_an_odrive_names_the_options_without_which_a_check_is_not_made(given_opt
     options = OPTIONS_WITHOUT_ENDPOINTS | {
         key: all_options[key] for key in ENDPOINT_OPTIONS[:given_options]
     }
-    found, _, _ = check_results("odrive", drive_options=options)
-    assert failed_checks(found) == []
+    checks, _, _ = check_results("odrive", drive_options=options)
+    assert failed_checks(checks) == []
     expected = {0: ["readback", "watchdog"], 2: ["readback"], 4: []}[given_options]
-    assert unchecked_results(found) == [FAILED_CHECK[fault] for fault in expected]
+    assert unchecked_results(checks) == [FAILED_CHECK[fault] for fault in expected]
     for fault, missing in (
         ("readback", ENDPOINT_OPTIONS[given_options:]),
         ("watchdog", ENDPOINT_OPTIONS[:2]),
     ):
         if fault in expected:
-            assert all(option in found[FAILED_CHECK[fault]].reason for option in missing)
+            assert all(option in checks[FAILED_CHECK[fault]].reason for option in missing)
 
 
 def test_an_odrive_that_confirms_writes_passes_every_check():
@@ -263,53 +265,55 @@ def test_an_odrive_that_confirms_writes_passes_every_check():
     Firmware 0.6.11 and later confirms writes. The confirmation has no value, so it is 4 bytes long.
     """
     options = OPTIONS_BY_PROTOCOL["odrive"]
-    place = VirtualBench("odrive", **options, confirms_writes=True)
-    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M)
-    found = {
+    virtual_bench = VirtualBench("odrive", **options, confirms_writes=True)
+    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M)
+    checks = {
         check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
     }
-    assert failed_checks(found) == []
-    assert unchecked_results(found) == []
+    assert failed_checks(checks) == []
+    assert unchecked_results(checks) == []
 
 
 def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
-    place = VirtualBench("odrive", usb_watchdog_s=0.1)
-    rig = drive_rig_on(place, "odrive", TORQUE_LIMIT_N_M, OPTIONS_WITHOUT_ENDPOINTS)
-    found = {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))}
-    assert found[FAILED_CHECK["watchdog"]].verdict is CheckVerdict.PASSED
+    virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.1)
+    rig = drive_rig_on(virtual_bench, "odrive", TORQUE_LIMIT_N_M, OPTIONS_WITHOUT_ENDPOINTS)
+    checks = {
+        check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.1))
+    }
+    assert checks[FAILED_CHECK["watchdog"]].verdict is CheckVerdict.PASSED
 
 
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(VERIFIABLE_PROTOCOLS)))
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
     """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
-    place = VirtualBench(protocol)
-    for found in checks_of_three_runs(place, protocol):
-        assert failed_checks(found) == []
-        names = unchecked_results(found)
+    virtual_bench = VirtualBench(protocol)
+    for checks in checks_of_three_runs(virtual_bench, protocol):
+        assert failed_checks(checks) == []
+        names = unchecked_results(checks)
         assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], TORQUE_CUT_CHECK_TITLE]
-        assert all("the protocol has no " in found[name].reason for name in names)
+        assert all("the protocol has no " in checks[name].reason for name in names)
 
 
 def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three_times():
-    place = VirtualBench("odrive", **OPTIONS_WITHOUT_ENDPOINTS)
-    for found in checks_of_three_runs(place, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
-        assert failed_checks(found) == []
-        assert len(unchecked_results(found)) == 2
+    virtual_bench = VirtualBench("odrive", **OPTIONS_WITHOUT_ENDPOINTS)
+    for checks in checks_of_three_runs(virtual_bench, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
+        assert failed_checks(checks) == []
+        assert len(unchecked_results(checks)) == 2
 
 
 def test_a_reason_names_a_few_identifiers_of_many():
     """Reproduce a defect: the reason contained the 1025 identifiers of the replies of a RobStride motor."""
-    found, _, _ = check_results("robstride", "mute")
-    assert len(found[FAILED_CHECK["mute"]].reason) < 160
+    checks, _, _ = check_results("robstride", "mute")
+    assert len(checks[FAILED_CHECK["mute"]].reason) < 160
 
 
 def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     """An earlier client may have left the value 3 (velocity mode) in the register CTRL_MODE."""
-    place = VirtualBench("mit")
-    node = place.bench.nodes[0]
+    virtual_bench = VirtualBench("mit")
+    node = virtual_bench.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
     node._update_derived_values()
-    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
+    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
 
@@ -320,10 +324,10 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(clear_
 
     Without this reply, the host never regarded the motor as ready.
     """
-    place = VirtualBench("mit", clear_answers=clear_is_answered)
-    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
+    virtual_bench = VirtualBench("mit", clear_answers=clear_is_answered)
+    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
-    place.bench.faults.inject("error node=33")
+    virtual_bench.bench.faults.inject("error node=33")
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
     rig.clear_faults()
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), (
@@ -337,20 +341,20 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
 
     Earlier defect: the watchdog of a disabled motor fired, so the motor had a fault before arming.
     """
-    place = VirtualBench("mit", watchdog=watchdog_ms)
-    rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
+    virtual_bench = VirtualBench("mit", watchdog=watchdog_ms)
+    rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
-    seen = set()
+    reached_phases = set()
 
     def note(state):
-        seen.add(state.phase.name)
+        reached_phases.add(state.phase.name)
         return False
 
     rig.run_until(DriveTarget.POLL, note, 1.0)
-    assert seen == {"READY"}
+    assert reached_phases == {"READY"}
     assert rig.run_until(DriveTarget.ENABLE, lambda state: state.phase.name == "ENABLED", 0.1)
     rig.run_for(DriveTarget.ENABLE, 0.2)
-    place.advance_time(0.3)
+    virtual_bench.advance_time(0.3)
     rig.run_tick(DriveTarget.ENABLE)
     rig.run_tick(DriveTarget.ENABLE)
     assert (rig.state.phase.name, rig.state.error_text) == (
@@ -360,12 +364,12 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog_ms):
 
 
 def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
-    place = VirtualBench("mit", watchdog="always")
+    virtual_bench = VirtualBench("mit", watchdog="always")
     for _ in range(3):
-        rig = drive_rig_on(place, "mit", TORQUE_LIMIT_N_M)
+        rig = drive_rig_on(virtual_bench, "mit", TORQUE_LIMIT_N_M)
         rig.clear_faults()
-        found = {
+        checks = {
             check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))
         }
-        assert failed_checks(found) == [], {name: check.reason for name, check in found.items()}
+        assert failed_checks(checks) == [], {name: check.reason for name, check in checks.items()}
         assert release_drive(rig, 0.05)

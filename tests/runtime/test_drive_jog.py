@@ -41,7 +41,7 @@ def bench_of(
     motor_zero=0.0,
     motion_limits=MOTION_LIMITS,
 ):
-    place = VirtualBench(protocol, drive_fault)
+    virtual_bench = VirtualBench(protocol, drive_fault)
     motor = motor_on_bench(
         protocol,
         DRIVE_NODE_ID,
@@ -51,8 +51,10 @@ def bench_of(
         zero_rad=motor_zero,
     )
     return (
-        place,
-        DriveRig(make_mode_drive(motor, 0, drive_mode, motion_limits), place, place),
+        virtual_bench,
+        DriveRig(
+            make_mode_drive(motor, 0, drive_mode, motion_limits), virtual_bench, virtual_bench
+        ),
         make_drive(motor, 0),
     )
 
@@ -70,10 +72,10 @@ def goal_of(drive_mode, target_value, duration_s=2.0, travel_limit=10.0):
 def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(
     protocol, drive_mode, motor_direction, motor_zero, target_sign
 ):
-    place, rig, torque_drive = bench_of(
+    virtual_bench, rig, torque_drive = bench_of(
         protocol, drive_mode, motor_direction=motor_direction, motor_zero=motor_zero
     )
-    motor = place.bench.motors[0]
+    motor = virtual_bench.bench.motors[0]
     result = jog_drive(rig, goal_of(drive_mode, 2.0 * target_sign))
     assert result.failure == ""
     expected = 2.0 * target_sign if drive_mode != DriveMode.VELOCITY else 2.0 * target_sign * 2.0
@@ -90,14 +92,14 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(
 
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride", "cubemars"])
 def test_every_protocol_has_the_torque_mode(protocol):
-    place, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
+    virtual_bench, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
     result = jog_drive(
         rig,
         JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), TORQUE_LIMIT_N_M, 500.0),
     )
     assert result.failure == ""
     assert result.moved_rad > 0.01
-    assert place.largest_torque <= 0.06
+    assert virtual_bench.largest_torque <= 0.06
     assert release_drive(rig, 0.05, torque_drive)
 
 
@@ -130,35 +132,37 @@ def test_a_drive_that_is_turned_away_stays_where_it_is_when_it_is_enabled(protoc
 
     A position command of zero at the moment of enabling would therefore move the drive by 5 rad.
     """
-    place, rig, torque_drive = bench_of(protocol, drive_mode)
-    place.bench.motors[0].theta = 5.0
+    virtual_bench, rig, torque_drive = bench_of(protocol, drive_mode)
+    virtual_bench.bench.motors[0].theta = 5.0
     result = jog_drive(rig, goal_of(drive_mode, 0.0, 1.0, 0.2))
     assert result.failure == ""
-    assert place.bench.motors[0].theta == pytest.approx(5.0, abs=0.01)
+    assert virtual_bench.bench.motors[0].theta == pytest.approx(5.0, abs=0.01)
     assert release_drive(rig, 0.05, torque_drive)
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_travel_beyond_its_limit_stops_the_drive(protocol, drive_mode):
-    place, rig, _ = bench_of(protocol, drive_mode)
+    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
     result = jog_drive(rig, goal_of(drive_mode, 2.5, 4.0, 0.5))
     assert "expected at most 0.5" in result.failure
     assert rig.confirm_disabled(0.05)
-    assert place.bench.motors[0].servo.kd == 0.0
+    assert virtual_bench.bench.motors[0].servo.kd == 0.0
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
-    place, rig, _ = bench_of(protocol, drive_mode)
-    wait = place.wait
+    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
+    wait = virtual_bench.wait
 
     def wait_with_fast_shaft(k):
-        place.bench.motors[0].omega = (
-            20.0 if place.bench.t_ns > 2_000_000_000 else place.bench.motors[0].omega
+        virtual_bench.bench.motors[0].omega = (
+            20.0
+            if virtual_bench.bench.t_ns > 2_000_000_000
+            else virtual_bench.bench.motors[0].omega
         )
         return wait(k)
 
-    place.wait = wait_with_fast_shaft
+    virtual_bench.wait = wait_with_fast_shaft
     result = jog_drive(rig, goal_of(drive_mode, 0.1, 4.0, 1e6))
     assert "rad/s, expected at most 3" in result.failure or "error" in result.failure
     assert rig.confirm_disabled(0.05)
@@ -166,24 +170,27 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, drive_mode):
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, drive_mode):
-    place, rig, _ = bench_of(protocol, drive_mode)
+    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
     assert jog_drive(rig, goal_of(drive_mode, 1.0, 0.5)).failure == ""
     rig.run_for(DriveTarget.LISTEN, 0.5)
-    assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
+    assert (virtual_bench.bench.motors[0].servo.kd, virtual_bench.bench.motors[0].servo.torque) == (
+        0.0,
+        0.0,
+    )
     rig.run_for(DriveTarget.ENABLE, 0.3)
     assert rig.state.phase == DrivePhase.FAULT, "the fault is latched"
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
 def test_a_drive_that_sends_nothing_is_not_enabled(protocol, drive_mode):
-    place, rig, _ = bench_of(protocol, drive_mode, drive_fault="mute")
+    virtual_bench, rig, _ = bench_of(protocol, drive_mode, drive_fault="mute")
     assert jog_drive(rig, goal_of(drive_mode, 1.0)).failure
-    assert place.bench.motors[0].theta == 0.0
+    assert virtual_bench.bench.motors[0].theta == 0.0
 
 
 def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
-    place, rig, _ = bench_of("mit", DriveMode.POSITION)
-    place.bench.motors[0].theta = 11.0
+    virtual_bench, rig, _ = bench_of("mit", DriveMode.POSITION)
+    virtual_bench.bench.motors[0].theta = 11.0
     assert (
         "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
     )
@@ -191,22 +198,22 @@ def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
 
 
 def test_a_drive_that_loses_its_largest_speed_is_a_fault():
-    place, rig, _ = bench_of("mit", DriveMode.VELOCITY)
+    virtual_bench, rig, _ = bench_of("mit", DriveMode.VELOCITY)
     assert jog_drive(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
-    place.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", DRIVE_NODE_ID, 0x55, 6, 25.0)))
+    virtual_bench.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", DRIVE_NODE_ID, 0x55, 6, 25.0)))
     rig.run_for(DriveTarget.ENABLE, 2.5)
     assert "MAX_SPD" in rig.state.error_text
 
 
 def test_a_blocked_cia402_drive_reports_its_following_error():
-    place, rig, _ = bench_of("cia402", DriveMode.POSITION)
-    wait = place.wait
+    virtual_bench, rig, _ = bench_of("cia402", DriveMode.POSITION)
+    wait = virtual_bench.wait
 
     def blocked(k):
-        place.bench.motors[0].theta = place.bench.motors[0].omega = 0.0
+        virtual_bench.bench.motors[0].theta = virtual_bench.bench.motors[0].omega = 0.0
         return wait(k)
 
-    place.wait = blocked
+    virtual_bench.wait = blocked
     result = jog_drive(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
     assert result.failure == "following error"
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
@@ -260,26 +267,26 @@ def test_a_ramp_keeps_its_time_although_ticks_are_missed(drive_mode, stall_time_
     """Reproduce a defect: after a stall of the host, the commands of all missed ticks were sent at once."""
     ramp_samples = []
     for stall in (0, missed_ticks):
-        place, rig, _ = bench_of("mit", drive_mode)
-        commands = stall_host(place, rig, stall_time_s, stall)
+        virtual_bench, rig, _ = bench_of("mit", drive_mode)
+        commands = stall_host(virtual_bench, rig, stall_time_s, stall)
         target = {DriveMode.TORQUE: 0.005}.get(drive_mode, 2.0)
         goal = goal_of(drive_mode, target)._replace(
             limits=MotionLimits(1e3, 10.0), max_travel_rad=1e4
         )
         assert jog_drive(rig, goal).failure == ""
         ramp_samples.append(commands)
-    whole, ramp = ramp_samples
-    gaps = [after - before for (before, _), (after, _) in pairwise(ramp)]
+    undisturbed_ramp, ramp = ramp_samples
+    gaps = [time_after - time_before for (time_before, _), (time_after, _) in pairwise(ramp)]
     assert min(gaps) == PERIOD_NS, "no two commands in one period"
     assert max(gaps) == (missed_ticks + 1) * PERIOD_NS
-    at_time = dict(whole)
+    at_time = dict(undisturbed_ramp)
     late = gaps.index(max(gaps)) + 1
     # The command of the late tick was computed before the stall. All later commands follow the ramp
     # again. If a stall lasts beyond the planned end of the motion, the motion ends later.
     if stall_time_s < 1.0:
         for t_ns, command in ramp[late + 1 : late + 20]:
             assert command == pytest.approx(at_time[t_ns], abs=1e-6)
-    assert ramp[-1][1] == pytest.approx(whole[-1][1], abs=1e-6)
+    assert ramp[-1][1] == pytest.approx(undisturbed_ramp[-1][1], abs=1e-6)
 
 
 @pytest.mark.parametrize(("protocol", "drive_mode"), PROTOCOL_MODES)
@@ -289,8 +296,8 @@ def test_a_host_that_misses_too_many_ticks_ends_the_jog(protocol, drive_mode):
     The watchdog of the drive cannot be the reason, because the drive gets commands during the
     stall.
     """
-    place, rig, _ = bench_of(protocol, drive_mode)
-    commands = stall_host(place, rig, 0.5, MAX_MISSED_TICKS + 1)
+    virtual_bench, rig, _ = bench_of(protocol, drive_mode)
+    commands = stall_host(virtual_bench, rig, 0.5, MAX_MISSED_TICKS + 1)
     result = jog_drive(rig, goal_of(drive_mode, 1.0))
     assert f"missed {MAX_MISSED_TICKS + 1} ticks in a row" in result.failure
     assert 0.4 < (commands[-1][0] - commands[0][0]) * 1e-9 < 0.7

@@ -31,20 +31,22 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
 @pytest.mark.parametrize("missed_ticks", [1, 3, 100])
 def test_missed_ticks_are_skipped_and_not_executed_later(protocol: str, missed_ticks: int) -> None:
     """Reproduce a defect: after a stall of the host, the rig sent the commands of all missed ticks at once."""
-    place = VirtualBench(protocol)
-    rig = drive_rig_on(place, protocol, 0.1)
+    virtual_bench = VirtualBench(protocol)
+    rig = drive_rig_on(virtual_bench, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
-    first = rig.k
-    place.advance_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
+    first_tick = rig.k
+    virtual_bench.advance_time((missed_ticks + 0.5) * PERIOD_NS * 1e-9)
     times = []
-    send = place.send
-    place.send = lambda frames: times.append(place.now_ns()) or send(frames)  # type: ignore[method-assign]
+    send = virtual_bench.send
+    virtual_bench.send = lambda frames: times.append(virtual_bench.now_ns()) or send(frames)  # type: ignore[method-assign]
     for _ in range(5):
         rig.run_tick(DriveTarget.POLL)
     # The time before the first tick is the half period that remains after the deadline of this
     # tick.
-    assert [t_ns // PERIOD_NS for t_ns in times] == [first - 1 + missed_ticks + i for i in range(5)]
-    assert rig.t_ns == (first - 1 + missed_ticks + 5) * PERIOD_NS
+    assert [t_ns // PERIOD_NS for t_ns in times] == [
+        first_tick - 1 + missed_ticks + i for i in range(5)
+    ]
+    assert rig.t_ns == (first_tick - 1 + missed_ticks + 5) * PERIOD_NS
     assert rig.missed_ticks == 0
 
 
@@ -54,8 +56,8 @@ def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> Non
 
     Another host may have enabled this drive.
     """
-    place = VirtualBench(protocol, "mute")
-    rig = drive_rig_on(place, protocol, 0.1)
+    virtual_bench = VirtualBench(protocol, "mute")
+    rig = drive_rig_on(virtual_bench, protocol, 0.1)
     rig.run_for(DriveTarget.POLL, 0.5)
     assert not rig.confirm_disabled(0.05)
 
@@ -65,13 +67,13 @@ def test_a_drive_that_was_never_heard_is_not_confirmed_off(protocol: str) -> Non
 def test_a_drive_whose_replies_end_after_the_enable_command_is_not_confirmed_off(
     protocol: str, ticks: int
 ) -> None:
-    place = VirtualBench(protocol)
-    rig = drive_rig_on(place, protocol, 0.1)
+    virtual_bench = VirtualBench(protocol)
+    rig = drive_rig_on(virtual_bench, protocol, 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     for _ in range(ticks):
         rig.run_tick(DriveTarget.ENABLE)
-    place.drain = list  # type: ignore[method-assign]
-    place.send = len  # type: ignore[method-assign]
+    virtual_bench.drain = list  # type: ignore[method-assign]
+    virtual_bench.send = len  # type: ignore[method-assign]
     rig.run_tick(DriveTarget.ENABLE)
     assert not rig.confirm_disabled(0.05)
 
@@ -95,20 +97,20 @@ def test_the_velocity_after_missed_ticks_is_that_of_the_shaft(
     The velocity was computed as if the ticks before and after a stall were adjacent. The shaft
     therefore seemed to turn too fast.
     """
-    place = VirtualBench("mit", delay_ticks=delay_ticks)
-    motor = place.bench.motors[0]
-    wait = place.wait
+    virtual_bench = VirtualBench("mit", delay_ticks=delay_ticks)
+    motor = virtual_bench.bench.motors[0]
+    wait = virtual_bench.wait
 
     def wait_while_shaft_turns(k: int) -> int:
         late = wait(k)
-        motor.theta, motor.omega = place.now_ns() * 1e-9, 0.0  # a speed of 1 rad/s
+        motor.theta, motor.omega = virtual_bench.now_ns() * 1e-9, 0.0  # a speed of 1 rad/s
         return int(late)
 
-    place.wait = wait_while_shaft_turns  # type: ignore[method-assign]
-    rig = drive_rig_on(place, "mit", 0.1)
+    virtual_bench.wait = wait_while_shaft_turns  # type: ignore[method-assign]
+    rig = drive_rig_on(virtual_bench, "mit", 0.1)
     assert rig.run_until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 2.0)
     rig.run_for(DriveTarget.POLL, 0.1)
-    place.advance_time(missed_ticks * PERIOD_NS * 1e-9)
+    virtual_bench.advance_time(missed_ticks * PERIOD_NS * 1e-9)
     speeds = []
     for _ in range(20):
         rig.run_tick(DriveTarget.POLL)

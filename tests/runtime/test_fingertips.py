@@ -21,8 +21,8 @@ def test_tips_and_angles_are_inverse_to_each_other():
     reached_tips = tips.tips({name: np.radians(angle) for name, angle in solved_angles.items()})
     np.testing.assert_allclose(reached_tips, positions, atol=1e-6)
     assert tips.distances_m.max() < 1e-6
-    one = tips.angles_deg({"index": positions[0]})
-    assert set(one) == {"index_j1", "index_j2", "index_j3"}
+    angles_of_index = tips.angles_deg({"index": positions[0]})
+    assert set(angles_of_index) == {"index_j1", "index_j2", "index_j3"}
 
 
 @pytest.mark.parametrize(
@@ -87,10 +87,10 @@ def test_a_stream_of_positions_sends_joint_angles():
     )
     stream.send(positions)
     stream.send({"thumb": positions[1]})
-    first, second = np.array(sender.sent)
-    reached_tips = tips.tips(dict(zip(tips.joints, np.radians(first), strict=True)))
+    first_angles, second_angles = np.array(sender.sent)
+    reached_tips = tips.tips(dict(zip(tips.joints, np.radians(first_angles), strict=True)))
     np.testing.assert_allclose(reached_tips, positions, atol=1e-6)
-    np.testing.assert_allclose(first[:3], second[:3])
+    np.testing.assert_allclose(first_angles[:3], second_angles[:3])
     with pytest.raises(ConfigError, match="positions of shape"):
         stream.send([1.0, 2.0])
     assert len(sender.sent) == 2

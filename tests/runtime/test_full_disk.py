@@ -44,13 +44,13 @@ def work_folder(work_folder):
 @pytest.fixture
 def small_disk(work_folder):
     """Mount a small disk, and return its folder."""
-    made = work_folder / "disk"
-    made.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_SIZE}", "tmpfs", str(made)]
+    disk_folder = work_folder / "disk"
+    disk_folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_SIZE}", "tmpfs", str(disk_folder)]
     if subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("cannot mount a tmpfs here")
-    yield made
-    subprocess.run(["umount", str(made)], check=True)
+    yield disk_folder
+    subprocess.run(["umount", str(disk_folder)], check=True)
 
 
 def fill_disk(file_path):
@@ -104,15 +104,15 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(
         assert seconds_until_output(process, b"H08 the disk is full") < 2.5, (
             "the recorder checks the disk every second"
         )
-        after = None
+        status_after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            after = watcher.request_status_line(0.2) or after
-        assert after["k"] > tick_of_full_disk
-        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), (
+            status_after = watcher.request_status_line(0.2) or status_after
+        assert status_after["k"] > tick_of_full_disk
+        assert (status_after["mode"], status_after["phase"]) == ("ACTIVE", "stay"), (
             "a warning does not stop the hand"
         )
-        assert min(after["tension_N"]) > 4.0
+        assert min(status_after["tension_N"]) > 4.0
         assert run_handctl("stop", "--bus", LOCAL_BUS).returncode == 0
         _, err = process.communicate(timeout=30.0)
     finally:

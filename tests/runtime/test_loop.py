@@ -170,11 +170,11 @@ def test_only_ticks_run_with_realtime_priority() -> None:
         yield
         is_realtime[0] = False
 
-    seen: list[bool] = []
+    realtime_in_ticks: list[bool] = []
     run.loop.tick_priority = record_realtime_priority
-    run.fail = lambda entry: seen.append(is_realtime[0])
+    run.fail = lambda entry: realtime_in_ticks.append(is_realtime[0])
     run.go()
-    assert seen + is_realtime == [False, True, True, True, True, True, False], (
+    assert realtime_in_ticks + is_realtime == [False, True, True, True, True, True, False], (
         "the first value is of the warm-up"
     )
 
@@ -212,14 +212,16 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
 
 
 def test_received_frames_enter_one_tick_in_order() -> None:
-    old = Frame(1, b"old")
+    old_frame = Frame(1, b"old")
     first_frame = Frame(1, b"1")
     second_frame = Frame(2, b"2", bus=1)
-    left = FakeBus(frames_by_tick=[[old], [first_frame], []], pending_events=[("dropped", "a", 3)])
-    right = FakeBus(1, frames_by_tick=[[], [second_frame]])
+    left_bus = FakeBus(
+        frames_by_tick=[[old_frame], [first_frame], []], pending_events=[("dropped", "a", 3)]
+    )
+    right_bus = FakeBus(1, frames_by_tick=[[], [second_frame]])
     run = RecordedLoop(
         3,
-        buses=[left, right],
+        buses=[left_bus, right_bus],
         requests=[("x", "y"), (), ("z",)],
         host=[[IoEvent("recorder", "gone")]],
     )
@@ -236,12 +238,12 @@ def test_received_frames_enter_one_tick_in_order() -> None:
 
 
 def test_each_bus_gets_its_own_frames() -> None:
-    left = FakeBus()
-    right = FakeBus(1)
+    left_bus = FakeBus()
+    right_bus = FakeBus(1)
     frames = (Frame(1, b"a"), Frame(2, b"b", bus=1), Frame(3, b"c"))
-    RecordedLoop(1, buses=[left, right], frames=frames).go()
-    assert left.sent == [(frames[0], frames[2])]
-    assert right.sent == [(frames[1],)]
+    RecordedLoop(1, buses=[left_bus, right_bus], frames=frames).go()
+    assert left_bus.sent == [(frames[0], frames[2])]
+    assert right_bus.sent == [(frames[1],)]
 
 
 def test_one_bus_object_may_serve_all_buses() -> None:
@@ -284,27 +286,27 @@ def raise_error(*_: object) -> None:
     ],
 )
 def test_any_error_cuts_the_drives_and_is_raised_again(failing_stage: str) -> None:
-    left = FakeBus()
-    right = FakeBus(1)
-    run = RecordedLoop(5, buses=[left, right], frames=(Frame(9, b"torque"),))
+    left_bus = FakeBus()
+    right_bus = FakeBus(1)
+    run = RecordedLoop(5, buses=[left_bus, right_bus], frames=(Frame(9, b"torque"),))
     if failing_stage == "tick":
         run.fail = lambda entry: raise_error() if entry.k == 2 else None
     elif hasattr(run.loop, failing_stage):
         setattr(run.loop, failing_stage, raise_error)
     else:
-        owner = run.clock if failing_stage == "wait" else left
-        whole = getattr(owner, failing_stage)
+        owner = run.clock if failing_stage == "wait" else left_bus
+        original_method = getattr(owner, failing_stage)
         setattr(
             owner,
             failing_stage,
-            lambda *words: raise_error() if run.recorded_ticks else whole(*words),
+            lambda *words: raise_error() if run.recorded_ticks else original_method(*words),
         )
     # the frames that disable the drives were not sent
     with pytest.raises(PowerError if failing_stage == "send" else StageError):
         run.go()
-    assert right.sent[-1] == (TORQUE_CUT_FRAMES[1],)
+    assert right_bus.sent[-1] == (TORQUE_CUT_FRAMES[1],)
     if failing_stage != "send":
-        assert left.sent[-1] == (TORQUE_CUT_FRAMES[0],)
+        assert left_bus.sent[-1] == (TORQUE_CUT_FRAMES[0],)
     assert gc.isenabled()
 
 
@@ -425,23 +427,23 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
 
     If they were lost, a drive without a watchdog would keep its torque.
     """
-    left = FakeBus()
-    right = FakeBus(1)
-    run = RecordedLoop(5, buses=[left, right])
+    left_bus = FakeBus()
+    right_bus = FakeBus(1)
+    run = RecordedLoop(5, buses=[left_bus, right_bus])
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     remaining_capacities = [0, 0, 1]
-    original_send = left.send
+    original_send = left_bus.send
 
     def send(frames: Sequence[Frame]) -> int:
-        left.capacity = remaining_capacities.pop(0) if frames else 1000
+        left_bus.capacity = remaining_capacities.pop(0) if frames else 1000
         return original_send(frames)
 
-    left.send = send  # type: ignore[method-assign]
+    left_bus.send = send  # type: ignore[method-assign]
     with pytest.raises(StageError):
         run.go()
-    assert [sent for sent in left.sent if sent] == [(TORQUE_CUT_FRAMES[0],)]
+    assert [sent for sent in left_bus.sent if sent] == [(TORQUE_CUT_FRAMES[0],)]
     assert remaining_capacities == []
-    assert right.sent.count((TORQUE_CUT_FRAMES[1],)) == 1
+    assert right_bus.sent.count((TORQUE_CUT_FRAMES[1],)) == 1
 
 
 @pytest.mark.parametrize("refusing_bus", [0, 1])
@@ -461,21 +463,21 @@ def test_a_bus_that_refuses_every_cut_delays_no_other(
 
         def send(
             frames: Sequence[Frame],
-            whole: Callable[[Sequence[Frame]], int] = bus.send,
+            original_send: Callable[[Sequence[Frame]], int] = bus.send,
             index: int = index,
         ) -> int:
             if tuple(frames) == (TORQUE_CUT_FRAMES[index],):
                 tries.append((index, len(pauses)))
-            return whole(frames)
+            return original_send(frames)
 
         bus.send = send  # type: ignore[method-assign]
     run = RecordedLoop(5, buses=buses)
     run.fail = lambda entry: raise_error() if entry.k == 2 else None
     with pytest.raises(StageError):
         run.go()
-    other = 1 - refusing_bus
-    assert [pause for index, pause in tries if index == other] == [0]
-    assert buses[other].sent[-1] == (TORQUE_CUT_FRAMES[other],)
+    other_bus = 1 - refusing_bus
+    assert [pause for index, pause in tries if index == other_bus] == [0]
+    assert buses[other_bus].sent[-1] == (TORQUE_CUT_FRAMES[other_bus],)
     assert [pause for index, pause in tries if index == refusing_bus] == list(
         range(loop.TORQUE_CUT_ATTEMPTS)
     )
@@ -492,10 +494,10 @@ def test_a_failed_tick_sends_nothing_else() -> None:
 
 @pytest.mark.parametrize("with_failure", [False, True])
 def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
-    seen = []
+    collector_states = []
     run = RecordedLoop(3)
     run.fail = lambda entry: (
-        seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
+        collector_states.append((gc.isenabled(), gc.get_freeze_count() > 0))
         or (raise_error() if with_failure and entry.k else None)
     )
     freeze_count_before = gc.get_freeze_count()
@@ -505,7 +507,7 @@ def test_garbage_collection_is_off_in_the_loop_only(with_failure: bool) -> None:
             run.go()
     else:
         run.go()
-    assert set(seen[1:]) == {(False, True)}
+    assert set(collector_states[1:]) == {(False, True)}
     assert gc.isenabled()
     assert gc.get_freeze_count() == freeze_count_before == 0
 

@@ -86,14 +86,14 @@ def test_a_lost_client_makes_the_hand_relax(
                 other_client.send_signal(
                     signal.SIGKILL if client_end == "killed" else signal.SIGSTOP
                 )
-            said = wait_for_end(client, 8.0 * LEASE_S)
+            last_text = wait_for_end(client, 8.0 * LEASE_S)
         finally:
             other_client.kill()
             other_client.communicate()
     finally:
         client.close()
-    assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", said)
-    assert client.result["failure"] in said
+    assert re.search(r"client client-\d+-\d+ has been silent for 1\.\d+ s", last_text)
+    assert client.result["failure"] in last_text
     with RunLog(work_folder / "live.mcap") as log:
         assert not log.warning
         assert [row.event.level for row in log.events if row.event.name == "lease"] == [
@@ -124,9 +124,9 @@ def test_a_program_that_waits_keeps_its_hold(
         time.sleep(4.0 * LEASE_S / factor)
         assert client.observe(wait=True).mode == "ACTIVE"
         client.hold()
-        with library.connect("jamia", LOCAL_BUS, lease_s=None) as other:
-            other.take_over()
-            other.hold(index=HOLD_TENSION_N)
+        with library.connect("jamia", LOCAL_BUS, lease_s=None) as other_client:
+            other_client.take_over()
+            other_client.hold(index=HOLD_TENSION_N)
             time.sleep(4.0 * LEASE_S / factor)
             assert client.observe(wait=True).mode == "ACTIVE"
     assert client.result["failure"] == ""

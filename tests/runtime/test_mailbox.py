@@ -62,12 +62,12 @@ def test_a_flood_of_requests_is_read_in_parts() -> None:
                 out.sendto(str(sent).encode(), str(box.path))
         except BlockingIOError:
             pass
-    seen: list[str] = []
+    received_requests: list[str] = []
     while some_requests := box.read_requests():
         assert len(some_requests) <= MAX_REQUESTS_PER_TICK
-        seen += some_requests
-    assert seen == [str(i) for i in range(len(seen))]
-    assert len(seen) >= min(sent, 10)
+        received_requests += some_requests
+    assert received_requests == [str(i) for i in range(len(received_requests))]
+    assert len(received_requests) >= min(sent, 10)
     box.close()
 
 
@@ -125,8 +125,8 @@ def test_a_mailbox_that_fails_leaves_no_lock_and_no_socket(
 
 def test_a_further_bus_of_a_hand_is_locked_like_the_first() -> None:
     with bus_lock("local:x"):
-        for other in (bus_lock("local:x"), bus_lock("local:x")):
-            with pytest.raises(BusError, match="another controller runs here"), other:
+        for other_lock in (bus_lock("local:x"), bus_lock("local:x")):
+            with pytest.raises(BusError, match="another controller runs here"), other_lock:
                 pass
         with pytest.raises(BusError, match="another controller runs here"):
             Mailbox("local:x")
@@ -266,14 +266,14 @@ def test_a_program_may_watch_two_controllers() -> None:
         {"name": "local:x"},
         {"name": "local:y"},
     ]
-    for one in (*watchers, *mailboxes):
-        one.close()
+    for watcher_or_mailbox in (*watchers, *mailboxes):
+        watcher_or_mailbox.close()
 
 
 def test_the_socket_of_a_killed_controller_does_not_count_as_running(run_folder: Path) -> None:
     assert not is_running("local:x")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as left:
-        left.bind(str(mailbox_path("local:x")))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as abandoned_socket:
+        abandoned_socket.bind(str(mailbox_path("local:x")))
     assert mailbox_path("local:x").exists()
     assert not is_running("local:x")
     box = Mailbox("local:x")

@@ -63,8 +63,8 @@ def test_a_golden_grasp_repeats_on_the_local_bus(work_folder, scale_options):
         apart = mean_angle_differences(original_log, replayed_log)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
         assert apart.max() < 2.0, "a digit may leave the object one tick late"
-        old, new = mean_held_tensions(original_log, replayed_log)
-    np.testing.assert_allclose(new, old, rtol=0.05)
+        original_tensions, replayed_tensions = mean_held_tensions(original_log, replayed_log)
+    np.testing.assert_allclose(replayed_tensions, original_tensions, rtol=0.05)
 
 
 def test_an_interrupted_replay_reports_its_progress(work_folder, scale_options):

@@ -59,11 +59,11 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
     """Return telemetry in which each number is computed from the tick and from its index."""
-    places, first = TelemetryPlaces(), 0
+    places, first_element = TelemetryPlaces(), 0
     for name in TELEMETRY_FIELDS:
-        places[name] = slice(first, first + AXIS_LENGTHS[TELEMETRY_AXES[name]])
-        first = places[name].stop
-    return PackedTelemetry(1000.0 * tick_index + np.arange(first), places)
+        places[name] = slice(first_element, first_element + AXIS_LENGTHS[TELEMETRY_AXES[name]])
+        first_element = places[name].stop
+    return PackedTelemetry(1000.0 * tick_index + np.arange(first_element), places)
 
 
 NO_STREAM = StreamStatus()
@@ -168,7 +168,7 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
 
 def test_no_reader_sees_a_torn_record() -> None:
     writer = ObservationWriter("local:x", AXIS_LENGTHS, {})
-    stop, torn, seen = threading.Event(), list[int](), list[int]()
+    stop, torn, read_ticks = threading.Event(), list[int](), list[int]()
 
     def read() -> None:
         reader = ObservationReader("local:x")
@@ -176,21 +176,21 @@ def test_no_reader_sees_a_torn_record() -> None:
             record = reader.latest_record()
             if record is not None:
                 k = record["k"].item()
-                seen.append(k)
+                read_ticks.append(k)
                 if not np.array_equal(record["q_rad"], 1000.0 * k + np.arange(3)):
                     torn.append(k)
         reader.close()
 
     readers = [threading.Thread(target=read) for _ in range(2)]
-    for one in readers:
-        one.start()
+    for reader_thread in readers:
+        reader_thread.start()
     for k in range(20_000):
         write_observation(writer, k)
     stop.set()
-    for one in readers:
-        one.join()
+    for reader_thread in readers:
+        reader_thread.join()
     assert not torn
-    assert len(set(seen)) > 10
+    assert len(set(read_ticks)) > 10
     writer.close()
 
 

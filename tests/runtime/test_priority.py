@@ -62,13 +62,13 @@ def test_only_ticks_have_realtime_priority() -> None:
     The control loop thus blocked all other processes on its processor core.
     """
     granted_priority = realtime_priority.prepare_priority()
-    seen = []
+    policies = []
     assert scheduling_policy() == os.SCHED_OTHER
     with realtime_priority.realtime_priority() as granted_now:
-        seen.append(scheduling_policy())
+        policies.append(scheduling_policy())
     restore_priority()
     assert granted_now == granted_priority.is_realtime
-    assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
+    assert policies == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert scheduling_policy() == os.SCHED_OTHER
 
 

@@ -129,9 +129,9 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(
         "DISARM -> DONE",
     ]
     with RunLog(work_folder / "run.mcap") as run:
-        before = run.field("tension")[-400:].max()
+        tension_before = run.field("tension")[-400:].max()
         phases = run.field("drive_phase")[-1]
-        assert before > 8.0
+        assert tension_before > 8.0
         assert run.field("tension")[-1].max() < 8.5
         assert len(set(phases)) == 1, "all drives report the same phase, disabled"
 

@@ -52,10 +52,10 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(work_folder, scale
             assert "another controller runs here" in second_process_result.stderr
             assert second_process_result.stderr.count("\n") == 1
             listener.listen(0.0)
-            before = len(listener.syncs)
+            sync_count_before = len(listener.syncs)
             listener.listen(0.5)
             assert first_process.poll() is None
-            assert len(listener.syncs) > before, "the first controller still sends"
+            assert len(listener.syncs) > sync_count_before, "the first controller still sends"
         first_process.terminate()
         assert first_process.wait(30.0) == 0
     finally:

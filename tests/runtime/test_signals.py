@@ -55,7 +55,7 @@ def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
 
 
 def test_signal_handlers_are_restored() -> None:
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    handlers_before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     signals = StopSignals()
 
     def raise_interrupt() -> None:
@@ -65,4 +65,4 @@ def test_signal_handlers_are_restored() -> None:
 
     with pytest.raises(RaisedInTestError):
         raise_interrupt()
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == handlers_before

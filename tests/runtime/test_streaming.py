@@ -60,20 +60,20 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
         *scale_options,
     ) as client:
         client.move(index=30.0)
-        seen, ready = [], threading.Event()
+        observed_ticks, ready = [], threading.Event()
 
         def watch():
-            with library.connect("jamia", LOCAL_BUS) as other:
-                for observation in other.observations():
+            with library.connect("jamia", LOCAL_BUS) as other_client:
+                for observation in other_client.observations():
                     ready.set()
-                    seen.append(
+                    observed_ticks.append(
                         (
                             observation.k,
                             observation.q_deg[:3].mean(),
                             np.degrees(observation.q_goal_rad[0]),
                         )
                     )
-                    if len(seen) == 1000:
+                    if len(observed_ticks) == 1000:
                         return
 
         watcher = threading.Thread(target=watch)
@@ -87,9 +87,9 @@ def test_a_stream_is_followed_observed_logged_and_repeated(
         watcher.join(30.0)
         assert status.accepted == stream.sent > 190
         assert (status.refused, status.late, status.clipped) == (0, 0, 0)
-        ticks = np.array([k for k, *_ in seen])
+        ticks = np.array([k for k, *_ in observed_ticks])
         assert (np.diff(ticks) == 1).mean() > 0.99, "every tick, in order"
-        q, goal = np.array([row[1:] for row in seen]).T
+        q, goal = np.array([row[1:] for row in observed_ticks]).T
         assert np.ptp(q) > 20.0
         assert np.sqrt(np.mean((q - goal)[100:] ** 2)) < 1.0
         with pytest.raises(DriveError, match="this stream is closed"):
@@ -117,13 +117,13 @@ def test_a_move_ends_with_an_error_if_another_client_takes_over(live_hand):
 
     moving_thread = threading.Thread(target=move)
     moving_thread.start()
-    with library.connect("jamia", LOCAL_BUS) as other:
-        assert other.wait_for(phase="live").mode == "ACTIVE"
+    with library.connect("jamia", LOCAL_BUS) as other_client:
+        assert other_client.wait_for(phase="live").mode == "ACTIVE"
         time.sleep(0.5)
-        other.take_over()
+        other_client.take_over()
         moving_thread.join(5.0)
         assert ended == [
-            f"bus {LOCAL_BUS}: {other.name} has taken over the hand; expected take_over"
+            f"bus {LOCAL_BUS}: {other_client.name} has taken over the hand; expected take_over"
         ]
 
 
@@ -134,15 +134,15 @@ def test_only_one_of_several_clients_commands_the_hand(live_hand):
     Earlier defect: two threads of one client did not get the results of their moves.
     """
     live_hand.move(index=10.0, duration_s=0.3)
-    with library.connect("jamia", LOCAL_BUS) as other:
-        assert other.observe().mode == "ACTIVE"
+    with library.connect("jamia", LOCAL_BUS) as other_client:
+        assert other_client.observe().mode == "ACTIVE"
         with pytest.raises(
             ConfigError, match=f"{live_hand.name} commands this hand, expected take_over"
         ):
-            other.move(thumb=5.0)
-        other.take_over()
-        other.move(thumb=5.0, duration_s=0.3)
-        with pytest.raises(ConfigError, match=f"{other.name} commands this hand"):
+            other_client.move(thumb=5.0)
+        other_client.take_over()
+        other_client.move(thumb=5.0, duration_s=0.3)
+        with pytest.raises(ConfigError, match=f"{other_client.name} commands this hand"):
             live_hand.hold(thumb=8.0)
     live_hand.move(thumb=0.0, duration_s=0.3)
     assert live_hand.observe().mode == "ACTIVE", "the hand continues without the other client"
@@ -190,8 +190,8 @@ def test_every_watcher_gets_its_lines(work_folder):
         assert watcher.next_status_line(0.0) == {"k": 2}, (
             "a further watcher gets a line after a request"
         )
-    for one in (*watchers, box):
-        one.close()
+    for watcher_or_box in (*watchers, box):
+        watcher_or_box.close()
 
 
 @pytest.fixture

@@ -98,11 +98,11 @@ def frame_ages(field: str, **age_by_node: int) -> TickInput:
     [ticks]. Examples are m1=... for motor 1, t1=... for load cell 1, and j1=... for joint encoder
     1.
     """
-    first = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
+    first_index = TENDON_COUNT if field == "group_ns" and min(age_by_node)[0] == "j" else 0
     return state_rows(
         **{
             field: {
-                first + int(name[1:]): NOW_NS - ticks * PERIOD_NS
+                first_index + int(name[1:]): NOW_NS - ticks * PERIOD_NS
                 for name, ticks in age_by_node.items()
             }
         }
@@ -175,8 +175,8 @@ def event_report(event_kind: str, place_name: str = "can0", report_value: int = 
 def merge_inputs(*tick_input: TickInput) -> TickInput:
     """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
-    for one in tick_input:
-        for name, values in one.state_rows.items():
+    for single_input in tick_input:
+        for name, values in single_input.state_rows.items():
             merge_function = min if name.endswith("_ns") and name != "late_ns" else max
             merged_cells = cells.setdefault(name, {})
             for index, value in values.items():
@@ -184,7 +184,10 @@ def merge_inputs(*tick_input: TickInput) -> TickInput:
                     merge_function(merged_cells[index], value) if index in merged_cells else value
                 )
     return TickInput(
-        cells, tuple(dict.fromkeys(report for one in tick_input for report in one.reports))
+        cells,
+        tuple(
+            dict.fromkeys(report for single_input in tick_input for report in single_input.reports)
+        ),
     )
 
 
@@ -275,8 +278,8 @@ def tension_after_cut(tension_N: float) -> TickInput:
     )
 
 
-def swinging_tension(tendon_index: int, before: float) -> TickInput:
-    return state_rows(swing_square={tendon_index: 90.0}, swing_s={tendon_index: before})
+def swinging_tension(tendon_index: int, duration_before: float) -> TickInput:
+    return state_rows(swing_square={tendon_index: 90.0}, swing_s={tendon_index: duration_before})
 
 
 def partial_torque_reports(motor_index: int, reported_fraction: float) -> TickInput:

@@ -64,7 +64,7 @@ def synthetic_limits(tendon_count: int) -> SafetyLimits:
     names = [tuple(f"{letter}{i}" for i in range(tendon_count)) for letter in "tmj"]
     return SafetyLimits(
         *names, tension_trip=(140.0,) * tendon_count, drive_limit=(160.0,) * tendon_count,
-        tension_rail=244.0, tension_low=-5.0, silent_ticks=6, one_silent_ticks=4, stalled_ticks=5,
+        tension_rail=244.0, tension_low=-5.0, silent_ticks=6, silent_ticks_of_single_motor=4, stalled_ticks=5,
         frames=64, noise=1e-4,
     )  # fmt: skip
 
@@ -135,7 +135,8 @@ class SyntheticMonitor:
             tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
             temperature_soft=limits.temperature_soft, temperature_hard=limits.temperature_hard,
             tension_rail=limits.tension_rail, tension_low=limits.tension_low, silent_ticks=limits.silent_ticks,
-            one_silent_ticks=limits.one_silent_ticks, stalled_ticks=limits.stalled_ticks, frames_limit=limits.frames,
+            one_silent_ticks=limits.silent_ticks_of_single_motor, stalled_ticks=limits.stalled_ticks,
+            frames_limit=limits.frames,
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:
@@ -147,8 +148,8 @@ class SyntheticMonitor:
         """Set rows of the state by name."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
-                for index, one in value.items():
-                    self.view(name)[index] = one
+                for index, element in value.items():
+                    self.view(name)[index] = element
             else:
                 self.view(name)[...] = value
 
@@ -276,13 +277,13 @@ def _uncompiled(kernel_helper: Any) -> Any:
     if not hasattr(kernel_helper, "py_func"):
         return kernel_helper
     code = kernel_helper.py_func
-    known = dict(code.__globals__)
-    known |= {
-        name: _uncompiled(known[name])
+    global_names = dict(code.__globals__)
+    global_names |= {
+        name: _uncompiled(global_names[name])
         for name in code.__code__.co_names
-        if hasattr(known.get(name), "py_func")
+        if hasattr(global_names.get(name), "py_func")
     }
-    return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
+    return FunctionType(code.__code__, global_names, code.__name__, code.__defaults__)
 
 
 def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:

@@ -43,10 +43,10 @@ def add_fault_of_page(package_folder: Path) -> None:
         file.write("\n" + dedent(" " * 4 + declaration.lstrip()))
     path = package_folder / "core" / "detectors" / "tendon_faults.py"
     source = path.read_text(encoding="utf-8")
-    place = "        tension = monitored_tension(x, c, n, True)\n"
-    assert place in source
+    preceding_line = "        tension = monitored_tension(x, c, n, True)\n"
+    assert preceding_line in source
     lines = indent(dedent(" " * 4 + detector.lstrip()), " " * 8)
-    source = source.replace(place, place + lines, 1)
+    source = source.replace(preceding_line, preceding_line + lines, 1)
     source = source.replace(
         "from handctl.safety.faults.tendon import (\n",
         "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    T10,\n",
@@ -64,14 +64,19 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
     )
     add_fault_of_page(package)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY)))
-    more = {
+    added_variables = {
         "PYTHONPATH": path,
         "NUMBA_DISABLE_JIT": numba_disabled,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
     words = [sys.executable, "-W", "ignore", "-c", TRY_FAULT_CODE]
     done = subprocess.run(
-        words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300
+        words,
+        env=os.environ | added_variables,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     result = json.loads(done.stdout)

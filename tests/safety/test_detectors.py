@@ -129,7 +129,7 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
     )  # the reaction to a fault without a required reaction time is never late
     row_in_time = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
     assert [
-        reacts_too_late(one) for one in (soon, just, row_with_reason, free_row, row_in_time)
+        reacts_too_late(row) for row in (soon, just, row_with_reason, free_row, row_in_time)
     ] == [
         False,
         False,

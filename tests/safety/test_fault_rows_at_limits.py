@@ -65,7 +65,7 @@ def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
 
 
 def test_a_node_without_reply_is_reported_after_the_stated_number_of_ticks() -> None:
-    silent_ticks = EIGHT_TENDON_LIMITS.one_silent_ticks
+    silent_ticks = EIGHT_TENDON_LIMITS.silent_ticks_of_single_motor
     assert findings_of_fault("B17", late_motor_frames(m0=silent_ticks - 1)) == []
     assert findings_of_fault("B17", late_motor_frames(m1=silent_ticks)) == [
         ("m1", float(silent_ticks))

@@ -72,8 +72,8 @@ def check_fault_alone(
     monitor, actions, reported = monitor or monitor_at_rest(), [], []
     for tick_input in tick_inputs:
         verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
-        found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
-        present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
+        fault_rows = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id]
+        present = [int(monitor.view("fault_ticks")[row].max()) for row in fault_rows]
         present += [
             reported_fault.ticks
             for reported_fault in verdict.reported_faults
@@ -238,10 +238,14 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
         if fault_row.action >= SafetyAction.RELAX
     }
     assert {
-        one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
+        relaxing_fault
+        for relaxing_fault, release in relaxing.items()
+        if release is RelaxMethod.OPEN_LOOP
     } == FAULTS_OF_TENSION_LOOP
     assert {
-        one for one, release in relaxing.items() if release is RelaxMethod.FAST_TENSION_LOOP
+        relaxing_fault
+        for relaxing_fault, release in relaxing.items()
+        if release is RelaxMethod.FAST_TENSION_LOOP
     } == {
         "T03",
         "T06",
@@ -285,16 +289,18 @@ def test_a_fault_is_either_found_or_reported() -> None:
     """
     for fault in FAULT_TABLE:
         assert bool(fault.fault_places) != bool(fault.reports), fault.id
-        assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.fault_places)
+        assert [kind for row_fault, kind in DETECTOR_ROWS if row_fault is fault] == list(
+            fault.fault_places
+        )
         assert fault.name or "hand" not in fault.fault_places
     assert len(DETECTOR_ROWS) <= len(monitor_at_rest().view("fault_ticks")), (
         "there is room for how long each is present"
     )
     assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
     assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
-    assert {fault.id for ones in FAULTS_BY_EVENT_KIND.values() for fault in ones} == {
-        f.id for f in FAULT_TABLE if f.reports
-    }
+    assert {
+        fault.id for faults_of_kind in FAULTS_BY_EVENT_KIND.values() for fault in faults_of_kind
+    } == {f.id for f in FAULT_TABLE if f.reports}
 
 
 @pytest.mark.parametrize(("duration_s", "period_s", "minimum_ticks", "expected_ticks"), [
@@ -313,16 +319,19 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
 
     In this test, interpreted code debounces the fault.
     """
-    case, monitor, seen = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
+    case, monitor, actions_and_counts = CASE_BY_FAULT[fault_id], monitor_at_rest(), []
     rows_of_fault = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == fault_id}
     for tick_input in [
         case.input_below_limit,
         *[case.input_with_fault] * (case.debounce_ticks + 1),
         INPUT_AT_REST,
     ]:
-        rows, before = reset_for_input(monitor, tick_input), monitor.view("fault_ticks").copy()
+        rows, ticks_before = (
+            reset_for_input(monitor, tick_input),
+            monitor.view("fault_ticks").copy(),
+        )
         monitor.tick(rows)
-        monitor.set_rows({"fault_ticks": before})
+        monitor.set_rows({"fault_ticks": ticks_before})
         monitor.found_values[
             [row for row in range(len(DETECTOR_ROWS)) if row not in rows_of_fault]
         ] = math.nan
@@ -331,25 +340,29 @@ def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
         )
         reports = tick_input.reports if judgement.FAULT_BY_ID[fault_id].reports else ()
         verdict = monitor.conclude(demanded, reports)
-        seen.append((verdict.action, len(verdict.findings)))
-    return seen
+        actions_and_counts.append((verdict.action, len(verdict.findings)))
+    return actions_and_counts
 
 
 @pytest.fixture
 def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Return a function that replaces the declaration of a fault by a changed declaration."""
 
-    def declare_fault(other: Fault) -> None:
-        found = tuple(
-            (other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS
+    def declare_fault(changed_fault: Fault) -> None:
+        changed_rows = tuple(
+            (changed_fault if fault.id == changed_fault.id else fault, kind)
+            for fault, kind in DETECTOR_ROWS
         )
-        monkeypatch.setattr(judgement, "DETECTOR_ROWS", found)
-        monkeypatch.setattr(judgement, "FAULT_BY_ID", FAULT_BY_ID | {other.id: other})
+        monkeypatch.setattr(judgement, "DETECTOR_ROWS", changed_rows)
+        monkeypatch.setattr(
+            judgement, "FAULT_BY_ID", FAULT_BY_ID | {changed_fault.id: changed_fault}
+        )
         monkeypatch.setattr(judgement, "FAULTS_BY_EVENT_KIND", {
-            kind: tuple(other for fault in ones if fault.id == other.id) for kind, ones in FAULTS_BY_EVENT_KIND.items()
+            kind: tuple(changed_fault for fault in faults_of_kind if fault.id == changed_fault.id)
+            for kind, faults_of_kind in FAULTS_BY_EVENT_KIND.items()
         })  # fmt: skip
         debounce, actions = DEBOUNCE_TICKS.copy(), ACTION_NUMBERS.copy()
-        for row, (fault, _) in enumerate(found):
+        for row, (fault, _) in enumerate(changed_rows):
             debounce[row], actions[row] = fault.debounce, fault.action
         monkeypatch.setattr(judgement, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
@@ -365,8 +378,11 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[fault_id]
-    other = CLEARED_BY_ITSELF if fault.latched else CLEARED_BY_OPERATOR
-    changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, cleared_by=other)]
+    other_clearing = CLEARED_BY_ITSELF if fault.latched else CLEARED_BY_OPERATOR
+    changed = [
+        replace(fault, debounce=fault.debounce + 1),
+        replace(fault, cleared_by=other_clearing),
+    ]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
     changed += [
         replace(fault, action=SafetyAction(fault.action + step))
@@ -374,7 +390,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
         if 0 <= fault.action + step <= 4
     ]
     redeclare_fault(fault)
-    right = trace_fault(fault_id)
+    expected_trace = trace_fault(fault_id)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
             SafetyAction.PASS,
@@ -382,7 +398,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
         ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
         redeclare_fault(mutant)
-        assert trace_fault(fault_id) != right, mutant
+        assert trace_fault(fault_id) != expected_trace, mutant
 
 
 THRESHOLD_STEPS = {

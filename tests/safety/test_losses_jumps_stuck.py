@@ -114,13 +114,13 @@ def test_lost_replies_are_counted_per_window():
         3,
         LOSS_WINDOW_TICKS,
     ]
-    for number, ones in (
+    for number, set_bit_count in (
         (0b1011, 3),
         (0, 0),
         (1 << (MALFORMED_WINDOW_TICKS - 1), 1),
         ((1 << 62) - 1, 62),
     ):
-        assert call_interpreted(frame_losses.count_set_bits, number) == ones
+        assert call_interpreted(frame_losses.count_set_bits, number) == set_bit_count
     window.set_rows({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.field_values("misshapen") == [0b11, 0b11], (
@@ -217,9 +217,9 @@ class ScreenedPositions(SyntheticMonitor):
 
         A missing position is NaN.
         """
-        given = np.array(reported_positions)
+        positions = np.array(reported_positions)
         self.observe_readings(
-            {"answered": ~np.isnan(given), "position": given, "missed": missed_ticks}
+            {"answered": ~np.isnan(positions), "position": positions, "missed": missed_ticks}
         )
         return self.field_values("jump")
 
@@ -302,14 +302,21 @@ def test_allowed_step_grows_over_skipped_ticks(missed_ticks, position_steps, all
 
     In another run, the second motor has never been read.
     """
-    for other in (0.0, NAN):
-        positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
+    for other_position in (0.0, NAN):
+        positions, at, jump_flags = (
+            ScreenedPositions([1.0] * 2, accepted=[0.0, other_position]),
+            0.0,
+            [],
+        )
         for k, step in enumerate(position_steps):
             at += step
-            seen.append(
-                int(positions.screen_positions([at, other], 0 if k else missed_ticks)[0] > 0.0)
+            jump_flags.append(
+                int(
+                    positions.screen_positions([at, other_position], 0 if k else missed_ticks)[0]
+                    > 0.0
+                )
             )
-        assert tuple(seen) == allowed_steps, other
+        assert tuple(jump_flags) == allowed_steps, other_position
 
 
 def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
@@ -353,10 +360,16 @@ def ticks_and_motion(motor_positions, goals_and_tensions):
 
 
 def test_constant_reading_counts_while_its_references_move():
-    _, seen = ticks_and_motion(
+    _, ticks_and_motions = ticks_and_motion(
         [1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)]
     )
-    assert seen == [(0, 0.0, 0.0), (1, 0.5, 0.0), (2, 1.0, 2.0), (0, 0.0, 0.0), (1, 0.0, 1.0)]
+    assert ticks_and_motions == [
+        (0, 0.0, 0.0),
+        (1, 0.5, 0.0),
+        (2, 1.0, 2.0),
+        (0, 0.0, 0.0),
+        (1, 0.0, 1.0),
+    ]
 
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
@@ -371,18 +384,20 @@ def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
 
 
 def test_a_missing_reading_is_neither_constant_nor_changed():
-    monitor, seen = ticks_and_motion(
+    monitor, ticks_and_motions = ticks_and_motion(
         [1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)]
     )
-    assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
-    assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
+    assert [ticks for ticks, *_ in ticks_and_motions] == [0, 0, 1, 1, 0]
+    assert [first_motion for _, first_motion, _ in ticks_and_motions] == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert monitor.field_values("motor_value") == [pytest.approx(2.0 * SPOOL_RADIUS_M)]
 
 
 def test_missing_reference_is_used_once_it_is_read():
-    _, seen = ticks_and_motion([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
-    assert [first for _, first, _ in seen] == [0.0, 0.0, 2.0, 0.0]
-    assert [second for _, _, second in seen] == [0.0, 0.0, 3.0, 1.0]
+    _, ticks_and_motions = ticks_and_motion(
+        [1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)]
+    )
+    assert [first_motion for _, first_motion, _ in ticks_and_motions] == [0.0, 0.0, 2.0, 0.0]
+    assert [second_motion for _, _, second_motion in ticks_and_motions] == [0.0, 0.0, 3.0, 1.0]
 
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():

@@ -104,19 +104,19 @@ def run_ticks(
     Return the monitor and the findings of the last tick. The value of a keyword may be a function
     that computes the value from the number of the tick.
     """
-    monitor, found = monitor or monitor_at_20_newton(), {}
+    monitor, findings = monitor or monitor_at_20_newton(), {}
     for k in range(tick_count):
-        found = monitor.tick(
+        findings = monitor.tick(
             measurements_at_rest(
                 **{name: v(k) if callable(v) else v for name, v in changed_measurements.items()}
             )
         )
-    return monitor, found
+    return monitor, findings
 
 
 def test_at_rest_nothing_is_reported():
-    monitor, found = run_ticks(600)
-    assert found == {}
+    monitor, findings = run_ticks(600)
+    assert findings == {}
     assert monitor.view("taut_s") == pytest.approx([1.2, 1.2])
     assert (monitor.field_values("taut_ago"), monitor.field_values("slack_ticks")) == (
         [0, 0],
@@ -130,8 +130,8 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
     In this test, both values then stay constant. Constant readings are therefore no sign of a stuck
     sensor.
     """
-    _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
-    assert found == {}
+    _, findings = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
+    assert findings == {}
 
 
 def test_without_torque_all_history_but_the_counts_is_reset():
@@ -139,14 +139,14 @@ def test_without_torque_all_history_but_the_counts_is_reset():
     monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
     assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
-        first, end = {
+        first_row, end = {
             "tendon": (s.MONITOR_TENDON_FIRST_ROW, s.MONITOR_TENDON_END_ROW),
             "tendon_int": (s.MONITOR_TENDON_INT_FIRST_ROW, s.MONITOR_TENDON_INT_END_ROW),
             "joint": (s.MONITOR_JOINT_FIRST_ROW, s.MONITOR_JOINT_END_ROW),
             "joint_int": (s.MONITOR_JOINT_INT_FIRST_ROW, s.MONITOR_JOINT_INT_END_ROW),
             "run_int": (s.MONITOR_RUN_INT_FIRST_ROW, s.MONITOR_RUN_INT_END_ROW),
         }.get(field.table, (0, 0))  # fmt: skip
-        if first <= field.first < end:
+        if first_row <= field.first < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)
             np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
     assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))
@@ -193,10 +193,10 @@ def test_lasting_residual_is_a_fault(tension, expected_residual):
     In this test, friction may cause a residual of 3 N. The tolerance of the torque constant may
     cause a tenth of 20 N.
     """
-    monitor, found = run_ticks(1200, tension=tension)
+    monitor, findings = run_ticks(1200, tension=tension)
     assert unexplained_tensions(monitor) == pytest.approx([expected_residual] * 2, abs=0.05)
     expected_residuals = {name: pytest.approx(expected_residual, abs=0.05) for name in "ab"}
-    assert found.get("T04a", {}) == (expected_residuals if expected_residual > 5.0 else {})
+    assert findings.get("T04a", {}) == (expected_residuals if expected_residual > 5.0 else {})
 
 
 @pytest.mark.parametrize(
@@ -215,10 +215,10 @@ def test_missing_torque_is_a_fault(commanded_force_N, reported_force_N, is_repor
     """Without a load cell, the limit is 6 N plus a quarter of the command, but at most 15 N."""
     monitor = monitor_at_20_newton(asked=commanded_force_N, wanted=commanded_force_N)
     monitor.set_constants(cell_group=[-1, -1])
-    _, found = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
+    _, findings = run_ticks(600, monitor, force=reported_force_N, tension=reported_force_N)
     difference = abs(commanded_force_N - reported_force_N)
     expected = {name: pytest.approx(difference, abs=0.01) for name in ("ma", "mb")}
-    assert found.get("N14", {}) == (expected if is_reported else {})
+    assert findings.get("N14", {}) == (expected if is_reported else {})
 
 
 @pytest.mark.parametrize(("excess_friction_N", "is_reported"), [(5.8, False), (6.1, True)])
@@ -230,12 +230,12 @@ def test_friction_above_the_hand_file_is_a_fault(excess_friction_N, is_reported)
     """
     monitor = run_ticks(30)[0]
     monitor.set_rows({"residual": {EXCESS_FRICTION: excess_friction_N, MOTOR_FORCE: 29.0}})
-    _, found = run_ticks(1, monitor, force=29.0, tension=29.0)
+    _, findings = run_ticks(1, monitor, force=29.0, tension=29.0)
     excess_frictions = [
         call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)
     ]
     assert excess_frictions == pytest.approx([excess_friction_N - 2.9] * 2, abs=0.01)
-    assert found.get("T09", {}) == (
+    assert findings.get("T09", {}) == (
         dict(zip("ab", excess_frictions, strict=True)) if is_reported else {}
     )
 
@@ -249,18 +249,18 @@ def test_a_noisy_encoder_is_detected():
         (2.4e-3, {}),
         (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
     ):
-        _, found = run_ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
-        assert found.get("N07", {}) == expected
+        _, findings = run_ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
+        assert findings.get("N07", {}) == expected
 
 
 def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
     monitor, _ = run_ticks(100)
-    _, found = run_ticks(90, monitor, tension=[0.0, 20.0])
-    assert list(found["T02a"]) == ["a"]
-    assert "T01" not in found
+    _, findings = run_ticks(90, monitor, tension=[0.0, 20.0])
+    assert list(findings["T02a"]) == ["a"]
+    assert "T01" not in findings
     monitor, _ = run_ticks(100)
-    _, found = run_ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
-    assert found["T01"] == {"a": 0.05}
+    _, findings = run_ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
+    assert findings["T01"] == {"a": 0.05}
 
 
 def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
@@ -331,10 +331,10 @@ def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
     reported_findings = run_sparse_joints(9, monitor, **off)
-    assert [k for k, found in enumerate(reported_findings) if "T08" in found] == [8]
+    assert [k for k, findings in enumerate(reported_findings) if "T08" in findings] == [8]
     assert reported_findings[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
     reported_findings = run_sparse_joints(8, monitor, **off)
-    assert [k for k, found in enumerate(reported_findings) if "T08" in found] == [0, 4], (
+    assert [k for k, findings in enumerate(reported_findings) if "T08" in findings] == [0, 4], (
         "in ticks in which joints are read"
     )
 
@@ -343,9 +343,9 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
     monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
+    assert not any("T08" in findings for findings in run_sparse_joints(8, monitor, **off))
     run_sparse_joints(4, monitor, excursion=0.0, joints=0.0)
-    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
+    assert not any("T08" in findings for findings in run_sparse_joints(8, monitor, **off))
 
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
@@ -384,7 +384,11 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     reported_findings = run_sparse_joints(
         56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3
     )
-    joint = [k for k, found in enumerate(reported_findings) if "ja" in found.get("N04", {})]
+    joint = [
+        k
+        for k, findings_of_tick in enumerate(reported_findings)
+        if "ja" in findings_of_tick.get("N04", {})
+    ]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
     monitor = monitor_after_motion(
         make_monitor(
@@ -393,13 +397,15 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
         )
     )
     monitor.set_rows({"followed": [0.51e-3, 0.0]})
-    first = None
+    first_reported_tick = None
     for k in range(60):
         findings = monitor.tick(
             measurements_at_rest(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
         )
-        first = k if first is None and "N04" in findings else first
-    assert first == 48
+        first_reported_tick = (
+            k if first_reported_tick is None and "N04" in findings else first_reported_tick
+        )
+    assert first_reported_tick == 48
 
 
 def monitor_after_motion(
@@ -425,16 +431,16 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(
 ):
     monitor = monitor_after_motion()
     monitor.set_rows({"followed": [goal_change_m, 0.0]})
-    _, found = run_ticks(tick_count, monitor, travel=1e-5)
-    assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
+    _, findings = run_ticks(tick_count, monitor, travel=1e-5)
+    assert findings.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
 
 
 def test_constant_motor_reading_is_stuck_while_the_tension_changes():
     for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
-        _, found = run_ticks(
+        _, findings = run_ticks(
             200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension]
         )
-        assert list(found.get("N04", {})) == expected
+        assert list(findings.get("N04", {})) == expected
 
 
 def test_constant_joint_reading_is_stuck_while_the_spool_turns():
@@ -443,8 +449,8 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
         monitor = monitor_after_motion(joints=0.2, **joints)
         run_ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
-        _, found = run_ticks(55, monitor, travel=travel, joints=0.3, **joints)
-        assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
+        _, findings = run_ticks(55, monitor, travel=travel, joints=0.3, **joints)
+        assert [name for name in findings.get("N04", {}) if name[0] == "j"] == expected
 
 
 def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
@@ -454,8 +460,8 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
-    def stuck(found: FindingsByFault) -> list[str]:
-        return [name for name in found.get("N04", {}) if name[0] == "j"]
+    def stuck(findings: FindingsByFault) -> list[str]:
+        return [name for name in findings.get("N04", {}) if name[0] == "j"]
 
     slack = {"tension": 0.5, "force": 0.5}
     monitor, reported = run_ticks(
@@ -475,10 +481,10 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=2.6, force=2.6, **joints)
     run_ticks(200, monitor, tension=tension, force=tension, **joints)
-    _, found = run_ticks(
+    _, findings = run_ticks(
         60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints
     )
-    assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected_stuck_joints
+    assert [name for name in findings.get("N04", {}) if name[0] == "j"] == expected_stuck_joints
 
 
 def test_each_joint_is_checked_with_its_own_tendons():
@@ -486,10 +492,10 @@ def test_each_joint_is_checked_with_its_own_tendons():
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
-    _, found = run_ticks(
+    _, findings = run_ticks(
         60, monitor, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints
     )
-    assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
+    assert [name for name in findings.get("N04", {}) if name[0] == "j"] == ["jb"]
 
 
 @pytest.mark.parametrize(("tick_count", "reported_force_N", "tension", "is_reported"), [
@@ -502,8 +508,8 @@ def test_constant_load_cell_is_stuck_while_the_torque_moves(
     chance = np.random.default_rng(1)
     monitor, _ = run_ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
     run_ticks(1, monitor, tension=tension)
-    _, found = run_ticks(tick_count, monitor, tension=tension, force=[reported_force_N, 20.0])
-    assert list(found.get("T05", {})) == (["a"] if is_reported else [])
+    _, findings = run_ticks(tick_count, monitor, tension=tension, force=[reported_force_N, 20.0])
+    assert list(findings.get("T05", {})) == (["a"] if is_reported else [])
 
 
 @pytest.mark.parametrize("reply_late_ticks", [0, 1])

@@ -47,8 +47,8 @@ class OpenRequests(SyntheticMonitor):
             self.set_rows(
                 {
                     "phase_before": [
-                        int(DrivePhase.READY if one else DrivePhase.READY - 1)
-                        for one in motors_must_reply
+                        int(DrivePhase.READY if must_reply else DrivePhase.READY - 1)
+                        for must_reply in motors_must_reply
                     ]
                 }
             )

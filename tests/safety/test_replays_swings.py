@@ -41,9 +41,9 @@ def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[in
     """
     monitor = SyntheticMonitor(synthetic_limits(cell_readings.shape[1]))
     for k, row in enumerate(cell_readings):
-        if found := monitor.tick(measured_tension=row).get("T05b"):
+        if age_by_name := monitor.tick(measured_tension=row).get("T05b"):
             return k, [
-                (monitor.limits.tendons.index(name), int(age)) for name, age in found.items()
+                (monitor.limits.tendons.index(name), int(age)) for name, age in age_by_name.items()
             ]
     return -1, []
 
@@ -54,9 +54,9 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_ag
     rows = noisy_readings(seed, 300, 0.5)
     late_rows = rows.copy()
     late_rows[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
-    k, found = first_repetition_tick(late_rows)
+    k, repetitions = first_repetition_tick(late_rows)
     assert 207 <= k < 200 + min(repetition_age, 24)
-    assert found == [(2, repetition_age)]
+    assert repetitions == [(2, repetition_age)]
 
 
 @pytest.mark.parametrize("noise_N", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
@@ -99,9 +99,9 @@ def first_oscillation(tension_deviation: np.ndarray, period_s: float) -> tuple[f
     """
     monitor = SyntheticMonitor(synthetic_limits(2), period=period_s)
     for k, value in enumerate(tension_deviation):
-        if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):
-            assert list(found) == ["t0"]
-            return k * period_s, found["t0"]
+        if value_by_name := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):
+            assert list(value_by_name) == ["t0"]
+            return k * period_s, value_by_name["t0"]
     return -1.0, 0.0
 
 

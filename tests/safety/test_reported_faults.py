@@ -61,12 +61,12 @@ def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> N
     """
     missing_acknowledge_report = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
-        one = ("error_frame", f"can0 {word}", 1.0)
+        error_event = ("error_frame", f"can0 {word}", 1.0)
         assert filter_error_frames(
-            [one, ("enobufs", "can0", 1.0), one], has_node_answered=False
+            [error_event, ("enobufs", "can0", 1.0), error_event], has_node_answered=False
         ) == [
             ("enobufs", "can0", 1.0),
-            one,
+            error_event,
         ]
     assert filter_error_frames(
         [missing_acknowledge_report, ("enobufs", "can0", 1.0)], has_node_answered=True

@@ -80,9 +80,9 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second_fault_id in reported
-    _, (after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
-    left = [case.action for case in (a, b) if case.is_latched]
-    assert after.action >= max(left, default=SafetyAction.PASS)
+    _, (verdict_after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    latched_actions = [case.action for case in (a, b) if case.is_latched]
+    assert verdict_after.action >= max(latched_actions, default=SafetyAction.PASS)
     monitor.clear_latched()
     _, (verdict_without_fault,) = check_ticks(INPUT_AT_REST, monitor=monitor)
     assert verdict_without_fault.action == SafetyAction.PASS
@@ -90,16 +90,18 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    monitor, (one,) = check_ticks(late_motor_frames(m0=6))
+    monitor, (verdict,) = check_ticks(late_motor_frames(m0=6))
     _, (two,) = check_ticks(late_motor_frames(m1=6), monitor=monitor)
-    assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
+    assert [f.instance for f in verdict.findings if f.fault.id == "B02"] == ["m0"]
     assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
     assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
 def test_instances_do_not_share_their_debounce_counts() -> None:
-    left, right = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
-    _, verdicts = check_ticks(left, right, left, right, left, right)
+    left_input, right_input = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
+    _, verdicts = check_ticks(
+        left_input, right_input, left_input, right_input, left_input, right_input
+    )
     assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
 

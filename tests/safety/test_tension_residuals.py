@@ -213,7 +213,7 @@ def test_missing_torque_is_detected():
 
 def test_noise_causes_no_fault_in_ten_thousand_hours():
     """The filtered noise of a hand at rest stays below all warning limits, even with triple load-cell noise."""
-    left = np.array(
+    simulated_residuals = np.array(
         [
             residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise_N=1.5).filtered_residual(
                 BALANCE
@@ -222,7 +222,9 @@ def test_noise_causes_no_fault_in_ten_thousand_hours():
         ]
     )
     chance = 1.0 / (10_000.0 * 3600.0 / PERIOD_S)
-    residual_of_chance = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
+    residual_of_chance = NormalDist(sigma=float(simulated_residuals.std())).inv_cdf(
+        1.0 - chance / 2.0
+    )
     assert 0.5 < residual_of_chance < 1.5, "the noise was felt"
     assert residual_of_chance < min(
         RESIDUAL_WARN_N, EXCESS_FRICTION_WARN_N, TORQUE_DIFFERENCE_LIMIT_N

@@ -98,8 +98,8 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, step_fraction: flo
     commanded = 90.0 * (
         1.0 + 0.01 * np.random.default_rng(seed).random()
     ) + step_fraction * step * (noisy_commands(seed, 1.0) - 90.0)
-    made = np.round(np.roll(commanded, 1, axis=0) / step) * step
-    assert not motors_after(commanded, made, step).ever_unfollowed.any()
+    reported = np.round(np.roll(commanded, 1, axis=0) / step) * step
+    assert not motors_after(commanded, reported, step).ever_unfollowed.any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -158,7 +158,7 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)
-    commanded, made = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
+    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
     obeyed_commands, stalled_tick_count = commanded[0].copy(), 0
     for k in range(1, COMMAND_TICKS):
         stalled_tick_count = (
@@ -169,8 +169,8 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
         if stalled_tick_count:
             commanded[k:] += random.choice((-2.0, 2.0))
         else:
-            made[k], obeyed_commands = obeyed_commands, commanded[k].copy()
-    return commanded, rounded_to_counts(made)
+            torque_reports[k], obeyed_commands = obeyed_commands, commanded[k].copy()
+    return commanded, rounded_to_counts(torque_reports)
 
 
 def motors_with_doubtful_reports(commanded: np.ndarray, reported: np.ndarray) -> np.ndarray:
@@ -188,8 +188,10 @@ def test_answers_after_a_standstill_are_not_a_fault(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
-    commanded, made = stalled_commands(seed)
-    assert motors_with_doubtful_reports(commanded + noisy_commands(seed + 100), made[:, ::-1]).all()
+    commanded, torque_reports = stalled_commands(seed)
+    assert motors_with_doubtful_reports(
+        commanded + noisy_commands(seed + 100), torque_reports[:, ::-1]
+    ).all()
 
 
 def diverging_commands() -> np.ndarray:
@@ -208,9 +210,9 @@ def test_exchanged_drives_are_found_before_their_rotors_gain_speed() -> None:
     reached 208 N.
     """
     commanded = diverging_commands()
-    made = delayed_reports(commanded)[:, ::-1]
-    made[0] = 0.0  # delayed_reports puts the last command into this row
-    motors = motors_after(commanded, made)
+    torque_reports = delayed_reports(commanded)[:, ::-1]
+    torque_reports[0] = 0.0  # delayed_reports puts the last command into this row
+    motors = motors_after(commanded, torque_reports)
     assert abs(commanded[motors.disobeyed[0]]).max() < 40.0
 
 
@@ -251,11 +253,13 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
     """In this test, the motor current lags by 4 ms, and the torque constant is 15 % too low."""
     commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICKS) // 50 % 2)[:, None] * np.ones(2)
-    made = np.zeros_like(commanded)
+    torque_reports = np.zeros_like(commanded)
     for k in range(1, COMMAND_TICKS):
-        made[k] = made[k - 1] + (1.0 - np.exp(-0.5)) * (0.85 * commanded[k - 1] - made[k - 1])
-    made[:10] = commanded[:10]
-    assert not motors_after(commanded, made).disobeyed
+        torque_reports[k] = torque_reports[k - 1] + (1.0 - np.exp(-0.5)) * (
+            0.85 * commanded[k - 1] - torque_reports[k - 1]
+        )
+    torque_reports[:10] = commanded[:10]
+    assert not motors_after(commanded, torque_reports).disobeyed
 
 
 def test_torque_that_comes_separately_is_judged_by_its_mean_only() -> None:
@@ -269,9 +273,9 @@ def test_torque_that_comes_separately_is_judged_by_its_mean_only() -> None:
 
 def test_one_report_that_contradicts_its_command_is_not_a_fault() -> None:
     commanded = np.full((100, 2), 24.0)
-    made = commanded.copy()
-    made[50] = 0.0
-    assert not motors_after(commanded, made).disobeyed
+    torque_reports = commanded.copy()
+    torque_reports[50] = 0.0
+    assert not motors_after(commanded, torque_reports).disobeyed
 
 
 @pytest.mark.parametrize(("cell_group", "period_s"), [([0, 1], PERIOD_S), ([-1, -1], 1e-3)])

@@ -49,11 +49,11 @@ def identify_touching_finger(
 ) -> dict[str, TendonResult]:
     """Identify a middle finger that touches the thumb during its sweeps, and return the results."""
     path = with_near_thumb(hand_name, thumb_mm, hand_folder)
-    found, row = excite_and_fit(
+    results, row = excite_and_fit(
         path, "middle", seed, {"spring": SPRING_FACTOR}, Gains(), hand_folder
     )
     assert "failure" not in row
-    return found
+    return results
 
 
 NEAR_THUMB_CASES = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
@@ -75,21 +75,22 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     The true value of this parameter is 1.2.
     """
     fits = identify_touching_finger(hand, thumb_mm, seed, tmp_path)
-    for one in fits.values():
-        assert one.contact_text or one.blocked_event
-        assert not set(one.identified_names) & set(SWEEP_PARAMETERS)
+    for result in fits.values():
+        assert result.contact_text or result.blocked_event
+        assert not set(result.identified_names) & set(SWEEP_PARAMETERS)
     real = true_parameters(
         load_hand(hand), next(iter(fits)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
     )
-    for one in fits.values():  # the contact does not affect the other parameters
-        for name in set(one.identified_names) & {
+    for result in fits.values():  # the contact does not affect the other parameters
+        for name in set(result.identified_names) & {
             "torque_gain",
             "motor_inertia",
             "motor_coulomb",
             "tendon_stiffness",
         }:
             assert (
-                abs(one.fit.parameter_values[name] - real[name]) < 2.0 * one.fit.half_widths[name]
+                abs(result.fit.parameter_values[name] - real[name])
+                < 2.0 * result.fit.half_widths[name]
             ), name
 
 
@@ -103,14 +104,14 @@ def test_parameters_of_a_digit_without_contact_are_kept(
 
     The parameters of the simulated hand differ by up to 30 % from the hand file.
     """
-    found, row = excite_and_fit(
+    results, row = excite_and_fit(
         hand, DIGIT_NAMES[seed % 4], seed, draw_plant(seed), Gains(), tmp_path
     )
     assert "failure" not in row
     assert [
-        (one.contact_text, one.blocked_event)
-        for one in found.values()
-        if one.contact_text or one.blocked_event
+        (result.contact_text, result.blocked_event)
+        for result in results.values()
+        if result.contact_text or result.blocked_event
     ] == []
 
 
@@ -119,13 +120,13 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
     The fit nevertheless reports no contact, and identifies the springs.
     """
-    found, row = excite_and_fit(
+    results, row = excite_and_fit(
         "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path
     )
     assert "failure" not in row
-    one = found["index_tendon"]
-    assert (one.contact_text, one.blocked_event) == ("", "")
-    assert one.fit.parameter_values["spring_stiffness"] == pytest.approx(
+    index_result = results["index_tendon"]
+    assert (index_result.contact_text, index_result.blocked_event) == ("", "")
+    assert index_result.fit.parameter_values["spring_stiffness"] == pytest.approx(
         draw_plant(8)["spring"], rel=0.05
     )
 
@@ -140,10 +141,10 @@ def unexplained_ramp_of_line(
     """
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROW_COUNT)) * 0.6
-    seen = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
+    residuals = random.normal(size=ROW_COUNT) + kink_size * np.maximum(0.0, angle - kink_start)
     jacobian = -np.column_stack([np.ones(ROW_COUNT), angle])
-    fitted = np.linalg.lstsq(jacobian, -seen, rcond=None)[0]
-    return steepest_ramp(jacobian, seen + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
+    fitted = np.linalg.lstsq(jacobian, -residuals, rcond=None)[0]
+    return steepest_ramp(jacobian, residuals + jacobian @ fitted, 0, angle, (np.ones(ROW_COUNT),))
 
 
 def test_noise_without_contact_has_no_kink() -> None:

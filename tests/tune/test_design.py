@@ -59,12 +59,12 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     The force weights of other tendons do not change.
     """
     hand = load_hand("t42")
-    left, right = hand.digit
-    heavy_digit = left.model_copy(
-        update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)}
+    left_digit, right_digit = hand.digit
+    heavy_digit = left_digit.model_copy(
+        update={"link_mass_kg": tuple(20.0 * mass for mass in left_digit.link_mass_kg)}
     )
     model = HandModel.from_hand(
-        hand.model_copy(update={"digit": (heavy_digit, right)}), packaged_gains("t42"), 500.0
+        hand.model_copy(update={"digit": (heavy_digit, right_digit)}), packaged_gains("t42"), 500.0
     )
     plants = (PlantFactors(),)
     design_of_light_digits = design_gains(
@@ -186,7 +186,8 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
         != sample_ensemble(65, 4)
     )
     stiffness, mass = (
-        np.array([one[key] for one in drawn_ensemble]) for key in ("stiffness", "mass")
+        np.array([plant_factors[key] for plant_factors in drawn_ensemble])
+        for key in ("stiffness", "mass")
     )
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2

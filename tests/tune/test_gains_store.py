@@ -51,11 +51,11 @@ def test_repeated_rollbacks_go_back_to_the_packaged_gains(gains_store: GainsStor
     assert gains_store.present_gains() is None
     for newtons in (21.0, 22.0, 23.0):
         gains_store.apply_gains(gains_with_force(newtons), GainsProvenance())
-    seen = []
+    forces = []
     for _ in range(3):
         gains_store.roll_back()
-        seen.append(present_force(gains_store))
-    assert seen == [22.0, 21.0, Gains().motion.force_N]
+        forces.append(present_force(gains_store))
+    assert forces == [22.0, 21.0, Gains().motion.force_N]
     with pytest.raises(ConfigError, match="no gains precede the packaged gains"):
         gains_store.roll_back()
     assert gains_store.roll_back(to=3).gains == gains_with_force(23.0)

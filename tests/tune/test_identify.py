@@ -103,14 +103,14 @@ def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> No
     assert figures["failed"] == []
     parameters = {name: figures["parameters"][name] for name in PARAMETERS_OF_SPRUNG_DIGIT}
     assert {
-        name: found["covered"]
-        for name, found in parameters.items()
-        if found["covered"] < MIN_COVERED_PERCENT
+        name: coverage["covered"]
+        for name, coverage in parameters.items()
+        if coverage["covered"] < MIN_COVERED_PERCENT
     } == {}
     assert {
-        name: found["within"]
-        for name, found in parameters.items()
-        if found["within"] < MIN_COVERED_PERCENT
+        name: coverage["within"]
+        for name, coverage in parameters.items()
+        if coverage["within"] < MIN_COVERED_PERCENT
     } == {}
     assert figures["all_covered_all_at_once"] >= MIN_COVERED_PERCENT
 
@@ -130,10 +130,12 @@ def test_the_load_model_balances_every_joint() -> None:
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.from_digit(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
-    seen = SignalBins(
+    signal_bins = SignalBins(
         np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5
     )
-    for tension, sign in zip(load.expected_tension(p, seen).tolist(), (1.0, -1.0), strict=True):
+    for tension, sign in zip(
+        load.expected_tension(p, signal_bins).tolist(), (1.0, -1.0), strict=True
+    ):
         angle, excursion = float(digit.wrap[0]), 0.0
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
             rate = sign * 0.01 / load.arms.sum()
@@ -178,41 +180,41 @@ def identified_parameters(**parameter_values: float) -> IdentifiedParameters:
 
 def test_the_controller_s_hand_is_the_identified_one() -> None:
     hand = load_hand("jamia")
-    known = {
+    identified = {
         "thumb_tendon": identified_parameters(
             tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9
         )
     }
-    real = identified_hand(hand, known)
+    real = identified_hand(hand, identified)
     assert real.tendon[3].stiffness_N_per_m == 8e4
     assert real.motor_of("thumb_tendon").inertia_kg_m2 == 1e-4
     assert real.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
     assert real.tendon[:3] == hand.tendon[:3]
-    assert torque_gain(hand, known).tolist() == [1.0, 1.0, 1.0, 0.9]
-    assert set(known["thumb_tendon"].names) <= PARAMETER_UNITS.keys()
+    assert torque_gain(hand, identified).tolist() == [1.0, 1.0, 1.0, 0.9]
+    assert set(identified["thumb_tendon"].names) <= PARAMETER_UNITS.keys()
 
 
 def test_a_name_of_an_earlier_version_is_still_read() -> None:
-    found = identified_parameters(tendon_stiffness=8e4, delay=1e-4)
-    earlier = found.model_dump() | {"names": ("rope_stiffness", "delay")}
-    assert IdentifiedParameters.model_validate(earlier) == found
+    parameters = identified_parameters(tendon_stiffness=8e4, delay=1e-4)
+    earlier = parameters.model_dump() | {"names": ("rope_stiffness", "delay")}
+    assert IdentifiedParameters.model_validate(earlier) == parameters
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     hand = load_hand("jamia")
     tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, tendon_calibration)
-    known = {"ring_tendon": identified_parameters(capstan=0.09, delay=1e-4)}
-    made = Calibration(
+    identified = {"ring_tendon": identified_parameters(capstan=0.09, delay=1e-4)}
+    calibration = Calibration(
         hand="jamia",
         identity=hand.identity,
         made="2026-01-01T00:00:00+00:00",
         tendon=rows,
-        identified=known,
+        identified=identified,
     )
     path = tmp_path / "c.toml"
-    write_calibration(path, made)
-    assert load_calibration(path, hand) == made
+    write_calibration(path, calibration)
+    assert load_calibration(path, hand) == calibration
     path.write_text(path.read_text().replace("identified.ring_tendon", "identified.pinky_tendon"))
     with pytest.raises(ConfigError, match="no such tendon"):
         load_calibration(path, hand)
@@ -228,26 +230,26 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         hand.tendon_names,
         TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0),
     )
-    made = Calibration(
+    calibration = Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
     )
     write_calibration(
         path,
-        made.model_copy(
+        calibration.model_copy(
             update={"identified": {"ring_tendon": identified_parameters(capstan=0.04)}}
         ),
     )
-    known = load_tuned_hand("jamia", path)
-    assert known.hand.identity == hand.identity != known.identified_hand.identity
-    assert [rope.friction_coefficient for rope in known.identified_hand.tendon] == [
+    tuned_hand = load_tuned_hand("jamia", path)
+    assert tuned_hand.hand.identity == hand.identity != tuned_hand.identified_hand.identity
+    assert [rope.friction_coefficient for rope in tuned_hand.identified_hand.tendon] == [
         0.08,
         0.08,
         0.04,
         0.08,
     ]
-    assert known.factor_spread.keys() == {"friction"}
+    assert tuned_hand.factor_spread.keys() == {"friction"}
     assert load_tuned_hand("jamia", None).identified_hand.identity == hand.identity
-    write_calibration(path, made)
+    write_calibration(path, calibration)
     with pytest.raises(ConfigError, match="holds nothing identified"):
         load_tuned_hand("jamia", path)
 
@@ -302,9 +304,9 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     nominal = np.ones(len(PARAMETER_NAMES))
-    known = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
+    parameter_values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
-        parameter_values=known,
+        parameter_values=parameter_values,
         half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
         problem=SimpleNamespace(parameter_scales=nominal),
     )
@@ -320,13 +322,15 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
 
 
 def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
-    old = identified_parameters(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
-        update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
-    )
-    new = identified_parameters(motor_inertia=2e-4, torque_gain=0.9).model_copy(
+    old_parameters = identified_parameters(
+        tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2
+    ).model_copy(update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))})
+    new_parameters = identified_parameters(motor_inertia=2e-4, torque_gain=0.9).model_copy(
         update={"log": ("b.mcap",)}
     )
-    merged_parameters = IdentifiedParameters.model_validate(new.merged_with_older(old).model_dump())
+    merged_parameters = IdentifiedParameters.model_validate(
+        new_parameters.merged_with_older(old_parameters).model_dump()
+    )
     assert dict(zip(merged_parameters.names, merged_parameters.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip
@@ -337,5 +341,5 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         (0, 0, 0.25, 9.0),
     )
     assert merged_parameters.log == ("b.mcap", "a.mcap")
-    assert new.merged_with_older(None) is new
-    assert merged_parameters.merged_with_older(old) is merged_parameters
+    assert new_parameters.merged_with_older(None) is new_parameters
+    assert merged_parameters.merged_with_older(old_parameters) is merged_parameters

@@ -63,10 +63,16 @@ def test_a_digit_returned_by_its_tendons_is_identified(
         parameter_row for parameter_row in row["parameters"] if parameter_row["identified"]
     ]
     for name in PARAMETERS_OF_EVERY_PAIR:
-        assert {one["tendon"] for one in identified if one["name"] == name} == set(tendons)
+        assert {
+            parameter_row["tendon"] for parameter_row in identified if parameter_row["name"] == name
+        } == set(tendons)
     expected = PARAMETER_TOLERANCES.keys() - {"spring_stiffness"} - unidentified_parameters
     assert {parameter_row["name"] for parameter_row in row["parameters"]} == expected
-    assert [one for one in identified if abs(one["error"]) > 2.0 * one["half_width"]] == []
+    assert [
+        parameter_row
+        for parameter_row in identified
+        if abs(parameter_row["error"]) > 2.0 * parameter_row["half_width"]
+    ] == []
 
 
 @pytest.mark.nightly
@@ -80,12 +86,14 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand_nam
     figures = summarise_results(rows)
     assert figures["failed"] == []
     assert figures["refused"] == []
-    found = {name: row for name, row in figures["parameters"].items() if row["identified"]}
-    covered = {name: row["covered"] for name, row in found.items()}
-    identified = {name: row["identified"] for name, row in found.items()}
+    identified_rows = {
+        name: row for name, row in figures["parameters"].items() if row["identified"]
+    }
+    covered = {name: row["covered"] for name, row in identified_rows.items()}
+    identified = {name: row["identified"] for name, row in identified_rows.items()}
     assert [
         name
-        for name in found
+        for name in identified_rows
         if covered[name] < MIN_COVERED_FRACTION_PER_PARAMETER * identified[name]
     ] == []
     assert sum(covered.values()) >= MIN_COVERED_FRACTION * sum(identified.values())
@@ -136,11 +144,11 @@ def test_both_tendons_of_a_pair_balance_its_joint(passes_wrist: float) -> None:
     """
     net_tensions = np.linspace(-40.0, 40.0, 81)
     spool = tension_of_pair(net_tensions, 10.0, np.full(81, passes_wrist))
-    first, second = (
+    first_tension, second_tension = (
         np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0)
     )
     np.testing.assert_allclose(
-        first * passes_wrist - second / passes_wrist, net_tensions, atol=1e-9
+        first_tension * passes_wrist - second_tension / passes_wrist, net_tensions, atol=1e-9
     )
 
 
@@ -189,8 +197,10 @@ def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() ->
         covariance=((1e-4, 0.0), (0.0, 0.1)),
     )
     real = identified_hand(hand, {"index_mcp": known_parameters})
-    place = hand.tendon_names.index("index_mcp")
-    np.testing.assert_allclose(real.moment_arms[place], 1.1 * hand.moment_arms[place])
-    assert real.tendon[place].pretension_N == 8.0
-    others = np.arange(len(hand.tendon)) != place
-    np.testing.assert_array_equal(real.moment_arms[others], hand.moment_arms[others])
+    tendon_index = hand.tendon_names.index("index_mcp")
+    np.testing.assert_allclose(real.moment_arms[tendon_index], 1.1 * hand.moment_arms[tendon_index])
+    assert real.tendon[tendon_index].pretension_N == 8.0
+    is_other_tendon = np.arange(len(hand.tendon)) != tendon_index
+    np.testing.assert_array_equal(
+        real.moment_arms[is_other_tendon], hand.moment_arms[is_other_tendon]
+    )

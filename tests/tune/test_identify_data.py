@@ -19,15 +19,15 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
     """
     hand = load_hand("jamia")
     with RunLog(GRASP_LOG) as log:
-        held = np.isnan(log.field("q_goal"))
+        is_held = np.isnan(log.field("q_goal"))
         angles, period = np.degrees(log.field("q")), log.header.period_ns * 1e-9
-        found, active = 0, (log.mode == HandMode.ACTIVE)[:-1]
+        free_sample_count, active = 0, (log.mode == HandMode.ACTIVE)[:-1]
         for data, digit in zip(tendon_data(log, hand), hand.digit, strict=True):
             joints = hand.digit_joints[digit.name]
-            found += int((data.free_motion_mask & active).sum())
+            free_sample_count += int((data.free_motion_mask & active).sum())
             for k in np.flatnonzero(data.free_motion_mask):
                 transient_ticks = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
-                assert not held[transient_ticks, joints].any()
+                assert not is_held[transient_ticks, joints].any()
                 assert (
                     angles[transient_ticks, joints]
                     > np.array(digit.joint_min_deg) + STOP_DISTANCE_DEG
@@ -36,4 +36,4 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
                     angles[transient_ticks, joints]
                     < np.array(digit.joint_max_deg) - STOP_DISTANCE_DEG
                 ).all()
-    assert found > 60, "free samples are found"
+    assert free_sample_count > 60, "free samples are found"

@@ -38,12 +38,15 @@ def test_the_linear_controller_predicts_the_running_one(
     for _ in range(10):
         moved = steps * random.normal(size=len(state))
         reading_step = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
-        after = tick(state + moved, reading + reading_step) - centre
+        state_change = tick(state + moved, reading + reading_step) - centre
         predicted_state = np.concatenate(
             [K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step]
         )
         scale = np.append(steps, 1e-6)
-        assert np.abs((predicted_state - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
+        assert (
+            np.abs((predicted_state - state_change) / scale).max()
+            < 1e-3 * np.abs(state_change / scale).max()
+        )
 
 
 @pytest.mark.parametrize("loop_kind", LOOP_KINDS)
@@ -62,9 +65,9 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(
     )
     p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
-        back = float((K.C @ state_of_controller + K.D @ sample)[0])
-        assert float((L.C @ state)[0]) == pytest.approx(-back, rel=1e-9, abs=1e-12)
-        assert k > 1 or back == 0.0
+        controller_output = float((K.C @ state_of_controller + K.D @ sample)[0])
+        assert float((L.C @ state)[0]) == pytest.approx(-controller_output, rel=1e-9, abs=1e-12)
+        assert k > 1 or controller_output == 0.0
         state_of_controller, sample, p = K.A @ state_of_controller + K.B @ sample, P.C @ p, P.A @ p
         state = L.A @ state
 

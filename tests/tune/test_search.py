@@ -137,22 +137,25 @@ def test_interrupted_search_gives_the_same_result(
     search_plan: SearchPlan, search_result: SearchResult, tmp_path: Path
 ) -> None:
     workers: SearchWorkers = InterruptedWorkers(2)
-    seen: list[int] = []
+    trial_counts: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         run_search(
-            search_plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials))
+            search_plan,
+            tmp_path / "study",
+            workers,
+            lambda now: trial_counts.append(len(now.trials)),
         )
-    assert seen == [1, 2]
+    assert trial_counts == [1, 2]
     assert (
         run_search(
             search_plan,
             tmp_path / "study",
             InProcessWorkers(),
-            lambda now: seen.append(len(now.trials)),
+            lambda now: trial_counts.append(len(now.trials)),
         )
         == search_result
     )
-    assert seen == [1, 2, 3]
+    assert trial_counts == [1, 2, 3]
 
 
 class FakeWorkers:
@@ -163,12 +166,12 @@ class FakeWorkers:
     ) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             motion, tension = job["gains"]["motion"], job["gains"]["tension"]
-            parts = (
+            score_parts = (
                 motion["position_error_m"],
                 tension["tension_error_N"],
                 motion["speed_error_m_s"],
             )
-            yield i, asdict(GainScore(*parts, 50.0, motion["disturbance_rejection"] - 0.8))
+            yield i, asdict(GainScore(*score_parts, 50.0, motion["disturbance_rejection"] - 0.8))
 
     def close(self) -> None:
         return
@@ -205,18 +208,18 @@ def test_search_resumes_from_a_truncated_journal(
     Some cuts are in the part of the journal after the random trials. In this part, the sampler
     chooses the trials.
     """
-    longer_plan, found, journal = long_search
+    longer_plan, complete_result, journal = long_search
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
     line_count = int(journal_fraction * len(lines))
     path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
-    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == found
-    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == found
+    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == complete_result
+    assert run_search(longer_plan, path, FakeWorkers(), _ignore_result) == complete_result
 
 
 def test_an_extended_search_equals_one_long_search(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
-    longer_plan, found, _ = long_search
+    longer_plan, complete_result, _ = long_search
     assert (
         len(
             run_search(
@@ -225,7 +228,10 @@ def test_an_extended_search_equals_one_long_search(
         )
         == 10
     )
-    assert run_search(longer_plan, tmp_path / "study", FakeWorkers(), _ignore_result) == found
+    assert (
+        run_search(longer_plan, tmp_path / "study", FakeWorkers(), _ignore_result)
+        == complete_result
+    )
 
 
 @pytest.mark.parametrize(
@@ -388,7 +394,8 @@ def test_first_trial_keeps_gains_outside_the_search_space(search_plan: SearchPla
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:
     assert all(
-        one.low <= clamped_gains(Gains())[key] <= one.high for key, one in GAIN_RANGES.items()
+        gain_range.low <= clamped_gains(Gains())[key] <= gain_range.high
+        for key, gain_range in GAIN_RANGES.items()
     )
     gains_outside_search_space = Gains(motion=MotionGains(position_error_m=0.09))
     assert (

@@ -129,13 +129,13 @@ def test_a_loop_without_gain_has_no_margin() -> None:
     open_system = LinearSystem(
         np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002
     )
-    for found in (margins_of_loop(open_system), confirmed_margins(open_system)):
+    for margins in (margins_of_loop(open_system), confirmed_margins(open_system)):
         assert (
-            found.gain_db,
-            found.phase_deg,
-            found.disk,
-            found.delay_s,
-            found.are_sufficient,
+            margins.gain_db,
+            margins.phase_deg,
+            margins.disk,
+            margins.delay_s,
+            margins.are_sufficient,
         ) == (
             0.0,
             0.0,
@@ -149,8 +149,14 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     system = open_loop(jamia, 0, LoopKind.TENSION)
     lost_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
     assert not is_stable(lost_system)
-    for found in (margins_of_loop(lost_system), confirmed_margins(lost_system)):
-        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (
+    for margins in (margins_of_loop(lost_system), confirmed_margins(lost_system)):
+        assert (
+            margins.gain_db,
+            margins.phase_deg,
+            margins.disk,
+            margins.delay_s,
+            margins.stable,
+        ) == (
             0.0,
             0.0,
             0.0,
@@ -242,8 +248,8 @@ def test_written_design_is_stable(hand_name: str, seed: int) -> None:
         )
     except ValueError:
         return  # in this case, no design is written
-    after = check_design_is_stable(model, gain_design, seed)
-    assert RestTest(model.hand, factors, plants, seed + 100)(after)
+    designed_gains = check_design_is_stable(model, gain_design, seed)
+    assert RestTest(model.hand, factors, plants, seed + 100)(designed_gains)
 
 
 def test_tendons_that_share_joints_keep_their_margins_together() -> None:
@@ -465,7 +471,10 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     These joint angles are inside the joint limits.
     """
     hand = load_hand("jamia")
-    content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
+    content = {
+        **hand.content,
+        "digit": [dict(digit_content) for digit_content in hand.content["digit"]],
+    }
     content["digit"][0]["coupling"] = [list(row) for row in coupling_column]
     if coupling_column[1][0] < 0:
         content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
@@ -478,4 +487,4 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)
     judged: list[LoopMargins] = [confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind]
-    assert all(one.stable and 2.0 < one.gain_db < 40.0 for one in judged)
+    assert all(margins.stable and 2.0 < margins.gain_db < 40.0 for margins in judged)

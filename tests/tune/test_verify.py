@@ -150,13 +150,13 @@ def test_the_tracking_limit_holds_for_prismatic_joints(
     hand = load_hand(GRIPPER_FOLDER / hand_file)
     observer = VerifyObserver(hand, GAINS_WITHOUT_RINGING, GAINS_WITHOUT_RINGING)
     numbers = np.zeros(len(hand.joints) * 2 + len(hand.digit) + len(hand.tendon))
-    places, first = TelemetryPlaces(), 0
+    places, first_element = TelemetryPlaces(), 0
     for name, size in (
         ("q", len(hand.joints)), ("q_goal", len(hand.joints)), ("contact", len(hand.digit)),
         ("tension", len(hand.tendon)),
     ):  # fmt: skip
-        places[name] = slice(first, first + size)
-        first += size
+        places[name] = slice(first_element, first_element + size)
+        first_element += size
     telemetry = PackedTelemetry(numbers, places)
     telemetry.q_goal[joint_index] = lag_rad_or_m
     out = TickOut((), HandMode.ACTIVE, "move", SafetyAction.PASS, telemetry, (), bytes(8))

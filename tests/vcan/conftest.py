@@ -67,7 +67,9 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
         return None
     if _reports_key not in item.session.stash:
         inner = [
-            other for other in item.session.items if other.path.is_relative_to(GUEST_TESTS_FOLDER)
+            guest_item
+            for guest_item in item.session.items
+            if guest_item.path.is_relative_to(GUEST_TESTS_FOLDER)
         ]
         item.session.stash[_reports_key] = _run_in_guests(inner)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
@@ -93,8 +95,12 @@ def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
         parts_of[group].append(item)
     groups = list(parts_of.values())
     with ThreadPoolExecutor(len(groups)) as guests:
-        parts = list(guests.map(_run_in_guest, groups))
-    return {nodeid: reports for part in parts for nodeid, reports in part.items()}
+        reports_of_guests = list(guests.map(_run_in_guest, groups))
+    return {
+        nodeid: reports
+        for reports_of_guest in reports_of_guests
+        for nodeid, reports in reports_of_guest.items()
+    }
 
 
 def _run_in_guest(items: Sequence[pytest.Item]) -> ReportsByTest:

@@ -104,11 +104,13 @@ def _install(environment: Path, program: ClientProgram) -> None:
             check=False,
         )
         if result.returncode:
-            pytest.skip(f"pip cannot install {program.package}: {_reason_of_pip(result.stderr)}")
+            pytest.skip(
+                f"pip cannot install {program.package}: {_pip_failure_reason(result.stderr)}"
+            )
     ready.write_text(requirements, encoding="utf-8")
 
 
-def _reason_of_pip(text: str) -> str:
+def _pip_failure_reason(text: str) -> str:
     """Return the most specific line of an error message of pip."""
     lines = [line.strip() for line in text.splitlines()]
     for word in ("fatal:", "ERROR:", "error:"):  # fatal: is the word of git

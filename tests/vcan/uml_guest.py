@@ -258,13 +258,16 @@ def _kill_group(process: "subprocess.Popen[bytes]") -> None:
 
 def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[str]:
     assert process.stdout is not None
-    pipe, rest = process.stdout.fileno(), b""
+    pipe, incomplete_line = process.stdout.fileno(), b""
     while True:
         if not select.select([pipe], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
             raise TimeoutError
         chunk = os.read(pipe, 1 << 16)
-        *whole, rest = (rest + chunk).split(b"\n")
-        for line in [*whole, *([rest] if rest and not chunk else [])]:
+        *complete_lines, incomplete_line = (incomplete_line + chunk).split(b"\n")
+        for line in [
+            *complete_lines,
+            *([incomplete_line] if incomplete_line and not chunk else []),
+        ]:
             yield line.rstrip(b"\r").decode(errors="replace")
         if not chunk:
             return

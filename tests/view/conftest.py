@@ -35,7 +35,7 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture(scope="session")
-def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def jamia_log_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the log of a generated run of the hand jamia, and return its path."""
     import synthetic_run
 

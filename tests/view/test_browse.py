@@ -34,8 +34,10 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     with RunLog(GOLDEN_LOG) as log:
         ticks, run = len(log), RunInfo.from_header(log.header, "x")
     sizes, since = [], []
-    for part, since_ns in time_slices(GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000):
-        with RunLog(part) as log:
+    for slice_path, since_ns in time_slices(
+        GOLDEN_LOG, scan_path(GOLDEN_LOG), tmp_path, 1_000_000_000
+    ):
+        with RunLog(slice_path) as log:
             sizes.append(len(log))
             since.append(since_ns)
     assert sizes[0] in (200, 201), "up to the end of a chunk"
@@ -63,9 +65,11 @@ def test_a_viewer_gets_all_of_a_log(
         client = connect_client(running)
         wait_until_loaded(client, RUN_TIME_TIMELINE, end_ns)
         state = client.get_state()
-        (shown,) = state.recordings
+        (recording,) = state.recordings
         assert len(state.views) > 5
-        assert end_ns in [line.end for line in shown.timelines if line.name == RUN_TIME_TIMELINE]
+        assert end_ns in [
+            line.end for line in recording.timelines if line.name == RUN_TIME_TIMELINE
+        ]
 
 
 def write_ten_minute_log(log_path: Path) -> None:
@@ -73,7 +77,7 @@ def write_ten_minute_log(log_path: Path) -> None:
     import synthetic_run
 
     run = synthetic_run.synthetic_header(rate_hz=500)
-    writer = LogWriter(log_path, run, lambda *what: None, 1)
+    writer = LogWriter(log_path, run, lambda *arguments: None, 1)
     ticks = itertools.cycle(list(synthetic_run.SyntheticRunTicks(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
         writer.add_tick(
@@ -105,8 +109,8 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
 def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
     tmp_path: Path, vulkan_environment: dict[str, str]
 ) -> None:
-    data, place = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
-    data[place.data_offset + 40] ^= 0xFF
+    data, damaged_chunk = bytearray(GOLDEN_LOG.read_bytes()), scan_path(GOLDEN_LOG).chunks[2]
+    data[damaged_chunk.data_offset + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
     with RunLog(broken, verify_checksums=False) as log:

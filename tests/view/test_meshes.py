@@ -86,10 +86,14 @@ def test_a_link_has_a_mesh_or_capsules(
     }
     assert meshed_links < links
     for link in links:
-        parts = {
+        shape_kinds = {
             path.split("/")[3] for path in recorded_entities if path.startswith(f"/hand/{link}/")
         }
-        assert parts == {"mesh"} if link in meshed_links else "mesh" not in parts and parts, link
+        assert (
+            shape_kinds == {"mesh"}
+            if link in meshed_links
+            else "mesh" not in shape_kinds and shape_kinds
+        ), link
 
 
 def test_the_live_view_sends_the_same_meshes(

@@ -41,13 +41,13 @@ def fraction_near_colour(pixels: NDArray[np.int16], colour: palette.Colour) -> f
 
 
 def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
-    jamia_path: Path,
+    jamia_log_path: Path,
     tmp_path: Path,
     vulkan_environment: dict[str, str],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "run.png"
-    assert main(["view", str(jamia_path), "--picture", str(out), "--json"]) == 0
+    assert main(["view", str(jamia_log_path), "--picture", str(out), "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     assert output["reports"] == []
     assert output["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
@@ -65,11 +65,11 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 
 @pytest.fixture(scope="module")
 def bare_viewer(
-    jamia_path: Path, vulkan_environment: dict[str, str]
+    jamia_log_path: Path, vulkan_environment: dict[str, str]
 ) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open the log file directly in a viewer, as `rerun LOG` does, without the layout of handctl."""
     with running_viewer(
-        ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan_environment
+        ["--headless", "--window-size", "1200x800", str(jamia_log_path)], vulkan_environment
     ) as running:
         client = connect_client(running)
         wait_until_loaded(client, "message_log_time")
@@ -117,8 +117,8 @@ def test_viewer_ignores_streams_of_other_programs(
     assert not running.url.endswith(":9876/proxy"), (
         "the viewer does not use the default port of Rerun"
     )
-    (shown,) = client.get_state().recordings
-    assert "handctl" not in str(shown.store_id), "the picture is no recording of a follower"
+    (recording,) = client.get_state().recordings
+    assert "handctl" not in str(recording.store_id), "the picture is no recording of a follower"
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,12 +136,14 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
         return Timeline("run_time", "duration", 0, end)
 
     elsewhere = Timeline("log_time", "timestamp", 0, 90)
-    left = iter([state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))])
+    remaining_states = iter(
+        [state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))]
+    )
 
     class ClientWithoutTimes:
         def get_state(self) -> ViewerState:
-            return next(left)
+            return next(remaining_states)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
     wait_until_loaded(ClientWithoutTimes(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
-    assert next(left, None) is None
+    assert next(remaining_states, None) is None

@@ -25,38 +25,38 @@ def growing_file_sizes(log_bytes: bytes, seed: int) -> list[int]:
     between are random.
     """
     source = random.Random(seed)
-    first = 64 << 10
+    first_size = 64 << 10
     return [
-        first,
-        *sorted(source.randrange(first, len(log_bytes)) for _ in range(12)),
+        first_size,
+        *sorted(source.randrange(first_size, len(log_bytes)) for _ in range(12)),
         len(log_bytes),
     ]
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
-    seed: int, jamia_path: Path, tmp_path: Path
+    seed: int, jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    whole_content, path, part = (
-        jamia_path.read_bytes(),
+    whole_content, path, part_path = (
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
-    run = run_info_of(jamia_path)
+    run = run_info_of(jamia_log_path)
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
     for size in growing_file_sizes(whole_content, seed):
         path.write_bytes(whole_content[:size])
         assert not (tail.has_log_ended and size < 0.9 * len(whole_content))
-        since = tail.write_new_chunks(part)
+        since = tail.write_new_chunks(part_path)
         if since is not None:
-            chunks += chunks_of_log(part, converters, "part", since)
+            chunks += chunks_of_log(part_path, converters, "part", since)
             times += 1
     assert tail.has_log_ended
-    assert tail.write_new_chunks(part) is None
+    assert tail.write_new_chunks(part_path) is None
     assert times > 4
     shown_entities, expected = (
         read_entities(chunks),
-        read_entities(chunks_of_log(jamia_path, TopicConverters(run), "whole")),
+        read_entities(chunks_of_log(jamia_log_path, TopicConverters(run), "whole")),
     )
     assert shown_entities.keys() == expected.keys()
     for name in shown_entities.keys() - {"/tension/limit"}:
@@ -69,26 +69,26 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
         assert repr(shown_entities[name].rows) == repr(expected[name].rows), name
 
 
-def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
-    whole_content, path, part = (
-        jamia_path.read_bytes(),
+def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_log_path: Path, tmp_path: Path) -> None:
+    whole_content, path, part_path = (
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
-    tail, parts = LogTail(path), 0
+    tail, part_count = LogTail(path), 0
     start = len(whole_content) // 2
     for size in range(start, start + 60_000, 997):
         path.write_bytes(whole_content[:size])
-        parts += tail.write_new_chunks(part) is not None
-    assert parts > 1
+        part_count += tail.write_new_chunks(part_path) is not None
+    assert part_count > 1
 
 
 def test_a_call_reads_no_record_again(
-    jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    jamia_log_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Reproduce a defect: each call scanned all records from the start of the log again, several times per second."""
-    whole_content, path, part = (
-        jamia_path.read_bytes(),
+    whole_content, path, part_path = (
+        jamia_log_path.read_bytes(),
         tmp_path / "run.mcap",
         tmp_path / "part.mcap",
     )
@@ -102,21 +102,21 @@ def test_a_call_reads_no_record_again(
     monkeypatch.setattr(LogFile, "read_range", read_and_note)
     path.write_bytes(whole_content[: len(whole_content) // 2])
     tail = LogTail(path)
-    assert tail.write_new_chunks(part) is not None
+    assert tail.write_new_chunks(part_path) is not None
     assert len(offsets) > 100
     offsets.clear()
-    assert tail.write_new_chunks(part) is None
+    assert tail.write_new_chunks(part_path) is None
     assert len(offsets) <= 3, "the two magic texts, and the head of the incomplete record"
     path.write_bytes(whole_content)
-    assert tail.write_new_chunks(part) is not None
+    assert tail.write_new_chunks(part_path) is not None
     assert tail.has_log_ended
     offsets.clear()
-    assert tail.write_new_chunks(part) is None
+    assert tail.write_new_chunks(part_path) is None
     assert offsets == []
 
 
-def test_another_file_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
-    data, path = bytearray(jamia_path.read_bytes()), tmp_path / "run.mcap"
+def test_another_file_is_an_error(jamia_log_path: Path, tmp_path: Path) -> None:
+    data, path = bytearray(jamia_log_path.read_bytes()), tmp_path / "run.mcap"
     data[0] = 0
     path.write_bytes(data)
     with pytest.raises(LogError, match="not an MCAP file"):

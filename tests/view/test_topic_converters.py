@@ -39,26 +39,26 @@ def test_every_number_of_the_controller_is_there_under_its_name(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
     for name in TELEMETRY_FIELDS:
-        one = recorded_entities[f"/controller/{name}"]
-        np.testing.assert_array_equal(one.times, run_log.t_ns)
-        np.testing.assert_array_equal(one.table("Scalars:scalars"), run_log.field(name))
-        assert tuple(one.static_values["SeriesLines:names"]) == run_log.names(name)
+        entity = recorded_entities[f"/controller/{name}"]
+        np.testing.assert_array_equal(entity.times, run_log.t_ns)
+        np.testing.assert_array_equal(entity.table("Scalars:scalars"), run_log.field(name))
+        assert tuple(entity.static_values["SeriesLines:names"]) == run_log.names(name)
 
 
 def test_tension_has_its_band_and_command(
     recorded_entities: dict[str, RecordingEntity], run_log: RunLog
 ) -> None:
-    one = recorded_entities["/tension/estimate"]
-    np.testing.assert_array_equal(one.times, run_log.t_ns)
-    np.testing.assert_array_equal(one.table("Measurements:values"), run_log.field("tension"))
+    entity = recorded_entities["/tension/estimate"]
+    np.testing.assert_array_equal(entity.times, run_log.t_ns)
+    np.testing.assert_array_equal(entity.table("Measurements:values"), run_log.field("tension"))
     np.testing.assert_allclose(
-        one.table("Measurements:variances") ** 0.5, run_log.field("tension_sigma"), rtol=1e-12
+        entity.table("Measurements:variances") ** 0.5, run_log.field("tension_sigma"), rtol=1e-12
     )
     np.testing.assert_array_equal(
         recorded_entities["/tension/command"].table("Scalars:scalars"),
         run_log.field("tension_goal"),
     )
-    assert one.static_values["Measurements:names"] == list(run_log.header.tendons)
+    assert entity.static_values["Measurements:names"] == list(run_log.header.tendons)
 
 
 def test_a_distant_limit_is_not_drawn(
@@ -84,11 +84,13 @@ def test_angles_are_in_degrees_digit_by_digit(
     The view therefore draws no band for an angle.
     """
     for kind, name in {"estimate": "q", "command": "q_goal"}.items():
-        parts = [
+        angles_of_digits = [
             recorded_entities[f"/angle/{digit}/{kind}"].table("Scalars:scalars")
             for digit in run_log.header.digits
         ]
-        np.testing.assert_allclose(np.hstack(parts), np.degrees(run_log.field(name)), atol=1e-12)
+        np.testing.assert_allclose(
+            np.hstack(angles_of_digits), np.degrees(run_log.field(name)), atol=1e-12
+        )
 
 
 def test_arrows_are_the_forces_of_the_object_on_the_tips(
@@ -97,15 +99,15 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(
     forces = run_log.field("tip_force")
     assert forces.max() > 1
     for index, digit in enumerate(run_log.header.digits):
-        one = recorded_entities[f"/force/{digit}"]
-        vectors = one.table("Arrows3D:vectors")[:, 0]
+        entity = recorded_entities[f"/force/{digit}"]
+        vectors = entity.table("Arrows3D:vectors")[:, 0]
         force = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
         np.testing.assert_allclose(
             vectors, force[:, None] * (0, -ARROW_LENGTH_M_PER_N, 0), atol=1e-7
         )
         at = int(force.argmax())
-        assert one.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
-        assert one.static_values["CoordinateFrame:frame"] == [f"{digit}_tip"]
+        assert entity.rows["Arrows3D:labels"][at] == [f"{force[at]:.1f} N"]
+        assert entity.static_values["CoordinateFrame:frame"] == [f"{digit}_tip"]
 
 
 def test_states_change_as_in_the_log(
@@ -123,10 +125,10 @@ def test_states_change_as_in_the_log(
         np.testing.assert_array_equal(
             recorded_entities[f"/state/{lane}"].times, run_log.t_ns[[0, *changes]]
         )
-        shown = {
+        shown_states = {
             names[0] for names in recorded_entities[f"/state/{lane}"].rows["StateChange:state"]
         }
-        assert shown <= set(
+        assert shown_states <= set(
             recorded_entities[f"/state/{lane}"].static_values["StateConfiguration:values"]
         )
 
@@ -147,8 +149,10 @@ def test_lateness_and_bus_load_add_up(
             (tick.tick_in.t_ns, sum(frame_time_s(len(frame.data), False, 1e6) for frame in frames))
         )
         now = tick.tick_in.t_ns
-        last = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
-        expected.append(100 * sum(last) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period))
+        times_in_window = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
+        expected.append(
+            100 * sum(times_in_window) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period)
+        )
     np.testing.assert_allclose(
         recorded_entities["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9
     )
@@ -160,9 +164,9 @@ def test_frames_put_the_fingertips_where_kinematics_does(
 ) -> None:
     edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
     now = int(run_log.t_ns[-1] * 0.5)
-    for one in (recorded_entities["/tf_static"], recorded_entities["/tf"]):
-        rows = {name.split(":")[1]: values for name, values in one.rows.items()}
-        for i in np.flatnonzero(one.times <= now):
+    for entity in (recorded_entities["/tf_static"], recorded_entities["/tf"]):
+        rows = {name.split(":")[1]: values for name, values in entity.rows.items()}
+        for i in np.flatnonzero(entity.times <= now):
             child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
             edges[child] = (
                 parent,
@@ -218,8 +222,8 @@ def test_every_visual_shape_is_solid_and_in_its_digits_colour(
         }
         assert static_values[f"{kind}:fill_mode"] == [3]
     red, green, blue = palette.digit_colour(0)
-    first = recorded_entities["/hand/index_link1/visual_0"].static_values["Cylinders3D:colors"]
-    assert first == [red << 24 | green << 16 | blue << 8 | 255]
+    colours = recorded_entities["/hand/index_link1/visual_0"].static_values["Cylinders3D:colors"]
+    assert colours == [red << 24 | green << 16 | blue << 8 | 255]
 
 
 def test_the_layout_is_saved_with_the_recording(recording_path: Path, log_path: Path) -> None:
@@ -237,17 +241,19 @@ def test_time_slices_do_not_change_the_recording(
     )
     assert repeated_entities.keys() == recorded_entities.keys() - {"/__properties"}
     for path in repeated_entities.keys() - {"/tension/limit"}:
-        one = repeated_entities[path]
-        np.testing.assert_array_equal(one.times, recorded_entities[path].times)
-        assert repr(one.rows) == repr(recorded_entities[path].rows)
+        entity = repeated_entities[path]
+        np.testing.assert_array_equal(entity.times, recorded_entities[path].times)
+        assert repr(entity.rows) == repr(recorded_entities[path].rows)
 
 
 @pytest.mark.parametrize("log_fraction", [0.3, 0.5, 0.73, 0.9])
 def test_a_log_that_ends_early_is_shown_up_to_there(
-    log_fraction: float, jamia_path: Path, tmp_path: Path
+    log_fraction: float, jamia_log_path: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: int(log_fraction * jamia_path.stat().st_size)])
+    cut.write_bytes(
+        jamia_log_path.read_bytes()[: int(log_fraction * jamia_log_path.stat().st_size)]
+    )
     with RunLog(cut) as half:
         shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         np.testing.assert_array_equal(
@@ -262,13 +268,13 @@ def test_a_log_that_ends_early_is_shown_up_to_there(
 
 
 def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
-    jamia_path: Path, tmp_path: Path
+    jamia_log_path: Path, tmp_path: Path
 ) -> None:
-    file, scan = LogFile(jamia_path), RecordScan()
+    file, scan = LogFile(jamia_log_path), RecordScan()
     scan_records(file, scan)
     file.close()
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(jamia_path.read_bytes()[: scan.chunks[5].end + 40])
+    cut.write_bytes(jamia_log_path.read_bytes()[: scan.chunks[5].end + 40])
     with RunLog(cut) as half:
         shown_entities = read_entities(rerun_conversion.chunks_of_run(cut, run_info_of(cut)))
         assert (
@@ -278,10 +284,10 @@ def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
         )
 
 
-def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> None:
+def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_log_path: Path) -> None:
     from dataclasses import replace
 
-    header = run_info_of(jamia_path).header
+    header = run_info_of(jamia_log_path).header
     for text in ("[[", "schema = 1\n"):
         with pytest.raises(ConfigError, match=r"hand\.toml"):
             RunInfo.from_header(replace(header, hand_toml=text), "run")

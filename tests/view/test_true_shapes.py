@@ -22,7 +22,10 @@ SCENE_SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
     "table": {"shape": "box", "size_m": [0.2, 0.2, 0.01], "position_m": [0.02, 0.0, -0.05]},
 }
-TRUTH_COLUMNS = (*(f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")), "support")
+TRUTH_COLUMNS = (
+    *(f"object/{pose_column}" for pose_column in ("x", "y", "z", "qw", "qx", "qy", "qz")),
+    "support",
+)
 
 
 def truth_of(scene_shapes: dict[str, Any], duration_s: float = 1.0) -> TruthRecord:
@@ -47,28 +50,30 @@ def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0
     return read_entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
-def test_object_and_table_are_where_the_truth_has_them(jamia_path: Path) -> None:
-    made = drawn_entities(jamia_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
-    assert made.keys() == {
+def test_object_and_table_are_where_the_truth_has_them(jamia_log_path: Path) -> None:
+    entities = drawn_entities(jamia_log_path, truth_of(SCENE_SHAPES), offset_ns=400_000_000)
+    assert entities.keys() == {
         f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")
     }
-    body, table = made["/true/object_pose"], made["/true/table_pose"]
+    body, table = entities["/true/object_pose"], entities["/true/table_pose"]
     assert body.times[0] == 0
-    place = np.array([row[0] for row in body.rows["Transform3D:translation"]])
-    assert place[0] == pytest.approx([0.0, 0.0, 0.004], abs=1e-6)
-    assert np.diff(place[:, 2]) == pytest.approx(0.01 * 0.02, abs=1e-6)
+    position = np.array([row[0] for row in body.rows["Transform3D:translation"]])
+    assert position[0] == pytest.approx([0.0, 0.0, 0.004], abs=1e-6)
+    assert np.diff(position[:, 2]) == pytest.approx(0.01 * 0.02, abs=1e-6)
     sunk = np.array([row[0] for row in table.rows["Transform3D:translation"]])
     assert sunk[0] == pytest.approx([0.02, 0.0, -0.07], abs=1e-6)
 
 
-def test_a_run_without_truth_or_without_shapes_has_none(jamia_path: Path) -> None:
-    assert drawn_entities(jamia_path, None) == {}
-    assert drawn_entities(jamia_path, truth_of({})) == {}
+def test_a_run_without_truth_or_without_shapes_has_none(jamia_log_path: Path) -> None:
+    assert drawn_entities(jamia_log_path, None) == {}
+    assert drawn_entities(jamia_log_path, truth_of({})) == {}
 
 
-def test_an_unknown_shape_is_one_line(jamia_path: Path) -> None:
+def test_an_unknown_shape_is_one_line(jamia_log_path: Path) -> None:
     with pytest.raises(LogError, match="expected cylinder, sphere or box"):
-        drawn_entities(jamia_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}}))
+        drawn_entities(
+            jamia_log_path, truth_of({"object": {"shape": "torus", "size_m": [1, 1, 1]}})
+        )
 
 
 def write_truth(truth_file: Path, truth: TruthRecord) -> None:
@@ -82,11 +87,11 @@ def write_truth(truth_file: Path, truth: TruthRecord) -> None:
 
 
 def test_a_named_truth_is_drawn_and_one_of_another_time_refused(
-    jamia_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    jamia_log_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, out = tmp_path / "some.truth", tmp_path / "run.rrd"
     write_truth(path, truth_of(SCENE_SHAPES))
-    words = ["view", str(jamia_path), "--save", str(out), "--truth", str(path)]
+    words = ["view", str(jamia_log_path), "--save", str(out), "--truth", str(path)]
     assert main([*words, "--json"]) == 0
     assert "/true/object" in entities_of_file(out)
     capsys.readouterr()

@@ -249,12 +249,16 @@ def modes_diagram() -> Any:
     draw_block(axes, (8.3, 3.0), (2.3, 1.5), "CUT\nno torque, now", "safety", 7.6)
     draw_block(axes, (3.5, 1.4), (2.3, 1.5), "DONE\nconfirmed off,\nor exit code 71", "log", 7.6)
     names = list(row)
-    for first, second, text in zip(
+    for first_mode, second_mode, text in zip(
         names, names[1:], ("0.5 s", "all answer", "armed", "enabled"), strict=False
     ):
-        draw_arrow(axes, [(row[first] + 2.3, 6.75), (row[second], 6.75)])
+        draw_arrow(axes, [(row[first_mode] + 2.3, 6.75), (row[second_mode], 6.75)])
         draw_note(
-            axes, ((row[first] + 2.3 + row[second]) / 2.0, 7.05), text, ha="center", fontsize=6.5
+            axes,
+            ((row[first_mode] + 2.3 + row[second_mode]) / 2.0, 7.05),
+            text,
+            ha="center",
+            fontsize=6.5,
         )
     draw_arrow(axes, [(14.6, 6.0), (14.6, 5.2)], "stop, end\nor fault", (15.4, 5.6))
     draw_arrow(axes, [(14.6, 3.7), (14.6, 2.9)], "below 8 N\nor 1 s", (15.4, 3.3))

@@ -56,10 +56,10 @@ def picture_sheet(pictures: list[Any]) -> Any:
     """
     from PIL import Image
 
-    made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))
+    sheet = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))
     for i, picture in enumerate(pictures):
-        made.paste(picture, (0, PICTURE_SIZE_PX[1] * i))
-    return made
+        sheet.paste(picture, (0, PICTURE_SIZE_PX[1] * i))
+    return sheet
 
 
 def grasp_frames(folder: Path) -> list[Any]:

@@ -78,8 +78,8 @@ def save_still(hand_file: str) -> None:
 def camera_of(mujoco: Any, model: Any, data: Any, hand_name: str) -> Any:
     """Return a camera that shows all digits and the object."""
     bodies = body_names(mujoco, model)
-    shown = [geom for geom, body in enumerate(bodies) if "_link" in body or body == "object"]
-    places: NDArray[np.float64] = data.geom_xpos[shown]
+    shown_geoms = [geom for geom, body in enumerate(bodies) if "_link" in body or body == "object"]
+    places: NDArray[np.float64] = data.geom_xpos[shown_geoms]
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (places.min(axis=0) + places.max(axis=0)) / 2.0
     extent = float(np.ptp(places, axis=0).max()) + 0.04

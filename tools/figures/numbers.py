@@ -43,6 +43,8 @@ def write_numbers(root: Path, folder: Path) -> None:
     _, _, result = runs.grasp_run(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")
-        new = TABLE_PATTERN.sub(lambda match: f"{match[1]}{numbers_table(result)}{match[3]}", text)
-        if new != text:
-            path.write_text(new, encoding="utf-8")
+        new_text = TABLE_PATTERN.sub(
+            lambda match: f"{match[1]}{numbers_table(result)}{match[3]}", text
+        )
+        if new_text != text:
+            path.write_text(new_text, encoding="utf-8")

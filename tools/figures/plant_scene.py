@@ -80,7 +80,7 @@ class TruePoses:
             [f"q/{joint}" for joint in log.header.joints], self.times_ns
         )
         self._object = truth.interpolated_columns(
-            [f"object/{part}" for part in POSE_PARTS], self.times_ns
+            [f"object/{pose_part}" for pose_part in POSE_PARTS], self.times_ns
         )
         self._sunk_m = truth.interpolated_column("support", self.times_ns)
 

@@ -53,23 +53,23 @@ def estimate_plot(folder: Path) -> Any:
         log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma")
     )
     figure = new_figure(8.6, 3.6)
-    left, right = figure.subplots(1, 2)
+    left_axes, right_axes = figure.subplots(1, 2)
     starts = {change.name: change.t_ns * 1e-9 for change in log.phases}
-    spans = ((left, starts["preshape"], starts["preshape"] + 0.9, "free motion"),
-             (right, starts["hold"] + 0.15, starts["hold"] + 0.75, "a hold begins"))  # fmt: skip
-    for axes, first, last, title in spans:
-        part = (log.times >= first) & (log.times <= last)
-        t = log.times[part]
-        axes.plot(t, raw[part], ".", color=RAW_COLOUR, markersize=3, label="raw load cell")
-        axes.fill_between(t, (mean - 2 * sigma)[part], (mean + 2 * sigma)[part], color=ESTIMATE_COLOUR, alpha=0.2,
-            linewidth=0,
+    spans = ((left_axes, starts["preshape"], starts["preshape"] + 0.9, "free motion"),
+             (right_axes, starts["hold"] + 0.15, starts["hold"] + 0.75, "a hold begins"))  # fmt: skip
+    for axes, start_s, end_s, title in spans:
+        is_shown = (log.times >= start_s) & (log.times <= end_s)
+        t = log.times[is_shown]
+        axes.plot(t, raw[is_shown], ".", color=RAW_COLOUR, markersize=3, label="raw load cell")
+        axes.fill_between(t, (mean - 2 * sigma)[is_shown], (mean + 2 * sigma)[is_shown],
+                          color=ESTIMATE_COLOUR, alpha=0.2, linewidth=0,
                           label="estimate, two sigma")  # fmt: skip
-        axes.plot(t, mean[part], color=ESTIMATE_COLOUR, label="estimate")
-        axes.plot(t, true[part], color=TRUTH_COLOUR, linewidth=0.9, label="truth of the plant")
+        axes.plot(t, mean[is_shown], color=ESTIMATE_COLOUR, label="estimate")
+        axes.plot(t, true[is_shown], color=TRUTH_COLOUR, linewidth=0.9, label="truth of the plant")
         axes.set(title=f"index tendon, {title}", xlabel="time [s]")
         axes.margins(x=0)
-    left.set_ylabel("tension [N]")
-    left.legend(loc="upper left")
+    left_axes.set_ylabel("tension [N]")
+    left_axes.legend(loc="upper left")
     return figure
 
 
@@ -96,20 +96,21 @@ def snapped_tendon(folder: Path) -> Any:
     middle.set_ylabel("torque command\n[mN m]")
     modes = np.array([int(mode) for mode in run.mode])
     for mode in np.unique(modes):
-        part = ms[modes == mode]
-        length_ms = part[-1] - part[0] + 2.0
+        times_of_mode = ms[modes == mode]
+        length_ms = times_of_mode[-1] - times_of_mode[0] + 2.0
         colour = BLOCK_COLOURS["host" if mode == HandMode.ACTIVE else "safety"]
         bottom.barh(
             0,
             length_ms,
-            left=part[0],
+            left=times_of_mode[0],
             color=colour,
             edgecolor=INK_COLOUR,
             linewidth=0.6,
             height=0.8,
         )
-        bottom.text(part[0] + length_ms / 2.0, 0, HandMode(mode).name, ha="center", va="center", color=INK_COLOUR,
-                    fontsize=7.5 if length_ms > 10.0 else 5.5, rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
+        bottom.text(times_of_mode[0] + length_ms / 2.0, 0, HandMode(mode).name, ha="center", va="center",
+                    color=INK_COLOUR, fontsize=7.5 if length_ms > 10.0 else 5.5,
+                    rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
     bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
     bottom.grid(visible=False)
     reports = [(when, text) for when, text in run.events if text.startswith(("T01", "T02"))][:1]
@@ -165,22 +166,28 @@ def _draw_tip_forces(digit_axes: Any, run: runs.RunRecording, commanded_forces: 
         commanded_forces: commanded tip force of each of these phases and each digit [N].
     """
     phases = np.array(run.phase)
-    part = run.t >= run.t[phases == "0"][0] - 0.4
+    is_shown = run.t >= run.t[phases == "0"][0] - 0.4
     for n, (axes, colour) in enumerate(zip(digit_axes, DIGIT_COLOURS.values(), strict=True)):
         command = np.full(len(run.t), np.nan)
         for i, force in enumerate(commanded_forces[n]):
             command[phases == str(i)] = force
-        axes.plot(run.t[part], command[part], color=COMMAND_COLOUR, linestyle="--", label="command")
         axes.plot(
-            run.t[part],
-            run.values["tip_force"][part, n],
+            run.t[is_shown],
+            command[is_shown],
+            color=COMMAND_COLOUR,
+            linestyle="--",
+            label="command",
+        )
+        axes.plot(
+            run.t[is_shown],
+            run.values["tip_force"][is_shown, n],
             color=colour,
             linewidth=0.9,
             label="estimate",
         )
         axes.plot(
-            run.t[part],
-            run.values["true_contact"][part, n],
+            run.t[is_shown],
+            run.values["true_contact"][is_shown, n],
             color=TRUTH_COLOUR,
             linewidth=0.9,
             label="truth of the plant",
@@ -196,28 +203,32 @@ def replay_plot(folder: Path) -> Any:
     log, _, _ = runs.grasp_run(folder)
     again = runs.replay_run(folder)
     start, end = runs.recording_interval(log)
-    first = again.t[again.phase.index("playback")]
+    playback_start = again.t[again.phase.index("playback")]
     figure = new_figure(8.6, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True)
-    part = (log.times >= start) & (log.times <= end)
-    is_compared_time = (again.t >= first) & (again.t <= first + end - start)
+    is_in_playback = (log.times >= start) & (log.times <= end)
+    is_compared_time = (again.t >= playback_start) & (again.t <= playback_start + end - start)
     joints = {"index": slice(0, 3), "thumb": slice(9, 11)}
     for n, name in ((0, "index"), (3, "thumb")):
-        before = np.degrees(log.field("q")[part, joints[name]].mean(axis=1))
-        after = np.degrees(again.values["q"][is_compared_time, joints[name]].mean(axis=1))
-        for axes, old, new in (
-            (top, before, after),
-            (bottom, log.field("tension")[part, n], again.values["tension"][is_compared_time, n]),
+        recorded_angles = np.degrees(log.field("q")[is_in_playback, joints[name]].mean(axis=1))
+        repeated_angles = np.degrees(again.values["q"][is_compared_time, joints[name]].mean(axis=1))
+        for axes, recorded_values, repeated_values in (
+            (top, recorded_angles, repeated_angles),
+            (
+                bottom,
+                log.field("tension")[is_in_playback, n],
+                again.values["tension"][is_compared_time, n],
+            ),
         ):
             axes.plot(
-                *thinned_curves(log.times[part] - start, old),
+                *thinned_curves(log.times[is_in_playback] - start, recorded_values),
                 color=DIGIT_COLOURS[name],
                 alpha=0.45,
                 linewidth=3,
                 label=f"{name}, recorded",
             )
             axes.plot(
-                *thinned_curves(again.t[is_compared_time] - first, new),
+                *thinned_curves(again.t[is_compared_time] - playback_start, repeated_values),
                 color=DIGIT_COLOURS[name],
                 linewidth=1.0,
                 label=f"{name}, replayed",
@@ -254,8 +265,8 @@ def bus_tick(folder: Path) -> Any:
         ("sensor node", "tensions", "tensions", INK_COLOUR),
     ]
     at = 0.0
-    for lane, what, label, colour in [*commands, *answers]:
-        us = 1e6 * next(row.frame_s for row in rows if row.what == what)
+    for lane, message_name, label, colour in [*commands, *answers]:
+        us = 1e6 * next(row.frame_s for row in rows if row.what == message_name)
         axes.barh(lanes[lane], us - 6.0, left=at, color=colour, height=0.55)
         # Write the label of a short frame vertically.
         turned = 90.0 if us < 100.0 else 0.0

@@ -89,7 +89,7 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
     rows: dict[str, list[Array]] = {
         name: [] for name in (*RECORDED_FIELDS, "true_tension", "true_torque", "true_contact")
     }
-    made = RunRecording(np.zeros(0), {}, [], [])
+    recording = RunRecording(np.zeros(0), {}, [], [])
     times = []
     run.are_ticks_recorded = False
     for _ in range(round(seconds * 1e9 / run.period_ns)):
@@ -105,14 +105,14 @@ def record_run(run: SimulatedRun, seconds: float, end_phase: str = "") -> RunRec
         rows["true_tension"].append(np.array(truth["tension"]))
         rows["true_torque"].append(np.array(truth["torque"]))
         rows["true_contact"].append(contact)
-        made.phase.append(out.phase)
-        made.mode.append(out.mode)
-        made.events += [(t, event.text) for event in out.events]
+        recording.phase.append(out.phase)
+        recording.mode.append(out.mode)
+        recording.events += [(t, event.text) for event in out.events]
         if out.mode == HandMode.DONE or (end_phase and out.phase == end_phase):
             break
-    made.t = np.array(times)
-    made.values = {name: np.array(values) for name, values in rows.items()}
-    return made
+    recording.t = np.array(times)
+    recording.values = {name: np.array(values) for name, values in rows.items()}
+    return recording
 
 
 def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
@@ -177,15 +177,22 @@ def snap_run() -> RunRecording:
     with homed_run(load_hand("jamia"), RATE_HZ, 0) as run:
         advance_to_stage(run, "grasp")
         record_run(run, 0.5)
-        before = record_run(run, 0.05)
+        recording_before = record_run(run, 0.05)
         run.simulated_hand.inject("snap tendon=index_tendon")
-        after = record_run(run, SNAP_S)
-    t = np.concatenate([before.t, after.t]) - after.t[0]
+        recording_after = record_run(run, SNAP_S)
+    t = np.concatenate([recording_before.t, recording_after.t]) - recording_after.t[0]
     values = {
-        name: np.concatenate([before.values[name], after.values[name]]) for name in before.values
+        name: np.concatenate([recording_before.values[name], recording_after.values[name]])
+        for name in recording_before.values
     }
-    events = [(when - after.t[0], text) for when, text in after.events]
-    return RunRecording(t, values, before.phase + after.phase, before.mode + after.mode, events)
+    events = [(when - recording_after.t[0], text) for when, text in recording_after.events]
+    return RunRecording(
+        t,
+        values,
+        recording_before.phase + recording_after.phase,
+        recording_before.mode + recording_after.mode,
+        events,
+    )
 
 
 def tip_on_wall() -> RunRecording:

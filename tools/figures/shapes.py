@@ -105,16 +105,22 @@ def draw_arrow(
         (x0, y0), (x1, y1) = max(
             pairs, key=lambda ends: abs(ends[0][0] - ends[1][0]) + abs(ends[0][1] - ends[1][1])
         )
-        place = at or ((x0 + x1) / 2.0, (y0 + y1) / 2.0 + 0.14)
+        text_position = at or ((x0 + x1) / 2.0, (y0 + y1) / 2.0 + 0.14)
         axes.text(
-            *place, text, ha="center", va="center", fontsize=7.5, color=colour, linespacing=1.2
+            *text_position,
+            text,
+            ha="center",
+            va="center",
+            fontsize=7.5,
+            color=colour,
+            linespacing=1.2,
         )
 
 
-def draw_note(axes: Any, place: PlanePoint, text: str, **text_style: Any) -> None:
+def draw_note(axes: Any, text_position: PlanePoint, text: str, **text_style: Any) -> None:
     """Write a text at a place in the diagram."""
     axes.text(
-        *place,
+        *text_position,
         text,
         **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK_COLOUR, "linespacing": 1.3}
         | text_style,
@@ -122,12 +128,14 @@ def draw_note(axes: Any, place: PlanePoint, text: str, **text_style: Any) -> Non
 
 
 def draw_circle(
-    axes: Any, place: PlanePoint, radius: float, subject: str = "hardware", text: str = ""
+    axes: Any, centre: PlanePoint, radius: float, subject: str = "hardware", text: str = ""
 ) -> None:
     """Draw a circle with a text in its middle."""
     from matplotlib.patches import Circle
 
     axes.add_patch(
-        Circle(place, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9)
+        Circle(
+            centre, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9
+        )
     )
-    draw_note(axes, place, text, ha="center")
+    draw_note(axes, centre, text, ha="center")

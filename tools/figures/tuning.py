@@ -176,8 +176,8 @@ def mesh_picture(folder: Path) -> Path:
         call_handctl(path, "view", "t42.mcap", "--picture", "meshes.png")
         picture = path / "meshes.png"
         with Image.open(picture) as dashboard:
-            part = dashboard.crop(HAND_VIEW)
-        part.save(picture)
+            hand_picture = dashboard.crop(HAND_VIEW)
+        hand_picture.save(picture)
         return picture
 
 

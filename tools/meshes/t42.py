@@ -61,11 +61,19 @@ def palm_triangles() -> Array:
     block = [(-30.0, -15.0), (-2.0, -15.0), (0.0, -13.0), (0.0, 13.0), (-2.0, 15.0), (-30.0, 15.0)]
     foot = [(-38.0, -33.0), (-36.0, -37.0), (-14.0, -37.0), (-11.0, -33.0), (-11.0, 33.0), (-14.0, 37.0), (-36.0, 37.0),
             (-38.0, 33.0)]  # fmt: skip
-    parts = [prism_triangles(block, -17.0, 17.0, 1.5), prism_triangles(foot, -17.0, 17.0, 2.0)]
-    parts.append(along_x(prism_triangles(disc_outline((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5)))
+    triangle_groups = [
+        prism_triangles(block, -17.0, 17.0, 1.5),
+        prism_triangles(foot, -17.0, 17.0, 2.0),
+    ]
+    triangle_groups.append(
+        along_x(prism_triangles(disc_outline((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5))
+    )
     for y in (-MOUNT_DISTANCE_MM, MOUNT_DISTANCE_MM):
         cheek = [(-20.0, y - 8.5), (0.0, y - 8.0), (5.5, y - 5.5), (8.0, y), (5.5, y + 5.5), (0.0, y + 8.0),
                  (-20.0, y + 8.5)]  # fmt: skip
-        parts += [prism_triangles(cheek, -9.5, -6.2, 0.6), prism_triangles(cheek, 6.2, 9.5, 0.6)]
-        parts.append(prism_triangles(disc_outline((0.0, y), 3.0), -10.5, 10.5, 0.5))
-    return np.vstack(parts)
+        triangle_groups += [
+            prism_triangles(cheek, -9.5, -6.2, 0.6),
+            prism_triangles(cheek, 6.2, 9.5, 0.6),
+        ]
+        triangle_groups.append(prism_triangles(disc_outline((0.0, y), 3.0), -10.5, 10.5, 0.5))
+    return np.vstack(triangle_groups)

@@ -57,16 +57,16 @@ def stale_pages(repository_folder: Path) -> list[str]:
     """Return the pages whose blocks differ from the code."""
     return [
         path.relative_to(repository_folder).as_posix()
-        for path, text, right in pages_with_blocks(repository_folder)
-        if text != right
+        for path, text, fresh_text in pages_with_blocks(repository_folder)
+        if text != fresh_text
     ]
 
 
 def written_pages(repository_folder: Path) -> list[str]:
     """Write the pages whose blocks differ from the code, and return their names."""
     names = []
-    for path, text, right in pages_with_blocks(repository_folder):
-        if text != right:
-            path.write_text(right, encoding="utf-8")
+    for path, text, fresh_text in pages_with_blocks(repository_folder):
+        if text != fresh_text:
+            path.write_text(fresh_text, encoding="utf-8")
             names.append(path.relative_to(repository_folder).as_posix())
     return names

@@ -29,12 +29,12 @@ def verb_sections() -> str:
 
     A section has the purpose of the command, its arguments and an example.
     """
-    parts = []
+    sections = []
     for group in VERB_GROUPS.values():
-        parts.append(f"## {group.title[0].upper()}{group.title[1:]}")
+        sections.append(f"## {group.title[0].upper()}{group.title[1:]}")
         for name in group.verbs:
-            parts += _command_sections(verb_parser(name), f"handctl {name}", "###")
-    return "\n\n".join(parts)
+            sections += _command_sections(verb_parser(name), f"handctl {name}", "###")
+    return "\n\n".join(sections)
 
 
 def _command_sections(parser: argparse.ArgumentParser, command: str, level: str) -> Iterator[str]:
@@ -66,8 +66,8 @@ def _argument_row(action: argparse.Action) -> tuple[str, str]:
     names = ", ".join(action.option_strings)
     name = f"{names} {value}".strip() if names else value
     text = prose_markdown(action.help)
-    shown: dict[str, Any] = {"default": action.default, "prog": "handctl"}
-    text = text % shown if "%(" in text else text.replace("%%", "%")
+    substitutions: dict[str, Any] = {"default": action.default, "prog": "handctl"}
+    text = text % substitutions if "%(" in text else text.replace("%%", "%")
     required = "required" if names and action.required else ""
     return quoted_code(name), "; ".join(filter(None, (text, required)))
 

@@ -47,34 +47,38 @@ The page itself explains what a valid name is.
 
 def hand_file_sections() -> str:
     """Return a section for each table of a hand file, with a row for each key."""
-    parts = ["## The file", _keys_table(Hand, "hand")]
+    sections = ["## The file", _keys_table(Hand, "hand")]
     for name, field in Hand.model_fields.items():
         models = [
-            part
-            for part in _inner_types(field.annotation)
-            if isinstance(part, type) and issubclass(part, BaseModel)
+            inner_type
+            for inner_type in _inner_types(field.annotation)
+            if isinstance(inner_type, type) and issubclass(inner_type, BaseModel)
         ]
         for model in models:
             brackets = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
-            parts += [f"## `{brackets}`", prose_markdown(model.__doc__), _keys_table(model, name)]
-    return "\n\n".join(parts)
+            sections += [
+                f"## `{brackets}`",
+                prose_markdown(model.__doc__),
+                _keys_table(model, name),
+            ]
+    return "\n\n".join(sections)
 
 
 def motor_option_sections() -> str:
     """Return a section for the options of each protocol, with a row for each option."""
-    parts = []
+    sections = []
     for name, traits in PROTOCOL_TRAITS.items():
         rows = [
             (quoted_code(key), option.value, option.meaning)
             for key, option in PROTOCOL_ENTRIES[name].options.items()
         ]
-        parts.append(f'### `protocol = "{name}"`: {traits.title}')
-        parts.append(
+        sections.append(f'### `protocol = "{name}"`: {traits.title}')
+        sections.append(
             markdown_table(("option", "value", "meaning"), rows)
             if rows
             else "This protocol has no options."
         )
-    return "\n\n".join(parts)
+    return "\n\n".join(sections)
 
 
 def _keys_table(model: type[BaseModel], section: str) -> str:
@@ -107,8 +111,8 @@ def _inner_types(annotation: Any) -> Iterator[Any]:
     arguments = get_args(annotation)
     if not arguments:
         yield annotation
-    for part in arguments:
-        yield from _inner_types(part)
+    for type_argument in arguments:
+        yield from _inner_types(type_argument)
 
 
 def value_text(annotation: Any) -> str:
@@ -118,7 +122,9 @@ def value_text(annotation: Any) -> str:
     wrong value, and takes the range from the error message.
     """
     origin = get_origin(annotation)
-    arguments = [part for part in get_args(annotation) if part is not NoneType]
+    arguments = [
+        type_argument for type_argument in get_args(annotation) if type_argument is not NoneType
+    ]
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "a table"
     if origin is tuple:
@@ -162,7 +168,7 @@ def _expected_text(annotation: Any) -> str:
 
 def gains_sections() -> str:
     """Return a section for each table of a gains file, with bounds, default and meaning of each key."""
-    parts = []
+    sections = []
     for section in GAIN_SECTIONS:
         model = Gains.model_fields[section].annotation
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
@@ -170,12 +176,12 @@ def gains_sections() -> str:
         rows = (
             (quoted_code(b.key), f"{b.default:g}", str(b), prose_markdown(b.meaning)) for b in keys
         )
-        parts += [
+        sections += [
             f"## `[{section}]`",
             f"{prose_markdown(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
         ]
-        parts.append(markdown_table(("gain", "default", "bounds", "meaning"), rows))
-    parts += [
+        sections.append(markdown_table(("gain", "default", "bounds", "meaning"), rows))
+    sections += [
         f"## `[[{TENDON_SECTION}]]`",
         f"{prose_markdown(TendonForces.__doc__)}\n\nChanges: during a run.",
     ]
@@ -190,19 +196,19 @@ def gains_sections() -> str:
                     prose_markdown(bound.meaning),
                 )
             )
-    parts.append(markdown_table(("gain", "default", "bounds", "meaning"), forces))
-    return "\n\n".join(parts)
+    sections.append(markdown_table(("gain", "default", "bounds", "meaning"), forces))
+    return "\n\n".join(sections)
 
 
 def request_sections() -> str:
     """Return a section for each request, with a row for each field."""
-    parts = []
+    sections = []
     for model in get_args(Request):
         do = get_args(model.model_fields["do"].annotation)[0]
         rows = list(_field_rows(model, do))
-        parts += [f"## `{do}`", prose_markdown(model.__doc__)]
-        parts += [markdown_table(("field", "value", "default", "meaning"), rows)] if rows else []
-    return "\n\n".join(parts)
+        sections += [f"## `{do}`", prose_markdown(model.__doc__)]
+        sections += [markdown_table(("field", "value", "default", "meaning"), rows)] if rows else []
+    return "\n\n".join(sections)
 
 
 def _field_rows(model: type[BaseModel], request_word: str) -> Iterable[tuple[str, str, str, str]]:

@@ -22,21 +22,29 @@ def exported_name_sections() -> str:
     ]
     classes = [value for value in exported if isinstance(value, type) and value not in errors]
     functions = [value for value in exported if value not in errors and value not in classes]
-    parts = ["## Functions"]
+    sections = ["## Functions"]
     for function in functions:
-        parts += [
+        sections += [
             f"### handctl.{function.__name__}",
             _signature_block(function),
             docstring_markdown(function),
         ]
-    parts.append("## Classes")
+    sections.append("## Classes")
     for kind in classes:
-        parts += [f"### handctl.{kind.__name__}", docstring_markdown(kind), *_method_sections(kind)]
-    parts.append("## Errors")
+        sections += [
+            f"### handctl.{kind.__name__}",
+            docstring_markdown(kind),
+            *_method_sections(kind),
+        ]
+    sections.append("## Errors")
     for error in errors:
         bases = ", ".join(f"`{base.__name__}`" for base in error.__bases__)
-        parts += [f"### handctl.{error.__name__}", f"A kind of {bases}.", docstring_markdown(error)]
-    return "\n\n".join(parts)
+        sections += [
+            f"### handctl.{error.__name__}",
+            f"A kind of {bases}.",
+            docstring_markdown(error),
+        ]
+    return "\n\n".join(sections)
 
 
 def _method_sections(kind: type) -> Iterator[str]:
@@ -61,10 +69,12 @@ def _signature_block(function: object) -> str:
     """
     assert inspect.isfunction(function)
     signature = inspect.signature(function)
-    shown = [p for p in signature.parameters.values() if p.name != "self"]
+    shown_parameters = [p for p in signature.parameters.values() if p.name != "self"]
     name, result = function.__name__, inspect.formatannotation(signature.return_annotation)
     result = result.strip("'")
-    flat = str(signature.replace(parameters=shown, return_annotation=inspect.Signature.empty))
+    flat = str(
+        signature.replace(parameters=shown_parameters, return_annotation=inspect.Signature.empty)
+    )
     flat = flat.replace("collections.abc.", "").replace("typing.", "")
     flat = ARRAY_PATTERN.sub("NDArray", flat)
     line = f"{name}{flat} -> {result}"

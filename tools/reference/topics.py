@@ -81,9 +81,9 @@ def packaged_hand_topics() -> dict[str, tuple[str, str]]:
     registered_topics = {}
     for name in EXAMPLE_HANDS:
         header = RunHeader.from_hand(load_hand(name).to_toml(), 2_000_000)
-        made = TopicSet(header)
-        types = {schema.id: schema.name for schema in made.schemas}
-        for channel in made.channels:
+        topic_set = TopicSet(header)
+        types = {schema.id: schema.name for schema in topic_set.schemas}
+        for channel in topic_set.channels:
             topic = _topic_with_placeholder(channel.topic, header)
             registered_topics[topic] = (types[channel.schema_id], channel.metadata.get("note", ""))
     return registered_topics
@@ -127,14 +127,14 @@ def topic_content(topic: str, note: str) -> tuple[str, str]:
     """
     if topic in JOINT_STATE_TOPICS:
         axis, *fields = JOINT_STATE_TOPICS[topic]
-        parts = [
-            f"{part} `{field}` [{_unit_of_field(field)}]"
-            for part, field in zip(("position:", "velocity:", "effort:"), fields, strict=True)
+        field_texts = [
+            f"{part_label} `{field}` [{_unit_of_field(field)}]"
+            for part_label, field in zip(("position:", "velocity:", "effort:"), fields, strict=True)
             if field
         ]
-        text = f"per {axis}, {', '.join(parts)}"
-        more = TOPIC_REMARKS.get(topic, "")
-        return EVERY_TICK, f"{text}. {more}" if more else text
+        text = f"per {axis}, {', '.join(field_texts)}"
+        remark = TOPIC_REMARKS.get(topic, "")
+        return EVERY_TICK, f"{text}. {remark}" if remark else text
     if topic in ESTIMATE_TOPICS:
         field, unit = ESTIMATE_TOPICS[topic]
         return (
@@ -146,11 +146,11 @@ def topic_content(topic: str, note: str) -> tuple[str, str]:
 
 def message_types() -> str:
     """Return the definitions of the message types of handctl, and of two other types that most topics use."""
-    parts = []
+    sections = []
     for name, definition in MESSAGE_DEFINITIONS.items():
         if name.startswith(PRINTED_TYPES):
-            parts += [f"### {name}", f"```text\n{definition.strip()}\n```"]
-    return "\n\n".join(parts)
+            sections += [f"### {name}", f"```text\n{definition.strip()}\n```"]
+    return "\n\n".join(sections)
 
 
 def telemetry_table() -> str:

@@ -266,9 +266,9 @@ class MotionModes:
         """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
         objects = self._node.objects
         self._target = self._within_position_limits(float(objects[0x607A, 0] + objects[0x60B0, 0]))
-        part = step_s / self._rest_s if self._rest_s > step_s else 1.0
+        step_fraction = step_s / self._rest_s if self._rest_s > step_s else 1.0
         self._rest_s = max(0.0, self._rest_s - step_s)
-        change = part * (self._target - self._demand.position)
+        change = step_fraction * (self._target - self._demand.position)
         self._demand.set_immediately(
             self._demand.position + change, change / step_s + self._speed_from_object(0x60B1)
         )

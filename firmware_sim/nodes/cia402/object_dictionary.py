@@ -99,7 +99,7 @@ class ObjectDictionary:
         self._writable: set[ObjectKey] = set()
         self._mappable: set[ObjectKey] = set()
         self._indices_of: dict[ObjectKey, int] = {
-            key: place for place, key in enumerate(CYCLIC_OBJECTS)
+            key: position for position, key in enumerate(CYCLIC_OBJECTS)
         }
         self.values: Any = [0] * OBJECT_CAPACITY if object_memory is None else object_memory
         for name in parser.sections():

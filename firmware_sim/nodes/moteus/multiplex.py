@@ -68,11 +68,11 @@ class PayloadReader:
         Raises:
             MalformedPayload: the payload has fewer bytes left than requested.
         """
-        part = self._data[self._at : self._at + byte_count]
-        if len(part) != byte_count:
+        taken_bytes = self._data[self._at : self._at + byte_count]
+        if len(taken_bytes) != byte_count:
             raise MalformedPayload
         self._at += byte_count
-        return part
+        return taken_bytes
 
     def varuint(self) -> int:
         """Return the next number of the payload, a varuint of at most five bytes.

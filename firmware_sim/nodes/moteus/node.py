@@ -160,10 +160,10 @@ class MoteusNode:
                 if kind == mp.PADDING_SUBFRAME[0]:
                     continue
                 if kind < 0x20:
-                    part = self._execute_register_subframe(kind, reader)
-                    if part is None:
+                    subframe_reply = self._execute_register_subframe(kind, reader)
+                    if subframe_reply is None:
                         return reply_bytes
-                    reply_bytes += part
+                    reply_bytes += subframe_reply
                 elif kind in (0x40, 0x42):
                     reply_bytes += self._execute_text_subframe(kind, reader)
                 else:
@@ -356,8 +356,10 @@ class MoteusNode:
         if channel != 1:
             return b""
         self.channel.write(data)
-        part = self.channel.read(min(length, 61)) if subframe == 0x42 else b""
-        return b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(part)) + part
+        text_bytes = self.channel.read(min(length, 61)) if subframe == 0x42 else b""
+        return (
+            b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(text_bytes)) + text_bytes
+        )
 
     def _apply_mode(self, mode: int, t_ns: int) -> None:
         """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""

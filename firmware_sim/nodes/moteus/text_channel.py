@@ -69,9 +69,9 @@ class TextChannel:
 
     def read(self, max_bytes: int) -> bytes:
         """Take at most ``max_bytes`` bytes from the unread answers."""
-        part = self.out[:max_bytes]
+        sent_bytes = self.out[:max_bytes]
         self.out = self.out[max_bytes:]
-        return part
+        return sent_bytes
 
     def restore_saved(self) -> None:
         """Load the stored configuration, and delete all text in the channel.

@@ -56,26 +56,26 @@ def write_page(path: Path, report: CampaignReport) -> None:
             ("simulated without faults [s]", f"{figures['false_alarm_run_s']:g}"),
         )
     )
-    parts = [f"<h1>{title}</h1><table>{title_cells}</table>"]
+    page_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
     for protocol, results in report.results.items():
         rate = report.control_rates_hz[protocol]
         number = Counter(result.id for result in results)
         table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
-        parts.append(
+        page_sections.append(
             f"<h2>{table_title}</h2>{_html_table(_slowest_of_rows(results), rate, number)}"
         )
         failed_results = [result for result in results if not result.ok]
         if failed_results:
-            parts.append(
+            page_sections.append(
                 f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, number)}"
             )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
         for id_, reason in UNTESTED_ROWS.items()
     )
-    parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
+    page_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
-    write_text_atomically(path, page + "\n".join(parts) + "</html>\n")
+    write_text_atomically(path, page + "\n".join(page_sections) + "</html>\n")
 
 
 def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:

@@ -56,8 +56,10 @@ class Fingertips:
         self.digits = tuple(fingertips_on_palm if digits is None else digits)
         for name in self.digits:
             if name not in fingertips_on_palm or self.digits.count(name) > 1:
-                right = f"some of {', '.join(fingertips_on_palm)}, each once"
-                raise ConfigError(f"{name!r}: no digit on the palm, or twice", "fingertips", right)
+                expected = f"some of {', '.join(fingertips_on_palm)}, each once"
+                raise ConfigError(
+                    f"{name!r}: no digit on the palm, or twice", "fingertips", expected
+                )
         self._digit_models = [DigitModel.from_hand(hand, name) for name in self.digits]
         self.joints = tuple(joint for model in self._digit_models for joint in model.joint_names)
         self.distances_m = np.full(len(self.digits), np.nan)

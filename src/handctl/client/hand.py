@@ -134,8 +134,8 @@ def connect(
     if is_running(specs[0]):
         if other_arguments := [text for text in arguments if text != CONFIRMATION_OPTION]:
             location = f"arguments for the controller that already runs on {specs[0]}"
-            right = f"none, or first handctl stop --bus {specs[0]}"
-            raise ConfigError(" ".join(other_arguments), location, right)
+            remedy = f"none, or first handctl stop --bus {specs[0]}"
+            raise ConfigError(" ".join(other_arguments), location, remedy)
         expected = None if hand is None else load_hand(os.fspath(hand)).name
         return HandClient(specs[0], (), lease_s, watchdog_s, expected)
     if hand is None:
@@ -253,8 +253,10 @@ class HandClient:
             self.wait(phase="live", timeout_s=START_TIMEOUT_S if self.child else ATTACH_TIMEOUT_S)
             expected, found_name = self._expected_hand, self.description.name
             if expected not in (None, found_name):
-                right = f"hand={found_name!r}, or the bus of {expected}"
-                raise ConfigError(f"controls {found_name}", f"the controller of {self.bus}", right)
+                expected_hand = f"hand={found_name!r}, or the bus of {expected}"
+                raise ConfigError(
+                    f"controls {found_name}", f"the controller of {self.bus}", expected_hand
+                )
             exit_stack.pop_all()
         return self
 

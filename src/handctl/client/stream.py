@@ -221,8 +221,8 @@ class TargetStream:
         hand = self._hand.description
         displayed_angles = hand.display_units.to_displayed(observation.q_rad)
         angles = dict(zip(hand.joints, displayed_angles.tolist(), strict=True))
-        for name, part in hand.digit_joints.items():
-            angles[name] = float(displayed_angles[part].mean())
+        for name, joints_of_digit in hand.digit_joints.items():
+            angles[name] = float(displayed_angles[joints_of_digit].mean())
         return np.asarray(np.array([angles[name] for name in self.names]) / self._unit_factor)
 
 

@@ -194,7 +194,9 @@ def caution_lines(drives: Iterable[Drive]) -> tuple[str, ...]:
     fails.
     """
     drive_texts = [(drive.name, text) for drive in drives for text in drive.unverified_protections]
-    return lines_by_text(sorted(drive_texts, key=lambda one: not one[1].startswith("watchdog")))
+    return lines_by_text(
+        sorted(drive_texts, key=lambda drive_and_text: not drive_and_text[1].startswith("watchdog"))
+    )
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

@@ -29,12 +29,12 @@ class TelemetryGatherer:
         # In this block, the value of each element is the index of the element. So the view of a
         # field contains the indices of the field's elements.
         element_numbers = np.arange(layout.size, dtype=np.float64)
-        parts = [
+        element_indices_of_fields = [
             layout.view(element_numbers, STATE_FIELD_OF.get(name, name))
             for name in TELEMETRY_FIELDS
         ]
-        end_offsets = np.cumsum([0, *map(len, parts)]).tolist()
-        self._index = np.concatenate(parts).astype(np.intp)
+        end_offsets = np.cumsum([0, *map(len, element_indices_of_fields)]).tolist()
+        self._index = np.concatenate(element_indices_of_fields).astype(np.intp)
         self._places = TelemetryPlaces(
             zip(TELEMETRY_FIELDS, map(slice, end_offsets[:-1], end_offsets[1:]), strict=True)
         )

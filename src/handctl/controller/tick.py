@@ -719,7 +719,7 @@ class Controller:
             t_ns: time of the tick [ns].
         """
         tables = self.derived.wire
-        parts = list[Frames]()
+        frame_batches = list[Frames]()
         first_row = 0
         pending_row = start
         count = 1
@@ -747,14 +747,16 @@ class Controller:
                     send_torque_only(state, first_row)
             self.store_drive_state(state, first_row, drive_state)
             if frames:
-                parts += [
+                frame_batches += [
                     Frames.from_rows(frame_words[pending_row:count]),
                     frames_as_records(frames),
                 ]
                 pending_row = count
             first_row += 1
         remaining_frames = Frames.from_rows(frame_words[pending_row:count])
-        return join_frames([*parts, remaining_frames]) if parts else remaining_frames
+        return (
+            join_frames([*frame_batches, remaining_frames]) if frame_batches else remaining_frames
+        )
 
 
 @dataclass(slots=True)

@@ -165,9 +165,9 @@ class BlockLayout:
             table: (
                 (schema.rows(table), width),
                 np.dtype(np.int64 if is_integer else np.float64),
-                8 * first,
+                8 * first_offset,
             )
-            for table, (first, _, width, is_integer) in self._tables.items()
+            for table, (first_offset, _, width, is_integer) in self._tables.items()
         }
         self._fields = {field.name: self._field_span(field) for field in schema.fields}
         self.initial: BlockArray = np.zeros(self.size)
@@ -198,8 +198,8 @@ class BlockLayout:
         The view has the shape (rows, ...). If the field has a single row, the shape is (...).
         """
         first_offset, end, shape, is_integer = self._fields[name]
-        part = block[first_offset:end]
-        return (part.view(np.int64) if is_integer else part).reshape(shape)
+        table_elements = block[first_offset:end]
+        return (table_elements.view(np.int64) if is_integer else table_elements).reshape(shape)
 
     def axis_of(self, name: str) -> str:
         """Return the name of the axis of a field.

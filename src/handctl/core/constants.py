@@ -27,7 +27,7 @@ CONSTANT_TABLES = (
 
 CONSTANT_SCHEMA = BlockSchema(*CONSTANT_TABLES)
 _real = CONSTANT_SCHEMA.real_field
-_whole = CONSTANT_SCHEMA.integer_field
+_integer = CONSTANT_SCHEMA.integer_field
 
 # Tendons and motors. Quantities of motors are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
@@ -46,7 +46,7 @@ TENSION_FLOOR = _real("floor", "tendon", "N", "smallest tension of the control l
 TENSION_CEILING = _real("ceiling", "tendon", "N", "largest tension of the control law")
 TORQUE_GAIN = _real("torque_gain", "tendon", "",
     "torque at the spool divided by the torque that the drive is commanded")  # fmt: skip
-DIGIT_OF_TENDON = _whole("digit", "tendon", "", "index of the tendon's digit")
+DIGIT_OF_TENDON = _integer("digit", "tendon", "", "index of the tendon's digit")
 CLOSING_SIGN = _real("side", "tendon", "",
     "1 for a tendon that closes its digit, -1 for one that opens it")  # fmt: skip
 OPEN_EXCURSION = _real("open_excursion", "tendon", "m", "excursion at the lower joint limits")
@@ -59,14 +59,14 @@ BALANCE_TENSION = _real("balance", "tendon", "N",
     "tension in the digit's null space, without torque; 0 without surplus tendons")  # fmt: skip
 PRETENSION = _real("pretension", "tendon", "N",
     "pretension of both tendons of a spool pair; 0 for a single tendon")  # fmt: skip
-IS_SPOOL_PAIR = _whole("pair", "tendon", "",
+IS_SPOOL_PAIR = _integer("pair", "tendon", "",
     "1 for two antagonistic tendons on one spool, whose net tension has both signs")  # fmt: skip
-HAS_RETURN_SPRINGS = _whole("sprung", "tendon", "",
+HAS_RETURN_SPRINGS = _integer("sprung", "tendon", "",
     "1 if springs return the digit to its lower joint limits")  # fmt: skip
-IS_REDUNDANT_DIGIT = _whole(
+IS_REDUNDANT_DIGIT = _integer(
     "redundant", "tendon", "", "1 if the digit has more tendons than coordinates"
 )
-HAS_CONSTANT_LENGTH = _whole("absolute", "tendon", "",
+HAS_CONSTANT_LENGTH = _integer("absolute", "tendon", "",
     "1 if the tendon keeps its length when it becomes taut, so that its excursion follows")  # fmt: skip
 
 # Control law.
@@ -83,9 +83,9 @@ HALF_PERIOD_SPEED = _real("half", "tendon", "m/(N s)",
     "speed that a force of 1 N gives the rotor in half a period")  # fmt: skip
 FRICTION_STOP_SPEED = _real("stopping", "tendon", "m/s",
     "scale of speeds that motor friction stops within a period")  # fmt: skip
-DRIVE_CLOSES_LOOP = _whole("servo", "tendon", "",
+DRIVE_CLOSES_LOOP = _integer("servo", "tendon", "",
     "1 if the drive closes the position loop of a motion")  # fmt: skip
-DRIVE_MOVES_TARGET = _whole("servo_moves", "tendon", "",
+DRIVE_MOVES_TARGET = _integer("servo_moves", "tendon", "",
     "1 if the drive moves the commanded position with the commanded velocity")  # fmt: skip
 SERVO_STIFFNESS = _real("servo_stiffness", "tendon", "N m/rad", "kp of the drive's position loop")
 SERVO_DAMPING = _real("servo_damping", "tendon", "N m s/rad", "kd of the drive's position loop")
@@ -99,7 +99,7 @@ SERVO_KD_MAX = _real("servo_kd_max", "tendon", "N m s/rad",
     "largest kd in the command", initial=math.inf)  # fmt: skip
 SERVO_ROUNDING = _real("servo_rounding", "tendon", "N",
     "force of the drive's position loop for one count of position and speed")  # fmt: skip
-HAS_UNIQUE_TENSIONS = _whole("exact", "tendon", "",
+HAS_UNIQUE_TENSIONS = _integer("exact", "tendon", "",
     "1 if a joint torque determines the tensions of the digit")  # fmt: skip
 DISTURBANCE_REJECTION = _real("rejection", "run", "",
     "fraction of the estimated motor disturbance that is cancelled")  # fmt: skip
@@ -113,8 +113,10 @@ PERIOD = _real("period", "run", "s", "control period")
 STREAM_SPEED = _real("stream_speed", "run", "rad/s", "largest rate of a streamed motion")
 STREAM_ACCELERATION = _real("stream_acceleration", "run", "rad/s2",
     "largest acceleration of a streamed motion")  # fmt: skip
-STREAM_HOLD_NS = _whole("stream_hold_ns", "run", "ns", "age of a target after which the hand holds")
-STREAM_RELAX_NS = _whole("stream_relax_ns", "run", "ns",
+STREAM_HOLD_NS = _integer(
+    "stream_hold_ns", "run", "ns", "age of a target after which the hand holds"
+)
+STREAM_RELAX_NS = _integer("stream_relax_ns", "run", "ns",
     "age of a target after which the hand relaxes")  # fmt: skip
 TRIM_DECAY = _real("trim_kept", "run", "", "fraction of a trim that remains after a tick")
 
@@ -124,7 +126,7 @@ SPRING_PRELOAD = _real("preload", "joint", "rad", "preload of the return spring"
 JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous damping of the joint")
 LINK_TABLE = _real("link", "joint", "",
     "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.TABLE_ROW_COUNT)  # fmt: skip
-PARENT_JOINT = _whole("parent", "joint", "",
+PARENT_JOINT = _integer("parent", "joint", "",
     "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
 JOINT_SCALE = _real("joint_scale", "joint", "rad/rad or m/rad",
     "motion that counts like 1 rad in thresholds: 1, less for a prismatic joint", initial=1.0)  # fmt: skip
@@ -134,16 +136,16 @@ ANGLE_RANGE_SIGMA = _real("range_sigma", "joint", "rad",
     "standard deviation of an angle of which only the range is known")  # fmt: skip
 ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2",
     "variance of a joint encoder's reading")  # fmt: skip
-IS_FUSED = _whole("loose", "joint", "",
+IS_FUSED = _integer("loose", "joint", "",
     "1 if the joint has an encoder and its digit has a null space")  # fmt: skip
 GRAVITY = _real("gravity", "run", "m/s2", "gravity in the palm frame", rows=3)
-FIRST_JOINT = _whole("joints_first", "digit", "", "index of the digit's first joint")
-END_JOINT = _whole("joints_end", "digit", "", "index of the joint after the digit's last")
-FIRST_TENDON = _whole("tendons_first", "digit", "", "index of the digit's first tendon")
-END_TENDON = _whole("tendons_end", "digit", "", "index of the tendon after the digit's last")
-FIRST_COORDINATE = _whole("coordinates_first", "digit", "",
+FIRST_JOINT = _integer("joints_first", "digit", "", "index of the digit's first joint")
+END_JOINT = _integer("joints_end", "digit", "", "index of the joint after the digit's last")
+FIRST_TENDON = _integer("tendons_first", "digit", "", "index of the digit's first tendon")
+END_TENDON = _integer("tendons_end", "digit", "", "index of the tendon after the digit's last")
+FIRST_COORDINATE = _integer("coordinates_first", "digit", "",
     "index of the digit's first coordinate")  # fmt: skip
-END_COORDINATE = _whole("coordinates_end", "digit", "",
+END_COORDINATE = _integer("coordinates_end", "digit", "",
     "index of the coordinate after the digit's last")  # fmt: skip
 
 # Structure of the hand: relations between joints, tendons and coordinates of the digits.
@@ -156,7 +158,7 @@ MOVES_JOINT = _real("moves", "joint*tendon", "",
 MOMENT_ARMS = _real("moment_arms", "tendon*joint", "m", "moment arms R")
 CARRIER_ARMS = _real("carrier_arms", "tendon*joint", "m",
     "moment arms about joints that carry the tendon's digit")  # fmt: skip
-HAS_CARRIER_ARMS = _whole("hand_passed", "run", "",
+HAS_CARRIER_ARMS = _integer("hand_passed", "run", "",
     "1 if a tendon of the hand has a moment arm about a carrying joint")  # fmt: skip
 TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m",
     "smallest tensions per joint torque")  # fmt: skip
@@ -167,11 +169,11 @@ REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms abou
 
 # Moment arms that depend on the joint angle. If a digit has such moment arms, each table above that
 # is computed from R contains the values for the present joint angles.
-HAS_VARYING_ARM = _whole("varying", "tendon", "",
+HAS_VARYING_ARM = _integer("varying", "tendon", "",
     "1 if a moment arm of the tendon depends on the joint angle")  # fmt: skip
-DIGIT_HAS_VARYING_ARM = _whole("digit_varying", "digit", "",
+DIGIT_HAS_VARYING_ARM = _integer("digit_varying", "digit", "",
     "1 if a moment arm of the digit depends on the joint angle")  # fmt: skip
-HAND_HAS_VARYING_ARM = _whole("hand_varying", "run", "",
+HAND_HAS_VARYING_ARM = _integer("hand_varying", "run", "",
     "1 if a moment arm of the hand depends on the joint angle")  # fmt: skip
 ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", rows=POLYNOMIAL_COEFFICIENTS,
     meaning="coefficients of the moment arm as a polynomial of the joint angle in rad")  # fmt: skip
@@ -195,10 +197,10 @@ TURN_SMOOTHING_FRACTION = _real("turn_fraction", "run", "",
     "fraction of the difference by which the smoothed turn approaches a new one")  # fmt: skip
 CONTACT_DECAY = _real("pressed_kept", "run", "",
     "fraction of the contact tension that remains after a tick")  # fmt: skip
-HAS_NULL_SPACE = _whole("null_space", "run", "", "1 if a digit of the hand has a null space")
-HAS_FUSED_JOINTS = _whole("joints_fused", "run", "",
+HAS_NULL_SPACE = _integer("null_space", "run", "", "1 if a digit of the hand has a null space")
+HAS_FUSED_JOINTS = _integer("joints_fused", "run", "",
     "1 if a joint of a digit with a null space has an encoder")  # fmt: skip
-POSTURE_UPDATE_TICKS = _whole("posture_ticks", "run", "",
+POSTURE_UPDATE_TICKS = _integer("posture_ticks", "run", "",
     "ticks from one estimate in the null space to the next")  # fmt: skip
 
 # Tension filter: the numbers of each filter design. There are six designs for each tendon. The
@@ -274,25 +276,27 @@ CELL_MIN = _real("cell_low", "run", "N",
     "reading before the tare at the lower end of a load cell's range")  # fmt: skip
 CELL_MAX = _real("cell_high", "run", "N",
     "reading before the tare at the upper end of a load cell's range")  # fmt: skip
-CYCLIC_FEEDBACK_PERIOD_NS = _whole("cyclic_ns", "tendon", "ns",
+CYCLIC_FEEDBACK_PERIOD_NS = _integer("cyclic_ns", "tendon", "ns",
     "period of feedback that the drive sends by itself; 0 if every tick requests feedback")  # fmt: skip
-HAS_SINGLE_ANSWER = _whole(
+HAS_SINGLE_ANSWER = _integer(
     "answers_once", "tendon", "", "1 if every command has exactly one answer"
 )
-CELL_GROUP = _whole("cell_group", "tendon", "", "frame group of the load cell; -1 without one")
-JOINT_GROUP = _whole("joint_group", "joint", "", "frame group of the joint encoder; -1 without one")
-PERIOD_NS = _whole("period_ns", "run", "ns", "control period")
-JOINT_SILENCE_NS = _whole("mute_ns", "run", "ns",
+CELL_GROUP = _integer("cell_group", "tendon", "", "frame group of the load cell; -1 without one")
+JOINT_GROUP = _integer(
+    "joint_group", "joint", "", "frame group of the joint encoder; -1 without one"
+)
+PERIOD_NS = _integer("period_ns", "run", "ns", "control period")
+JOINT_SILENCE_NS = _integer("mute_ns", "run", "ns",
     "time without a reading after which joint encoders count as silent")  # fmt: skip
-SILENT_TICKS = _whole("silent_ticks", "run", "",
+SILENT_TICKS = _integer("silent_ticks", "run", "",
     "missing replies in a row after which a node counts as silent")  # fmt: skip
-SILENT_TICKS_OF_SINGLE_MOTOR = _whole("one_silent_ticks", "run", "",
+SILENT_TICKS_OF_SINGLE_MOTOR = _integer("one_silent_ticks", "run", "",
     "missing replies in a row after which a motor counts as silent while another answers")  # fmt: skip
-STALLED_TICKS = _whole("stalled_ticks", "run", "",
+STALLED_TICKS = _integer("stalled_ticks", "run", "",
     "missed ticks in a row after which the host counts as stalled")  # fmt: skip
-MAX_FRAMES_PER_TICK = _whole("frames_limit", "run", "",
+MAX_FRAMES_PER_TICK = _integer("frames_limit", "run", "",
     "number of frames in a tick above which the bus counts as flooded")  # fmt: skip
-TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry tensions")
+TENSION_GROUPS = _integer("tension_groups", "run", "", "frame groups that carry tensions")
 
 
 class ConstantTables(NamedTuple):

@@ -30,8 +30,8 @@ class _DeferredAttribute:
         self._name = name
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
-        return lambda *given, **named: self._apply_to_real_object(
-            lambda real: getattr(real, method)(*given, **named)
+        return lambda *positional_arguments, **keyword_arguments: self._apply_to_real_object(
+            lambda real: getattr(real, method)(*positional_arguments, **keyword_arguments)
         )
 
     def __call__(self, *positional_arguments: Any, **keyword_arguments: Any) -> Any:
@@ -69,18 +69,20 @@ def deferred_imports() -> Iterator[None]:
     Each stand-in also becomes an attribute of the package that contains its module.
     """
     module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
-    module_parts = [(importlib.import_module(package), part) for package, _, part in module_names]
-    for package, part in module_parts:
-        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandInModule(
-            f"{package.__name__}.{part}"
+    module_parts = [
+        (importlib.import_module(package), module_name) for package, _, module_name in module_names
+    ]
+    for package, module_name in module_parts:
+        sys.modules[f"{package.__name__}.{module_name}"] = stand_in = _StandInModule(
+            f"{package.__name__}.{module_name}"
         )
-        setattr(package, part, stand_in)
+        setattr(package, module_name, stand_in)
     try:
         yield
     finally:
-        for package, part in module_parts:
-            del sys.modules[f"{package.__name__}.{part}"]
-            delattr(package, part)
+        for package, module_name in module_parts:
+            del sys.modules[f"{package.__name__}.{module_name}"]
+            delattr(package, module_name)
 
 
 class DeferredModule:

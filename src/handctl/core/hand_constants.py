@@ -71,7 +71,7 @@ class HandConstants:
         """
         self.layout = layout_of_constants(model)
         self.block: BlockArray = self.layout.initial.copy()
-        for part in (
+        for constants_group in (
             _motor_constants(model),
             _control_law_constants(model),
             _link_constants(model),
@@ -79,7 +79,7 @@ class HandConstants:
             _posture_constants(model),
             other_constants,
         ):
-            for name, value in part.items():
+            for name, value in constants_group.items():
                 self.layout.view(self.block, name)[...] = value
         self.layout.view(self.block, "design")[...] = filter_design_array(model)
         self.block.flags.writeable = bool(model.hand.has_varying_arm.any())

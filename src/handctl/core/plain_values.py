@@ -88,10 +88,11 @@ def plain_form(value: Any) -> Any:
     if isinstance(value, tuple):
         # This code runs in the ticks in which settings of drives are read. For speed, no function
         # is called for an item that is already plain.
-        items = [
-            item if type(item) in _TYPES_WITHOUT_CONVERSION else plain_form(item) for item in value
+        elements = [
+            element if type(element) in _TYPES_WITHOUT_CONVERSION else plain_form(element)
+            for element in value
         ]
-        return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
+        return (plain_name(kind), *elements) if hasattr(value, "_fields") else tuple(elements)
     if isinstance(value, enum.IntEnum):
         return (plain_name(kind), int(value))
     if isinstance(value, np.ndarray):
@@ -146,7 +147,7 @@ def object_from_plain_form(value: Any) -> Any:
     if not isinstance(value, tuple | list):
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
-        return tuple([object_from_plain_form(item) for item in value])
+        return tuple([object_from_plain_form(element) for element in value])
     mark, *arguments = value
     if mark == ARRAY_MARK:
         kind, shape, data = arguments
@@ -158,7 +159,7 @@ def object_from_plain_form(value: Any) -> Any:
         return model.model_validate_json(arguments[1])
     registered_type: Any = _registered_type(mark)
     try:
-        return registered_type(*[object_from_plain_form(item) for item in arguments])
+        return registered_type(*[object_from_plain_form(argument) for argument in arguments])
     except TypeError as error:
         raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
 

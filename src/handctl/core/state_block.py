@@ -45,7 +45,7 @@ STATE_TABLES = (
 
 STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional_table="servo")
 _real = STATE_SCHEMA.real_field
-_whole = STATE_SCHEMA.integer_field
+_integer = STATE_SCHEMA.integer_field
 
 # Tension filter. The seven states of each tendon are declared first, so that they form one
 # contiguous vector (7 N) for filterpy.
@@ -73,23 +73,25 @@ NIS_MEAN = _real("nis_mean", "tendon", "",
 NIS_FAST = _real("nis_lately", "tendon", "", initial=2.0,
     meaning="normalised innovation squared of the model without added noise, averaged over 0.25 s")  # fmt: skip
 ADDED_NOISE_S = _real("wary", "tendon", "s", "time for which the filter still adds process noise")
-REGIME = _whole("regime", "tendon", "", "regime of the tendon: 0 free, 1 held, 2 slack", initial=2)
-FILTER_KIND = _whole("kind", "tendon", "", initial=2,
+REGIME = _integer(
+    "regime", "tendon", "", "regime of the tendon: 0 free, 1 held, 2 slack", initial=2
+)
+FILTER_KIND = _integer("kind", "tendon", "", initial=2,
     meaning="index of the filter design: the regime, plus 3 with added process noise")  # fmt: skip
-FILTER_KIND_BEFORE = _whole("kind_before", "tendon", "",
+FILTER_KIND_BEFORE = _integer("kind_before", "tendon", "",
     "index of the filter design for the measurements of this tick", initial=2)  # fmt: skip
-DIGIT_ON_OPEN_STOP = _whole("stopped", "tendon", "",
+DIGIT_ON_OPEN_STOP = _integer("stopped", "tendon", "",
     "1 if springs hold the digit on its open stop", initial=1)  # fmt: skip
-REGIME_EVIDENCE = _whole("turning", "tendon", "",
+REGIME_EVIDENCE = _integer("turning", "tendon", "",
     "evidence that the tendon becomes slack or taut, see take_up")  # fmt: skip
-TENDON_LENGTH_KNOWN = _whole("length_known", "tendon", "",
+TENDON_LENGTH_KNOWN = _integer("length_known", "tendon", "",
     "1 after a take-up, which shows the length of the tendon")  # fmt: skip
-MODEL_INCONSISTENT = _whole(
+MODEL_INCONSISTENT = _integer(
     "doubtful", "tendon", "", "1 if the mean NIS is too large for a correct model"
 )
-COVARIANCE_PROPAGATED = _whole("carried", "run", "",
+COVARIANCE_PROPAGATED = _integer("carried", "run", "",
     "1 while the covariance is propagated, because measurements were missing")  # fmt: skip
-FILTER_STARTED = _whole("started", "run", "",
+FILTER_STARTED = _integer("started", "run", "",
     "1 after the first reading of every encoder and load cell")  # fmt: skip
 
 # Measurements of this tick. A missing measurement is NaN.
@@ -105,10 +107,10 @@ MEASURED_JOINT = _real("measured_joint", "joint", "rad",
     "joint angle by the joint encoder", initial=NAN)  # fmt: skip
 MEASURED_FORCE = _real("measured_force", "tendon", "N",
     "motor force at the spool, from the torque that the drive reports", initial=NAN)  # fmt: skip
-SATURATED = _whole("saturated", "tendon", "", "1 if the load cell is at an end of its range")
+SATURATED = _integer("saturated", "tendon", "", "1 if the load cell is at an end of its range")
 JOINT_ANGLE = _real("joint_angle", "joint", "rad",
     "latest reading of the joint encoder", initial=NAN)  # fmt: skip
-ANY_JOINT_READ = _whole("joints_read", "run", "", "1 if a joint encoder was read in this tick")
+ANY_JOINT_READ = _integer("joints_read", "run", "", "1 if a joint encoder was read in this tick")
 REJECTED_STEP = _real("jump", "tendon", "rad",
     "step of a motor position that this tick rejected; 0 if none")  # fmt: skip
 REJECTED_JOINT_STEP = _real("joint_jump", "joint", "rad",
@@ -129,7 +131,7 @@ DQ = _real("dq", "joint", "rad/s", "joint rate")
 Q_SIGMA = _real("q_sigma", "joint", "rad", "standard deviation of the joint angle", initial=NAN)
 UNEXPLAINED_TENSION = _real("touch", "digit", "N",
     "unexplained tension, the mean over the tendons of a digit, low-passed")  # fmt: skip
-BLOCKED = _whole("blocked", "digit", "",
+BLOCKED = _integer("blocked", "digit", "",
     "1 if the digit touches something that no program planned to touch")  # fmt: skip
 CONTACT_TENSION = _real("pressed", "digit", "N",
     "tension of a contact, which rises at once and fades slowly")  # fmt: skip
@@ -140,12 +142,12 @@ TIP_FORCE = _real("tip_force", "digit", "N",
     "tip-equivalent contact force, normal to the last link")  # fmt: skip
 TIP_FORCE_SIGMA = _real("tip_force_sigma", "digit", "N", "standard deviation of the tip force")
 CONTACT = _real("contact", "digit", "", "1 if the digit is in contact, else 0")
-PLANNED_CONTACT = _whole("planned_contact", "digit", "",
+PLANNED_CONTACT = _integer("planned_contact", "digit", "",
     "1 if the program knows that the digit touches an object")  # fmt: skip
 
 # Contact of closing digits, and motion of the tendons while the hand holds an object, see
 # estimation.contact_force.
-CLOSING_UNTIL_CONTACT = _whole(
+CLOSING_UNTIL_CONTACT = _integer(
     "closing", "digit", "", "1 while the program closes the digit until contact"
 )
 SMOOTHED_TIP_FORCE = _real("felt", "digit", "N",
@@ -156,7 +158,7 @@ TIP_FORCE_DRIFT = _real("drift", "digit", "N", initial=NAN,
     meaning="mean force at the tip over all closing so far, caused by errors of the load cells")  # fmt: skip
 CONTACT_FORCE = _real("grown", "digit", "N",
     "smoothed force at the tip less a negative mean and a positive drift")  # fmt: skip
-PROGRAM_HOLDS_OBJECT = _whole("gripping", "run", "", "1 while the program holds an object")
+PROGRAM_HOLDS_OBJECT = _integer("gripping", "run", "", "1 while the program holds an object")
 SLIP_DETECTION_START = _real("grip_ready", "run", "s", "program time from which slip is judged")
 GRIP_TRAVEL_FAST = _real("grip_fast", "tendon", "m",
     "length wound on the spool less stretch, averaged over 0.02 s")  # fmt: skip
@@ -164,8 +166,8 @@ GRIP_TRAVEL_SLOW = _real("grip_slow", "tendon", "m",
     "length wound on the spool less stretch, averaged over 0.2 s")  # fmt: skip
 
 # Goals of the digits, for the control law.
-GOAL_KIND = _whole("goal_kind", "tendon", "", "type of control: 0 limp, 1 motion, 2 tension")
-TRAJECTORY_KIND = _whole("way_kind", "digit", "",
+GOAL_KIND = _integer("goal_kind", "tendon", "", "type of control: 0 limp, 1 motion, 2 tension")
+TRAJECTORY_KIND = _integer("way_kind", "digit", "",
     "type of trajectory: 0 none, 1 minimum jerk, 2 sampled by the program, 3 streamed")  # fmt: skip
 TRAJECTORY_START = _real("way_start", "coordinate", "rad",
     "position at the start of a minimum-jerk move")  # fmt: skip
@@ -205,24 +207,24 @@ STREAM_RANGE = _real("stream_range", "coordinate", "rad",
 STREAM_SEGMENT_START = _real("stream_since", "run", "s", "time at which the present segment starts")
 STREAM_DURATION = _real("stream_duration", "run", "s",
     "duration of the present segment", initial=1.0)  # fmt: skip
-STREAM_SENT_NS = _whole("stream_sent_ns", "run", "ns",
+STREAM_SENT_NS = _integer("stream_sent_ns", "run", "ns",
     "time at which the latest accepted target was sent")  # fmt: skip
-STREAMING = _whole("streaming", "run", "",
+STREAMING = _integer("streaming", "run", "",
     "1 if a stream is open, 2 after its first accepted target, else 0")  # fmt: skip
 OPEN_STREAM, RUNNING_STREAM = 1, 2
 """Values of the field ``STREAMING``."""
-STREAM_SEQUENCE = _whole("stream_sequence", "run", "",
+STREAM_SEQUENCE = _integer("stream_sequence", "run", "",
     "sequence number of the latest accepted target; -1 before the first", initial=-1)  # fmt: skip
-ACCEPTED_TARGET_COUNT = _whole(
+ACCEPTED_TARGET_COUNT = _integer(
     "stream_accepted", "run", "", "number of accepted targets of the stream"
 )
-CLIPPED_TARGET_COUNT = _whole("stream_clipped", "run", "",
+CLIPPED_TARGET_COUNT = _integer("stream_clipped", "run", "",
     "number of accepted targets that were clipped to the range")  # fmt: skip
-LATE_TARGET_COUNT = _whole("stream_late", "run", "",
+LATE_TARGET_COUNT = _integer("stream_late", "run", "",
     "number of ignored targets: repeated, overtaken or too old")  # fmt: skip
-REFUSED_TARGET_COUNT = _whole("stream_refused", "run", "",
+REFUSED_TARGET_COUNT = _integer("stream_refused", "run", "",
     "number of refused targets: not numbers, or of a wrong shape")  # fmt: skip
-LIMITED_COORDINATE_COUNT = _whole("stream_limited", "run", "",
+LIMITED_COORDINATE_COUNT = _integer("stream_limited", "run", "",
     "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
 
 # Control law.
@@ -242,8 +244,8 @@ FRICTION_STATE = _real("friction_state", "tendon", "",
     "development of friction: 1 winding, -1 paying out; NaN if unknown", initial=NAN)  # fmt: skip
 FRICTION_SLIDER = _real("friction_slider", "tendon", "m", initial=NAN,
     meaning="travel at which the friction element of a moving tendon has no tension; NaN if unknown")  # fmt: skip
-TRIM_ACTIVE = _whole("trimmed", "run", "", "1 while a trim is not yet zero")
-SAFETY_HOLD_ACTIVE = _whole("holding", "run", "", "1 while safety holds the hand")
+TRIM_ACTIVE = _integer("trimmed", "run", "", "1 while a trim is not yet zero")
+SAFETY_HOLD_ACTIVE = _integer("holding", "run", "", "1 while safety holds the hand")
 
 # Command of this tick.
 TORQUE = _real("torque", "tendon", "N m", "commanded motor torque, at the spool")
@@ -285,26 +287,26 @@ REPORTED_TORQUE = _real("reported", "tendon", "N m",
     "motor torque that the drive reports", initial=NAN)  # fmt: skip
 TEMPERATURE = _real("temperature", "tendon", "degC",
     "temperature of the drive's hottest sensor", initial=NAN)  # fmt: skip
-FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns",
+FEEDBACK_NS = _integer("feedback_ns", "tendon", "ns",
     "reception time of the latest feedback; -1 before the first", initial=-1)  # fmt: skip
-FEEDBACK_COUNT = _whole("feedbacks", "tendon", "", "number of feedback frames since the start")
-FEEDBACK_COUNT_NOW = _whole("answered", "tendon", "", "number of feedback frames in this tick")
-STATUS = _whole("status", "tendon", "", "status field of the latest feedback")
-STATUS_EXPECTED = _whole("status_expected", "tendon", "", initial=-1,
+FEEDBACK_COUNT = _integer("feedbacks", "tendon", "", "number of feedback frames since the start")
+FEEDBACK_COUNT_NOW = _integer("answered", "tendon", "", "number of feedback frames in this tick")
+STATUS = _integer("status", "tendon", "", "status field of the latest feedback")
+STATUS_EXPECTED = _integer("status_expected", "tendon", "", initial=-1,
     meaning="status that needs no action of the drive's state machine; -1 for none")  # fmt: skip
-DRIVE_DUE_NS = _whole(
+DRIVE_DUE_NS = _integer(
     "due_ns", "tendon", "ns", "time at which the drive's state machine must run next"
 )
-PHASE = _whole("phase", "tendon", "", "phase of the drive, drives.contract.Phase")
-PHASE_BEFORE = _whole("phase_before", "tendon", "", "phase of the drive before this tick")
-EXCESS_REPLIES = _whole("surplus", "tendon", "",
+PHASE = _integer("phase", "tendon", "", "phase of the drive, drives.contract.Phase")
+PHASE_BEFORE = _integer("phase_before", "tendon", "", "phase of the drive before this tick")
+EXCESS_REPLIES = _integer("surplus", "tendon", "",
     "number of open requests plus 1 if more replies came than requests, else 0")  # fmt: skip
-FAULT_CODE = _whole("fault_code", "tendon", "", "error code of a drive in fault")
-FAULT_CAUSE = _whole("fault_cause", "tendon", "",
+FAULT_CODE = _integer("fault_code", "tendon", "", "error code of a drive in fault")
+FAULT_CAUSE = _integer("fault_cause", "tendon", "",
     "cause of the drive's fault, drives.causes.Cause; -1 without fault", initial=-1)  # fmt: skip
-MALFORMED_FRAME_NOW = _whole("misread_now", "node", "",
+MALFORMED_FRAME_NOW = _integer("misread_now", "node", "",
     "1 if a frame of the node had a wrong shape in this tick")  # fmt: skip
-DUPLICATE_REPLIES = _whole("twice", "node", "",
+DUPLICATE_REPLIES = _integer("twice", "node", "",
     "excess replies of this tick: 0 none, 1 with equal bytes, 2 with other bytes")  # fmt: skip
 
 # Numbers that only the log uses.
@@ -318,22 +320,24 @@ MOTOR_TORQUE = _real("motor_torque", "tendon", "N m",
 
 # Sensor node.
 CELL_READING = _real("cell", "tendon", "N", "latest load-cell reading, before the tare")
-CELL_READ_NOW = _whole("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
-JOINT_READ_NOW = _whole("joint_fresh", "joint", "", "1 if the joint encoder was read in this tick")
-GROUP_NS = _whole("group_ns", "group", "ns",
+CELL_READ_NOW = _integer("cell_fresh", "tendon", "", "1 if the load cell was read in this tick")
+JOINT_READ_NOW = _integer(
+    "joint_fresh", "joint", "", "1 if the joint encoder was read in this tick"
+)
+GROUP_NS = _integer("group_ns", "group", "ns",
     "reception time of the latest frame of the group; -1 before the first", initial=-1)  # fmt: skip
-GROUP_FRAME_COUNT = _whole("group_frames", "group", "",
+GROUP_FRAME_COUNT = _integer("group_frames", "group", "",
     "number of accepted frames of the group since the start")  # fmt: skip
-GROUP_FRAME_COUNT_NOW = _whole("group_answered", "group", "",
+GROUP_FRAME_COUNT_NOW = _integer("group_answered", "group", "",
     "number of accepted frames of the group in this tick")  # fmt: skip
-SYNC_COUNTER = _whole("sync_asked", "run", "",
+SYNC_COUNTER = _integer("sync_asked", "run", "",
     "low four bits of the counter of the last SYNC; -1 before the first", initial=-1)  # fmt: skip
-SYNC_COUNT = _whole("syncs", "run", "", "number of SYNCs sent since the start")
-STALE_FRAMES = _whole("stale", "run", "",
+SYNC_COUNT = _integer("syncs", "run", "", "number of SYNCs sent since the start")
+STALE_FRAMES = _integer("stale", "run", "",
     "number of sensor frames since the start that answered an older SYNC")  # fmt: skip
-TENSION_FRAMES = _whole("tension_frames", "run", "",
+TENSION_FRAMES = _integer("tension_frames", "run", "",
     "number of accepted load-cell frames since the start")  # fmt: skip
-STALE_FRAME_NOW = _whole("stale_now", "run", "",
+STALE_FRAME_NOW = _integer("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
 # Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END_ROWS.
@@ -356,27 +360,27 @@ LAST_POSITION = _real("last_position", "tendon", "rad",
     "motor position of the last tick", initial=NAN)  # fmt: skip
 LAST_POSITION_STEP = _real("last_turned", "tendon", "rad",
     "change of the motor position in the last tick", initial=NAN)  # fmt: skip
-RESIDUALS_STARTED = _whole("filtered", "run", "", "1 after the first update of the residuals")
+RESIDUALS_STARTED = _integer("filtered", "run", "", "1 after the first update of the residuals")
 STUCK_TEST_POSITION = _real("motor_value", "tendon", "m", initial=NAN,
     meaning="last reading of the motor encoder along the tendon, for the stuck test")  # fmt: skip
 REFERENCE_AT_LAST_MOTOR_CHANGE = _real("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
     meaning="goal and tension when the reading of the motor encoder last changed")  # fmt: skip
-MOTOR_STUCK = _whole("motor_stuck", "tendon", "",
+MOTOR_STUCK = _integer("motor_stuck", "tendon", "",
     "number of readings since the motor encoder's reading last changed")  # fmt: skip
 STUCK_TEST_TENSION = _real("cell_value", "tendon", "N",
     "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
 FORCE_RANGE_SINCE_CELL_CHANGE = _real("cell_anchor", "tendon", "N", rows=2, initial=NAN,
     meaning="smallest and largest motor force since the load-cell reading last changed")  # fmt: skip
-CELL_STUCK = _whole("cell_stuck", "tendon", "",
+CELL_STUCK = _integer("cell_stuck", "tendon", "",
     "number of readings since the load-cell reading last changed")  # fmt: skip
 STUCK_TEST_ANGLE = _real("joint_value", "joint", "rad",
     "last reading of the joint encoder, for the stuck test", initial=NAN)  # fmt: skip
 ANGLE_AT_LAST_JOINT_CHANGE = _real("joint_anchor", "joint", "rad",
     "joint angle by the spools when the joint reading last changed", initial=NAN)  # fmt: skip
-JOINT_STUCK = _whole("joint_stuck", "joint", "",
+JOINT_STUCK = _integer("joint_stuck", "joint", "",
     "number of readings since the joint encoder's reading last changed")  # fmt: skip
 TAUT_TIME_S = _real("taut_s", "tendon", "s", "time for which the tendon has been taut")
-IS_TAUT = _whole("bears", "tendon", "",
+IS_TAUT = _integer("bears", "tendon", "",
     "1 if taut by the filtered tension, so that spool and joints move together")  # fmt: skip
 SLIP_REFERENCE = _real("slip_from", "tendon", "m", initial=NAN,
     meaning="travel less stretch and joint excursion, measured when the tendon became taut")  # fmt: skip
@@ -391,11 +395,11 @@ COMMANDED_TENSION = _real("wanted", "tendon", "N",
 FILTERED_GOAL = _real("followed", "tendon", "m",
     "goal of the excursion in the last tick, filtered to the speed of a motor; NaN without a goal",
     initial=NAN)  # fmt: skip
-TICKS_SINCE_TAUT = _whole("taut_ago", "tendon", "", initial=-1,
+TICKS_SINCE_TAUT = _integer("taut_ago", "tendon", "", initial=-1,
     meaning="ticks since the tendon was last taut; -1 if never since a tension was commanded")  # fmt: skip
-SLACK_TICKS = _whole("slack_ticks", "tendon", "",
+SLACK_TICKS = _integer("slack_ticks", "tendon", "",
     "number of ticks in a row for which the tendon has been slack")  # fmt: skip
-TICKS_SINCE_CUT = _whole("cut_ticks", "run", "",
+TICKS_SINCE_CUT = _integer("cut_ticks", "run", "",
     "ticks since the torque was cut; -1 if it was not cut", initial=-1)  # fmt: skip
 TENSION_AT_CUT = _real("cut_from", "tendon", "N",
     "tension when the torque was cut; NaN before a load cell was read", initial=NAN)  # fmt: skip
@@ -407,9 +411,9 @@ PAST_CELL_READINGS = _real("past", "tendon", "N",
     "load-cell readings of the last 64 ticks, the latest first", rows=64, initial=NAN)  # fmt: skip
 PRESENT_CELL_READING = _real("reading", "tendon", "N",
     "load-cell reading of this tick, compared with the past readings", initial=NAN)  # fmt: skip
-LONGEST_REPETITION = _whole("longest", "tendon", "",
+LONGEST_REPETITION = _integer("longest", "tendon", "",
     "longest run of repeated readings, over all ages")  # fmt: skip
-REPEATED_READINGS_BY_AGE = _whole("same", "tendon", "", rows=64,
+REPEATED_READINGS_BY_AGE = _integer("same", "tendon", "", rows=64,
     meaning="for each age in ticks, readings in a row that equal the reading of that age")  # fmt: skip
 SLOW_TENSION_DEVIATION = _real(
     "swing_slow", "tendon", "N", "slow part of measured less commanded tension"
@@ -428,47 +432,51 @@ REPLIES_ON_TIME = _real("report_on_time", "tendon", "",
 _MONITOR_END_ROWS = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 
 # Memory of the fault detectors that ``reset_monitor`` does not reset.
-LOST_REPLY_BITS = _whole("lost", "node", "",
+LOST_REPLY_BITS = _integer("lost", "node", "",
     "ticks without a reply, one bit each: the last 50, and the 50 before", rows=2)  # fmt: skip
-MALFORMED_FRAME_TICKS = _whole("misshapen", "node", "",
+MALFORMED_FRAME_TICKS = _integer("misshapen", "node", "",
     "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
 UNKNOWN_FRAME_RATE = _real("unknown", "run", "1/s",
     "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
-OUTSTANDING_REQUESTS = _whole("open_questions", "tendon", "",
+OUTSTANDING_REQUESTS = _integer("open_questions", "tendon", "",
     "number of requests that the motor has not answered")  # fmt: skip
-OUTSTANDING_REQUEST_TICKS = _whole("question", "tendon", "",
+OUTSTANDING_REQUEST_TICKS = _integer("question", "tendon", "",
     "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
-RECHECK_STEP = _whole("recheck_step", "tendon", "",
+RECHECK_STEP = _integer("recheck_step", "tendon", "",
     "index of the setting that is read again next from the enabled drive")  # fmt: skip
-RECHECK_DUE_NS = _whole("recheck_due_ns", "tendon", "ns", "time at which this setting is requested")
-RECHECK_TRIES = _whole("recheck_tries", "tendon", "",
+RECHECK_DUE_NS = _integer(
+    "recheck_due_ns", "tendon", "ns", "time at which this setting is requested"
+)
+RECHECK_TRIES = _integer("recheck_tries", "tendon", "",
     "number of requests for this setting without an answer")  # fmt: skip
-FAULT_TICKS = _whole("fault_ticks", "instance", "",
+FAULT_TICKS = _integer("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
 # Facts of this tick that the fault detectors judge.
-T_NS = _whole("t_ns", "run", "ns", "time of the tick")
-TICK_DELAY_NS = _whole("late_ns", "run", "ns", "delay of the start of the tick")
-MISSED_TICKS = _whole("missed", "run", "", "number of ticks skipped before this tick")
-RECEIVED_FRAMES = _whole("frames", "run", "", "number of frames received in this tick")
-UNKNOWN_FRAMES = _whole("strange", "run", "",
+T_NS = _integer("t_ns", "run", "ns", "time of the tick")
+TICK_DELAY_NS = _integer("late_ns", "run", "ns", "delay of the start of the tick")
+MISSED_TICKS = _integer("missed", "run", "", "number of ticks skipped before this tick")
+RECEIVED_FRAMES = _integer("frames", "run", "", "number of frames received in this tick")
+UNKNOWN_FRAMES = _integer("strange", "run", "",
     "number of frames with unknown identifiers in this tick")  # fmt: skip
-REFUSED_REQUESTS = _whole("refused", "run", "", "number of malformed requests in the last second")
-REFUSED_REQUESTS_NOW = _whole("refused_now", "run", "", "number of requests refused in this tick")
-CONSISTENCY_CHANGED = _whole(
+REFUSED_REQUESTS = _integer("refused", "run", "", "number of malformed requests in the last second")
+REFUSED_REQUESTS_NOW = _integer("refused_now", "run", "", "number of requests refused in this tick")
+CONSISTENCY_CHANGED = _integer(
     "changed", "run", "", "1 if MODEL_INCONSISTENT or BLOCKED changed in this tick"
 )
-CELLS_TARED = _whole("tared", "run", "", "1 if the load cells' zero is known", initial=1)
-NEW_FAULT_COUNT = _whole("found_now", "run", "", "number of faults that became active in this tick")
+CELLS_TARED = _integer("tared", "run", "", "1 if the load cells' zero is known", initial=1)
+NEW_FAULT_COUNT = _integer(
+    "found_now", "run", "", "number of faults that became active in this tick"
+)
 
 # State of the whole run.
-K = _whole("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
-MODE = _whole("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
+K = _integer("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
+MODE = _integer("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
 MODE_START_TIME = _real("mode_since", "run", "s", "time at which the mode began")
 GOAL_TIME = _real("goal_time", "run", "s",
     "time of the program, which stands still while safety holds the hand")  # fmt: skip
-ARMING_REQUESTED = _whole("armed", "run", "", "1 if arming is requested")
-CLEARING_DRIVE_ERRORS = _whole("clearing", "run", "",
+ARMING_REQUESTED = _integer("armed", "run", "", "1 if arming is requested")
+CLEARING_DRIVE_ERRORS = _integer("clearing", "run", "",
     "1 while latched errors of the drives are cleared before arming")  # fmt: skip
 
 

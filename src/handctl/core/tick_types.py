@@ -254,7 +254,7 @@ class PackedTelemetry:
 
     def __iter__(self) -> Iterator[Vector]:
         """Iterate over the telemetry fields in order."""
-        return iter([self.numbers[place] for place in self.places.values()])
+        return iter([self.numbers[field_slice] for field_slice in self.places.values()])
 
     def packed(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""

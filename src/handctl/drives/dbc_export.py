@@ -76,16 +76,18 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     If several messages have the same identifier, only the first is used.
     """
     by_identifier: dict[int, SentMessage] = {}
-    for item in sent_messages:
-        are_signals_in_payload = all(signal.start >= 0 for signal in item.message.signals)
+    for sent_message in sent_messages:
+        are_signals_in_payload = all(signal.start >= 0 for signal in sent_message.message.signals)
         if (
-            item.message.signals
+            sent_message.message.signals
             and are_signals_in_payload
-            and not item.message.can_id & REMOTE_FLAG
+            and not sent_message.message.can_id & REMOTE_FLAG
         ):
-            by_identifier.setdefault(item.message.can_id, item)
+            by_identifier.setdefault(sent_message.message.can_id, sent_message)
     nodes = dict.fromkeys(
-        node for item in by_identifier.values() for node in (item.sender, item.receiver)
+        node
+        for sent_message in by_identifier.values()
+        for node in (sent_message.sender, sent_message.receiver)
     )
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
     float_lines = list[str]()

@@ -148,8 +148,8 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
 
 def join_frames(frame_batches: Sequence[Frames]) -> Frames:
     """Return one sequence with the frames of several sequences."""
-    nonempty_batches = [part for part in frame_batches if len(part)]
+    nonempty_batches = [batch for batch in frame_batches if len(batch)]
     if len(nonempty_batches) < 2:
         return nonempty_batches[0] if nonempty_batches else NO_FRAMES
     # The rows are joined as words, because numpy takes six times as long to join records.
-    return Frames.from_rows(np.concatenate([part.rows for part in nonempty_batches]))
+    return Frames.from_rows(np.concatenate([batch.rows for batch in nonempty_batches]))

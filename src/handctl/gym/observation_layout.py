@@ -62,7 +62,10 @@ class ObservationLayout:
                 (NaN) becomes 0.
         """
         row = np.concatenate(
-            [np.asarray(value_of_field(part.name), np.float64) for part in self.parts]
+            [
+                np.asarray(value_of_field(observation_part.name), np.float64)
+                for observation_part in self.parts
+            ]
         )
         clipped_values = np.clip(
             np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high

@@ -361,12 +361,12 @@ def link_table(digit: Digit) -> Array:
         cross_matrix = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         # Rodrigues' formula gives the rotation by an angle q about an axis a: a a^T + cos q (1 - a
         # a^T) + sin q [a]x. A prismatic joint does not rotate the link that it moves.
-        parts = (axis_projection, np.eye(3) - axis_projection, cross_matrix)
+        link_matrices = (axis_projection, np.eye(3) - axis_projection, cross_matrix)
         if digit.is_prismatic[i]:
-            parts = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
+            link_matrices = (np.eye(3), np.zeros((3, 3)), np.zeros((3, 3)))
         rows = (body.FIXED_ROTATION_ROW, body.COSINE_ROTATION_ROW, body.SINE_ROTATION_ROW)
-        for row, part in zip(rows, parts, strict=True):
-            table[row : row + 9, i] = (rotation @ part).ravel()
+        for row, link_matrix in zip(rows, link_matrices, strict=True):
+            table[row : row + 9, i] = (rotation @ link_matrix).ravel()
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
         # Steiner's theorem converts the inertia from the centre of mass to the joint.

@@ -207,10 +207,10 @@ def closest_tip(
     low, high = digit.coordinate_limits
     if start_angles is None:
         locally_closest_tips = [
-            _locally_closest_tip(digit, target, low + part * (high - low))
-            for part in START_RANGE_FRACTIONS
+            _locally_closest_tip(digit, target, low + range_fraction * (high - low))
+            for range_fraction in START_RANGE_FRACTIONS
         ]
-        return min(locally_closest_tips, key=lambda one: one.distance)
+        return min(locally_closest_tips, key=lambda tip: tip.distance)
     return _locally_closest_tip(
         digit, target, np.clip(np.asarray(start_angles, dtype=np.float64), low, high)
     )

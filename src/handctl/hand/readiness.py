@@ -150,12 +150,12 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
             joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of_arm(arm)[0])
         }
         if tables:
-            left = ", ".join(
+            differences_text = ", ".join(
                 f"{1e3 * arm_table_residual(arm):.2g} mm at {joint}"
                 for joint, arm in tables.items()
             )
             lines.append(
-                f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}"
+                f"{tendon.name}: the polynomial of its table of moment arms differs by at most {differences_text}"
             )
     return tuple(lines)
 

@@ -342,11 +342,11 @@ def _rotated_vector(
     """
     cosine = math.cos(angle)
     sine = math.sin(angle)
-    part = (1.0 - cosine) * (ax * x + ay * y + az * z)
+    axial_factor = (1.0 - cosine) * (ax * x + ay * y + az * z)
     return (
-        x * cosine + (ay * z - az * y) * sine + ax * part,
-        y * cosine + (az * x - ax * z) * sine + ay * part,
-        z * cosine + (ax * y - ay * x) * sine + az * part,
+        x * cosine + (ay * z - az * y) * sine + ax * axial_factor,
+        y * cosine + (az * x - ax * z) * sine + ay * axial_factor,
+        z * cosine + (ax * y - ay * x) * sine + az * axial_factor,
     )
 
 

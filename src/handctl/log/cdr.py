@@ -100,9 +100,9 @@ class CdrReader:
         end = self._at + size
         if end > len(self._data):
             raise ValueError(f"message ends {end - len(self._data)} bytes early")
-        part = self._data[self._at : end]
+        field_bytes = self._data[self._at : end]
         self._at = end
-        return part
+        return field_bytes
 
     def align(self, size: int) -> None:
         """Skip the padding up to the next multiple of `size` bytes."""

@@ -62,7 +62,12 @@ class ChunkTable:
             index_offsets: distance from the end of the chunk to the message index of each channel
                 [bytes], by the number of the channel.
         """
-        layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
+        layout = b"".join(
+            [
+                _CHANNEL_STRUCT.pack(*channel_and_offset)
+                for channel_and_offset in index_offsets.items()
+            ]
+        )
         # `setdefault` gives a number to each arrangement, in the order of their first use.
         self._latest += _CHUNK_ROW_STRUCT.pack(
             *chunk, self._layouts.setdefault(layout, len(self._layouts))

@@ -275,16 +275,16 @@ def _message_indexes(
     """
     entries: dict[int, list[NDArray[np.void]]] = {}
     for block in blocks:
-        part = np.empty(len(block.offsets), _INDEX_ENTRY_DTYPE)
-        part["log_time"] = block.log_times
-        part["offset"] = block.offsets + np.uint64(first_message_offset)
-        entries.setdefault(block.channel, []).append(part)
+        block_entries = np.empty(len(block.offsets), _INDEX_ENTRY_DTYPE)
+        block_entries["log_time"] = block.log_times
+        block_entries["offset"] = block.offsets + np.uint64(first_message_offset)
+        entries.setdefault(block.channel, []).append(block_entries)
         first_message_offset += len(block.data)
     index_records = []
     offsets = {}
     at = 0
-    for channel, parts in entries.items():
-        raw_bytes = b"".join(part.tobytes() for part in parts)
+    for channel, entry_arrays in entries.items():
+        raw_bytes = b"".join(entry_array.tobytes() for entry_array in entry_arrays)
         offsets[channel] = at
         index_records.append(
             _MESSAGE_INDEX_STRUCT.pack(

@@ -81,8 +81,8 @@ class RunHeader:
             f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"]))
         )
         names = {
-            part: tuple(item["name"] for item in hand[part])
-            for part in ("tendon", "motor", "digit", "bus")
+            hand_part: tuple(part_fields["name"] for part_fields in hand[hand_part])
+            for hand_part in ("tendon", "motor", "digit", "bus")
         }
         return cls(
             hand_toml,
@@ -116,7 +116,7 @@ class RunHeader:
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
-        names = {part: _checked_names(part, run[part]) for part in NAME_LIST_KEYS}
+        names = {list_key: _checked_names(list_key, run[list_key]) for list_key in NAME_LIST_KEYS}
         return cls(
             attachments.get("hand.toml", b"").decode(),
             **names,
@@ -179,7 +179,7 @@ class RunHeader:
         for name, size in fields["attachments"].items():
             attachments[name] = payload[at : at + size]
             at += size
-        names = {part: tuple(fields[part]) for part in NAME_LIST_KEYS}
+        names = {list_key: tuple(fields[list_key]) for list_key in NAME_LIST_KEYS}
         return cls(**(fields | names | {"attachments": attachments}))
 
 

@@ -136,7 +136,8 @@ def schema_text(name: str) -> str:
     types: dict[str, None] = {}
     _collect_dependencies(name, types)
     return MESSAGE_DEFINITIONS[name] + "".join(
-        f"{_DEFINITION_SEPARATOR}MSG: {other}\n{MESSAGE_DEFINITIONS[other]}" for other in types
+        f"{_DEFINITION_SEPARATOR}MSG: {type_name}\n{MESSAGE_DEFINITIONS[type_name]}"
+        for type_name in types
     )
 
 

@@ -212,13 +212,16 @@ class TickBatcher:
 
     def _add_frames(self, message: bytes) -> None:
         """Add the received and the sent frames of a Tick message, and then process the rest of the message."""
-        parts = message_layout(message)
-        for direction, part in ((self._received, parts.received), (self._sent, parts.sent)):
-            direction.parts.append(message[part])
-            direction.counts.append((part.stop - part.start) // FRAME_RECORD_BYTES)
-        if parts.long_data.stop > parts.long_data.start:
-            self._add_long_payloads(message[parts.long_data])
-        self._add_phase_and_events(message, parts.tail_offset)
+        message_slices = message_layout(message)
+        for direction, frames_slice in (
+            (self._received, message_slices.received),
+            (self._sent, message_slices.sent),
+        ):
+            direction.parts.append(message[frames_slice])
+            direction.counts.append((frames_slice.stop - frames_slice.start) // FRAME_RECORD_BYTES)
+        if message_slices.long_data.stop > message_slices.long_data.start:
+            self._add_long_payloads(message[message_slices.long_data])
+        self._add_phase_and_events(message, message_slices.tail_offset)
 
     def _add_long_payloads(self, data: bytes) -> None:
         """Add the payload bytes after the eighth byte of each frame to the received or the sent frames of a tick."""

@@ -227,7 +227,9 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
     long_payload_bytes = _NO_LONG_DATA
     # A slice with a stride reads the length of every frame without decoding the frames. If all
     # frames are short, nothing remains when the short lengths are stripped.
-    lengths = b"".join([part[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for part in frame_starts])
+    lengths = b"".join(
+        [frame_records[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for frame_records in frame_starts]
+    )
     if lengths.strip(_SHORT_LENGTHS):
         long_data = _long_data(received_records) + _long_data(sent_records)
         long_payload_bytes = (
@@ -236,7 +238,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
     # The first field of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. If there
     # are no frames, there is no padding.
     padding = b"\0\0\0\0" if len(sent_records) else b""
-    parts = [
+    message_fields = [
         ENCAPSULATION_HEADER,
         tick_head,
         frame_starts[0],
@@ -246,12 +248,14 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
         long_payload_bytes,
     ]
     if tick_in.io_events or tick_in.requests or tick_output.events:
-        parts.append(
-            _message_end(sum(map(len, parts)) - 4, tick_output.phase, tick_in, tick_output.events)
+        message_fields.append(
+            _message_end(
+                sum(map(len, message_fields)) - 4, tick_output.phase, tick_in, tick_output.events
+            )
         )
     else:
-        parts.append(_tail_without_events(tick_output.phase))
-    return b"".join(parts)
+        message_fields.append(_tail_without_events(tick_output.phase))
+    return b"".join(message_fields)
 
 
 def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
@@ -392,11 +396,11 @@ def unpack_tick(message: bytes) -> TickRecord:
     if message[:4] != ENCAPSULATION_HEADER:
         raise ValueError("not little-endian CDR")
     try:
-        parts = message_layout(message)
+        message_slices = message_layout(message)
         frames_in, remaining_bytes = _decode_frames(
-            message[parts.received], message[parts.long_data]
+            message[message_slices.received], message[message_slices.long_data]
         )
-        frames_out, remaining_bytes = _decode_frames(message[parts.sent], remaining_bytes)
+        frames_out, remaining_bytes = _decode_frames(message[message_slices.sent], remaining_bytes)
         if remaining_bytes:
             raise ValueError("more data than frames")
         return _build_tick(
@@ -404,7 +408,7 @@ def unpack_tick(message: bytes) -> TickRecord:
             frames_in,
             frames_out,
             message,
-            parts.tail_offset,
+            message_slices.tail_offset,
         )
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
@@ -480,7 +484,7 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
         the ticks. None if a message has a longer payload or ends early. If the result
         is None, the caller decodes each message with `unpack_tick`.
     """
-    parts = list[bytes]()
+    frame_and_length_bytes = list[bytes]()
     end_indices = [0]
     tick_heads = list[_TickHead]()
     tail_offsets = list[int]()
@@ -500,12 +504,15 @@ def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:
             return None
         # The frames of all messages are joined and decoded in one call. After that, they are
         # divided again at `ends`.
-        parts += message[_FRAMES_OFFSET:sent_count_offset], message[start:long_size_offset]
+        frame_and_length_bytes += (
+            message[_FRAMES_OFFSET:sent_count_offset],
+            message[start:long_size_offset],
+        )
         end_indices += end + tick_head[6], end + tick_head[6] + frame_count_sent
         end = end_indices[-1]
         tick_heads.append(tick_head)
         tail_offsets.append(long_size_offset + 4)
-    frame_starts = b"".join(parts)
+    frame_starts = b"".join(frame_and_length_bytes)
     if max(frame_starts[_LENGTH_OFFSET::FRAME_RECORD_BYTES], default=0) > _SHORT_DATA_BYTES:
         return None
     records = _decode_frames(frame_starts, b"")[0].records
@@ -529,8 +536,8 @@ def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
     tick = unpack_tick(record[start : start + size])
     lengths = dict(zip(("joint", "tendon", "motor", "digit"), axes, strict=True))
     end_indices = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
-    parts = np.split(np.frombuffer(record[start + size :], "<f8"), end_indices[:-1])
-    telemetry = Telemetry(*parts)
+    field_values = np.split(np.frombuffer(record[start + size :], "<f8"), end_indices[:-1])
+    telemetry = Telemetry(*field_values)
     tick_output = TickOut(
         tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash
     )

@@ -63,7 +63,7 @@ def value_text(item: ErrataItem) -> str:
 
 def page_as_markdown(page_sections: Sequence[PageSection]) -> str:
     """Return the page as Markdown. The page refers to figures in the folder `FIGURES_FOLDER`."""
-    rows = [item for part in page_sections for item in part.items]
+    rows = [item for section in page_sections for item in section.items]
     lines = [
         f"# {PAGE_TITLE}",
         "",
@@ -74,22 +74,22 @@ def page_as_markdown(page_sections: Sequence[PageSection]) -> str:
         _wrap_paragraph(_summary_text(rows)),
         "",
     ]
-    for part in page_sections:
-        lines += [MEASURED_IN_SIMULATOR_COMMENT] if part.measured else []
-        lines += [f"## {part.title}", ""]
-        for paragraph in part.text:
+    for section in page_sections:
+        lines += [MEASURED_IN_SIMULATOR_COMMENT] if section.measured else []
+        lines += [f"## {section.title}", ""]
+        for paragraph in section.text:
             lines += [_wrap_paragraph(paragraph), ""]
-        for name in part.figures:
+        for name in section.figures:
             lines += [
                 f"![{FIGURE_CAPTIONS[name]}]({FIGURES_FOLDER}/{FIGURE_FILE_PREFIX}{name}.png)",
                 "",
                 f"*{FIGURE_CAPTIONS[name]}*",
                 "",
             ]
-        lines += _markdown_table(part.table)
+        lines += _markdown_table(section.table)
         lines += ["| id | where | printed | right | verdict | why |", "|---|---|---|---|---|---|"]
         lines += [
-            "| " + " | ".join(map(_escape_cell, _item_cells(item))) + " |" for item in part.items
+            "| " + " | ".join(map(_escape_cell, _item_cells(item))) + " |" for item in section.items
         ]
         lines += [""]
     return "\n".join(lines)
@@ -170,19 +170,19 @@ def page_as_html(page_sections: Sequence[PageSection], figures: Mapping[str, Pat
         page_sections: sections of the page.
         figures: path of the SVG file of each figure.
     """
-    rows = [item for part in page_sections for item in part.items]
+    rows = [item for section in page_sections for item in section.items]
     counts = " ".join(
         f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items()
     )
     body = [
         f"<h1>{PAGE_TITLE}</h1><p>{html.escape(PAPER_CITATION)}</p><p>{html.escape(INTRODUCTION_TEXT)}</p><p>{counts}</p>"
     ]
-    for part in page_sections:
-        body.append(f"<h2>{html.escape(part.title)}</h2>")
-        body += [f"<p>{_html_paragraph(paragraph)}</p>" for paragraph in part.text]
-        body += [_html_figure(name, figures[name]) for name in part.figures]
-        body += [_html_numbers(part.table)] if part.table else []
-        body.append(_html_items(part.items))
+    for section in page_sections:
+        body.append(f"<h2>{html.escape(section.title)}</h2>")
+        body += [f"<p>{_html_paragraph(paragraph)}</p>" for paragraph in section.text]
+        body += [_html_figure(name, figures[name]) for name in section.figures]
+        body += [_html_numbers(section.table)] if section.table else []
+        body.append(_html_items(section.items))
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{PAGE_TITLE}</title>'
     head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{PAGE_STYLE}</style></head>'
     return f"{head}<body>{''.join(body)}</body></html>\n"
@@ -198,7 +198,8 @@ def _html_paragraph(paragraph: str) -> str:
     # If the paragraph is split at the backquotes, every second part is code.
     text_parts = html.escape(paragraph).split("`")
     return "".join(
-        f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(text_parts)
+        f"<code>{text_part}</code>" if i % 2 else text_part
+        for i, text_part in enumerate(text_parts)
     )
 
 
@@ -232,7 +233,7 @@ def _html_items(items: Sequence[ErrataItem]) -> str:
     )
     rows = []
     for item in items:
-        id, where, printed, right, _, reason = map(html.escape, _item_cells(item))
-        cells = (id, where, printed, right, _html_badge(item.verdict.value), reason)
+        id, where, printed, corrected, _, reason = map(html.escape, _item_cells(item))
+        cells = (id, where, printed, corrected, _html_badge(item.verdict.value), reason)
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

@@ -147,10 +147,10 @@ class ExerciseProgram:
                 if progress.phase == "live"
                 else (progress, events)
             )
-        parts = self.stages_for_hand(model)
-        if t - progress.since < parts[progress.step].duration:
+        stages = self.stages_for_hand(model)
+        if t - progress.since < stages[progress.step].duration:
             return progress, ()
-        if progress.step + 1 == len(parts):
+        if progress.step + 1 == len(stages):
             return replace(progress, finished=True, phase="end"), (
                 TickEvent("info", "phase", "", "exercise complete"),
             )
@@ -165,8 +165,8 @@ class ExerciseProgram:
         t: float,
     ) -> ProgressAndEvents:
         """Begin a stage of the exercise."""
-        parts = self.stages_for_hand(model)
-        stage = parts[stage_index]
+        stages = self.stages_for_hand(model)
+        stage = stages[stage_index]
         carriers = [name in model.hand.carrier_digits for name in model.hand.digit_names]
         # A digit that carries other digits keeps the angle of the first stage. Such a digit cannot
         # follow the fast moves. If it held a constant tension, it would fall under its load. The
@@ -179,7 +179,7 @@ class ExerciseProgram:
                 zip(progress.goals, carriers, strict=True)
             )
         )
-        event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
+        event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(stages)}")
         # In the stage `hold`, every digit that holds a tension is pressed against its closed joint
         # limit.
         must_block = tuple(stage.name == "hold" and not carries for carries in carriers)
@@ -196,9 +196,11 @@ def _stages_of_program(program: ExerciseProgram, has_springs: bool) -> tuple[Exe
         return program.stages
     gentle = ExerciseStage("close", GENTLE_CLOSE_DURATION_S, tension=GENTLE_CLOSE_TENSION_N)
     return tuple(
-        part
+        stage_or_gentle_rise
         for stage in program.stages
-        for part in ((gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,))
+        for stage_or_gentle_rise in (
+            (gentle, _gentle_rise(stage)) if stage.name == "close" else (stage,)
+        )
     )
 
 

@@ -310,7 +310,7 @@ def parse_request(text: str) -> Request | str:
         return _REQUEST_ADAPTER.validate_json(text)
     except ValidationError as error:
         first_error = error.errors(include_url=False)[0]
-        location = ".".join(str(part) for part in first_error["loc"])
+        location = ".".join(str(key_or_index) for key_or_index in first_error["loc"])
         line = (
             f"request {location}: {first_error['msg']}"
             if location

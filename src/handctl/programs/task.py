@@ -274,7 +274,10 @@ class DigitShape(NamedTuple):
 
 def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
     """Return the shape of each digit of a hand, by the name of the digit."""
-    counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
+    counts = {
+        name: tendon_slice.stop - tendon_slice.start
+        for name, tendon_slice in hand.digit_tendons.items()
+    }
     return {
         digit.name: DigitShape(
             len(digit.coupling[0]) if digit.coupling else len(digit.joints),

@@ -202,9 +202,11 @@ def check_joint_range(task: Task, hand: Hand, task_name: str, digits: Sequence[D
                     *np.broadcast_arrays(row, low, high), names, strict=True
                 ):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
-                        place = f"{task_name}: phase[{i}].angle_deg"
+                        angle_key = f"{task_name}: phase[{i}].angle_deg"
                         raise ConfigError(
-                            f"{angle:g} {unit} for {name}", place, f"{lower:g} to {upper:g} {unit}"
+                            f"{angle:g} {unit} for {name}",
+                            angle_key,
+                            f"{lower:g} to {upper:g} {unit}",
                         )
 
 

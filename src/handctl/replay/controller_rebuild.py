@@ -73,9 +73,9 @@ def _read_attachment(log: RunLog, name: str, model: type[AttachmentT]) -> Attach
         return model.model_validate_json(data)
     except ValidationError as error:
         first_error = error.errors(include_url=False)[0]
-        place = "".join(f" {part}" for part in first_error["loc"])
+        error_location = "".join(f" {key_or_index}" for key_or_index in first_error["loc"])
         raise LogError(
-            printable_text(f"{name} cannot be read:{place}: {first_error['msg']}"),
+            printable_text(f"{name} cannot be read:{error_location}: {first_error['msg']}"),
             *_versions_text(log),
         ) from None
 

@@ -106,18 +106,18 @@ def _read_info(dataset_folder: Path) -> Mapping[str, Any]:
         ConfigError: the file does not describe a dataset of codebase version 3.
     """
     path = _info_path(dataset_folder)
-    right = "a LeRobot dataset (3.0)"
+    expected = "a LeRobot dataset (3.0)"
     try:
         if path.stat().st_size > MAX_INFO_BYTES:
-            raise ConfigError("too large", str(path), right)
+            raise ConfigError("too large", str(path), expected)
         dataset_info = json.loads(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", str(path), right) from None
+        raise ConfigError(f"cannot be read: {error.strerror}", str(path), expected) from None
     except (ValueError, RecursionError):
-        raise ConfigError("is no JSON", str(path), right) from None
+        raise ConfigError("is no JSON", str(path), expected) from None
     version = dataset_info.get("codebase_version") if isinstance(dataset_info, dict) else None
     if not isinstance(version, str) or not version.startswith(VERSION_PREFIX):
-        raise ConfigError(f"version {_value_text(version)}", str(path), right)
+        raise ConfigError(f"version {_value_text(version)}", str(path), expected)
     return dict(dataset_info)
 
 
@@ -234,13 +234,15 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     distance_beyond_range = units.to_displayed(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
-    wrong = ~(distance_beyond_range <= MAX_CLIPPED_DEG)  # this negated comparison also finds NaN
-    if wrong.any():
-        frame, joint = (int(index) for index in np.argwhere(wrong)[0])
+    is_beyond_limit = ~(
+        distance_beyond_range <= MAX_CLIPPED_DEG
+    )  # this negated comparison also finds NaN
+    if is_beyond_limit.any():
+        frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])
         unit = units.names[joint]
-        given = units.to_displayed(angles_of_frames[frame])[joint]
+        angle = units.to_displayed(angles_of_frames[frame])[joint]
         lower_limit, upper_limit = units.to_displayed(hand.joint_limits)[:, joint]
-        problem = f"{given:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
+        problem = f"{angle:.6g} {unit} for {hand.joints[joint]} in frame {frame}"
         raise ConfigError(problem, episode_name, f"{lower_limit:g} to {upper_limit:g} {unit}")
     return np.clip(angles_of_frames, low, high)
 

@@ -112,7 +112,7 @@ def execute_log(
     wall_time_s = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
-    parts = (
+    tally_fields = (
         difference_tally.ticks,
         difference_tally.differing_ticks,
         difference_tally.different_decisions,
@@ -120,7 +120,7 @@ def execute_log(
         difference_tally.first_state_difference,
         difference_tally.largest_difference,
     )
-    return LogExecution(*parts, wall_time_s, cpu, length)
+    return LogExecution(*tally_fields, wall_time_s, cpu, length)
 
 
 def _ignore_progress(ticks: int) -> None:

@@ -118,9 +118,11 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
         if max_silence_ms
         else old_limits.silent_ticks,
-        one_silent_ticks=tick_count_for_time(max_silence_ms / 1e3, period, MIN_SILENT_TICKS)
+        silent_ticks_of_single_motor=tick_count_for_time(
+            max_silence_ms / 1e3, period, MIN_SILENT_TICKS
+        )
         if max_silence_ms
-        else old_limits.one_silent_ticks,
+        else old_limits.silent_ticks_of_single_motor,
         stalled_ticks=tick_count_for_time(max_stall_ms / 1e3, period, MIN_STALLED_TICKS)
         if max_stall_ms
         else old_limits.stalled_ticks,

@@ -108,12 +108,14 @@ def _chunk_ticks(
     """
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
-    parts: dict[int, list[bytes]] = {channel: [] for channel in channels}
+    rows_by_channel: dict[int, list[bytes]] = {channel: [] for channel in channels}
     for rows_of_channel in iter_messages(
         content, chunk.end - chunk.data_offset, frozenset(channels)
     ):
-        parts[rows_of_channel.channel] += [row.tobytes() for row in rows_of_channel.data()]
-    messages, values_of, digests = (parts[channel] for channel in channels)
+        rows_by_channel[rows_of_channel.channel] += [
+            row.tobytes() for row in rows_of_channel.data()
+        ]
+    messages, values_of, digests = (rows_by_channel[channel] for channel in channels)
     if channels[2] == NO_CHANNEL:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):

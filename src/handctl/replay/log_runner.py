@@ -93,13 +93,13 @@ class DifferenceTally:
             if difference.ulps is not None:
                 self._update_largest_difference(difference)
 
-    def _update_largest_difference(self, other: TickDifference | None) -> None:
+    def _update_largest_difference(self, new_difference: TickDifference | None) -> None:
         """Store another difference if it is larger than the largest difference so far."""
-        if other and (
+        if new_difference and (
             self.largest_difference is None
-            or relative_error(other) > relative_error(self.largest_difference)
+            or relative_error(new_difference) > relative_error(self.largest_difference)
         ):
-            self.largest_difference = other
+            self.largest_difference = new_difference
 
 
 @dataclass(frozen=True, slots=True)

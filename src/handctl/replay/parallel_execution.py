@@ -100,16 +100,20 @@ def run_parallel(
         worker_count: largest number of processes.
         progress: function called at intervals with the number of ticks executed so far.
     """
-    parts = split_log(runner, worker_count)
-    counts = ProgressCounts(len(parts), progress)
+    log_parts = split_log(runner, worker_count)
+    counts = ProgressCounts(len(log_parts), progress)
     workers = [
-        _start_worker(runner, part, counts.counter_of_process(i))
-        for i, part in enumerate(parts)
+        _start_worker(runner, log_part, counts.counter_of_process(i))
+        for i, log_part in enumerate(log_parts)
         if i
     ]
     try:
         state, total = runner.execute_part(
-            parts[0].start, parts[0].stop, parts[0].state, None, counts.counter_of_process(0)
+            log_parts[0].start,
+            log_parts[0].stop,
+            log_parts[0].state,
+            None,
+            counts.counter_of_process(0),
         )
         for worker in workers:
             # If the hashes are equal, the worker process started from the state that a serial
@@ -176,16 +180,16 @@ def _state_after_tick(runner: LogRunner, tick_index: int) -> ControllerState | N
 
 
 def _start_worker(
-    runner: LogRunner, part: LogPart, add_executed_ticks: Callable[[int], None]
+    runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> WorkerProcess:
     """Start the execution of a part in a forked copy of this process."""
     return WorkerProcess(
-        *run_in_forked_copy(lambda: _result_json(runner, part, add_executed_ticks)), part
+        *run_in_forked_copy(lambda: _result_json(runner, log_part, add_executed_ticks)), log_part
     )
 
 
 def _result_json(
-    runner: LogRunner, part: LogPart, add_executed_ticks: Callable[[int], None]
+    runner: LogRunner, log_part: LogPart, add_executed_ticks: Callable[[int], None]
 ) -> str:
     """Execute a part of a log, and return the result as JSON. If the log is damaged, the text is empty.
 
@@ -193,7 +197,7 @@ def _result_json(
     error.
     """
     try:
-        state, difference_tally = runner.execute_part(*part, None, add_executed_ticks)
+        state, difference_tally = runner.execute_part(*log_part, None, add_executed_ticks)
     except LogError:
         return ""
     return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(difference_tally)})

@@ -76,16 +76,21 @@ def compare_logs(a: RunLog, b: RunLog, location: str) -> dict[str, Any]:
             )
     for log in (a, b):
         check_order(log.t_ns, log.header.period_ns)
-    first_phases, second_phases = ({part.name: part for part in phase_spans(log)} for log in (a, b))
+    first_phases, second_phases = (
+        {phase_span.name: phase_span for phase_span in phase_spans(log)} for log in (a, b)
+    )
     phases = {}
-    for name, part in first_phases.items():
+    for name, phase_span in first_phases.items():
         if name not in second_phases:
             continue
         other_phase = second_phases[name]
-        durations_s = (part.end_s - part.start_s, other_phase.end_s - other_phase.start_s)
-        is_moving_phase = part.name not in PASSIVE_PHASES and min(durations_s) > 0
+        durations_s = (
+            phase_span.end_s - phase_span.start_s,
+            other_phase.end_s - other_phase.start_s,
+        )
+        is_moving_phase = phase_span.name not in PASSIVE_PHASES and min(durations_s) > 0
         shared_comparison = (
-            compare_runs(a, part.start_s, b, other_phase.start_s, min(durations_s))
+            compare_runs(a, phase_span.start_s, b, other_phase.start_s, min(durations_s))
             if is_moving_phase
             else {}
         )

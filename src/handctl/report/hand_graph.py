@@ -53,14 +53,15 @@ def draw_hand(path: Path, hand: Hand) -> None:
 
     rows = sum(1.6 + len(_digit_tendons(hand, digit)) for digit in hand.digit) + 1.0
     joints = max(len(digit.joints) for digit in hand.digit)
-    left = MOTOR_COLUMN_X - 1.6 - BUS_SPACING * len(hand.bus)
+    left_edge_x = MOTOR_COLUMN_X - 1.6 - BUS_SPACING * len(hand.bus)
     right_edge_x = FIRST_JOINT_COLUMN_X + JOINT_SPACING * joints + 0.6
     figure = Figure(
-        figsize=(1.05 * (right_edge_x - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
+        figsize=(1.05 * (right_edge_x - left_edge_x), ROW_HEIGHT_IN * rows + 0.5),
+        layout="constrained",
     )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.set_xlim(left, right_edge_x)
+    axes.set_xlim(left_edge_x, right_edge_x)
     axes.set_ylim(-rows, 0.4)
     axes.set_axis_off()
     title = printable_text(f"{hand.name}: {hand.description}", 100)

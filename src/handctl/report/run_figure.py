@@ -252,12 +252,17 @@ def _draw_forces(
         if truth is not None:
             # The truth file contains the three components of the contact force. The estimate
             # contains only the size of the contact force, without the direction.
-            parts = [
+            force_components = [
                 truth.interpolated_column(f"contact_force/{name}/{axis}", log.t_ns + offset_ns)
                 for axis in "xyz"
             ]
             _draw_command_and_truth(
-                axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64)
+                axes,
+                log,
+                None,
+                np.asarray(
+                    np.sqrt(sum(component**2 for component in force_components)), np.float64
+                ),
             )
 
 
@@ -302,11 +307,15 @@ def _mark_positions(
     for t_s in times_s:
         # If a mark is near the end of the axis, the name is written to the left of the line that
         # marks the time.
-        left = t_s if t_s + width <= time_limits_s[1] else t_s - width
-        taken_heights = {place[1] for place in positions if place and abs(place[0] - left) < width}
+        left_edge_s = t_s if t_s + width <= time_limits_s[1] else t_s - width
+        taken_heights = {
+            position[1]
+            for position in positions
+            if position and abs(position[0] - left_edge_s) < width
+        }
         free_heights = [height for height in MARK_HEIGHTS if height not in taken_heights]
         is_inside = time_limits_s[0] <= t_s <= time_limits_s[1]
-        positions.append((left, free_heights[0]) if is_inside and free_heights else None)
+        positions.append((left_edge_s, free_heights[0]) if is_inside and free_heights else None)
     return positions
 
 

@@ -80,8 +80,8 @@ def write_page(
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
-    with atomic_path(path) as part:
-        part.write_bytes(data)
+    with atomic_path(path) as temporary_path:
+        temporary_path.write_bytes(data)
     return len(data)
 
 

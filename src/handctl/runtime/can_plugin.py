@@ -106,10 +106,10 @@ class LocalCanBus(can.BusABC):
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR_FLAG),)):
             self._raise_if_lost()
-            left = end - time.monotonic()
-            if left <= 0:
+            remaining_s = end - time.monotonic()
+            if remaining_s <= 0:
                 raise can.CanOperationError("the local bus accepts no more frames")
-            select.select([self._link], [], [], min(left, SEND_RETRY_PERIOD_S))
+            select.select([self._link], [], [], min(remaining_s, SEND_RETRY_PERIOD_S))
         if self._receive_own:
             self._waiting.append(frame)
 

@@ -101,25 +101,27 @@ def send_with_confirmation(
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     is_sent = False
-    reason = CONTROLLER_SILENT_TEXT
+    failure_reason = CONTROLLER_SILENT_TEXT
     watcher.discard_status_lines()
-    while (left := end - time.monotonic()) > 0.0:
+    while (remaining_s := end - time.monotonic()) > 0.0:
         if is_repeated or not is_sent:
-            is_sent, reason = _try_send_request(
-                watcher, data, min(left, REQUEST_REPEAT_PERIOD_S) if is_repeated else left
+            is_sent, failure_reason = _try_send_request(
+                watcher,
+                data,
+                min(remaining_s, REQUEST_REPEAT_PERIOD_S) if is_repeated else remaining_s,
             )
         if not is_sent:
-            if not (is_repeated or reason == MAILBOX_FULL_TEXT):
+            if not (is_repeated or failure_reason == MAILBOX_FULL_TEXT):
                 break
-            time.sleep(min(left, SEND_RETRY_PERIOD_S))
+            time.sleep(min(remaining_s, SEND_RETRY_PERIOD_S))
             continue
-        left = max(0.0, end - time.monotonic())
+        remaining_s = max(0.0, end - time.monotonic())
         for line in watcher.status_lines(
-            min(left, REQUEST_REPEAT_PERIOD_S) if is_repeated else left
+            min(remaining_s, REQUEST_REPEAT_PERIOD_S) if is_repeated else remaining_s
         ):
             if (texts := events_for_request(name, line["events"])) is not None:
                 return line, texts
-    raise UnconfirmedError(watcher.name, str(request["do"]), reason)
+    raise UnconfirmedError(watcher.name, str(request["do"]), failure_reason)
 
 
 def _try_send_request(

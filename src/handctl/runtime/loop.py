@@ -251,14 +251,16 @@ class ControlLoop(Generic[S]):
         try:
             return self._run(last_state)
         except Exception as error:
-            left: tuple[str, ...] = ("the drives are unknown, because their query failed as well",)
+            unconfirmed_drives: tuple[str, ...] = (
+                "the drives are unknown, because their query failed as well",
+            )
             try:
                 self._send_torque_cut()
-                left = self._poll_until_disabled(last_state[0])
+                unconfirmed_drives = self._poll_until_disabled(last_state[0])
             finally:
-                if left:
+                if unconfirmed_drives:
                     raise PowerError(
-                        f"{REMOVE_POWER}: not confirmed disabled: {', '.join(left)}"
+                        f"{REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed_drives)}"
                     ) from error
             raise
 
@@ -270,17 +272,19 @@ class ControlLoop(Generic[S]):
         """
         if self.disable_drives is None:
             return ()
-        left: tuple[str, ...] = ()
+        unconfirmed_drives: tuple[str, ...] = ()
         for k in range(
             self._k + 1, self._k + 2 + DISABLE_CONFIRMATION_TIMEOUT_NS // self.period_ns
         ):
             self.clock.wait(k)
             received_frames = [frame for bus in self.buses for frame in bus.drain()]
-            state, frames, left = self.disable_drives(state, k * self.period_ns, received_frames)
-            if not left:
+            state, frames, unconfirmed_drives = self.disable_drives(
+                state, k * self.period_ns, received_frames
+            )
+            if not unconfirmed_drives:
                 break
             self._send(frames)
-        return left
+        return unconfirmed_drives
 
     def _send_torque_cut(self) -> None:
         """Send the frames that remove the torque on every bus.
@@ -288,13 +292,13 @@ class ControlLoop(Generic[S]):
         If the queue of a bus is full and refuses some of these frames, the frames are sent again.
         """
         is_single_bus = len(self.buses) == 1
-        left = [
+        unsent_frames = [
             (bus, [f for f in self.torque_cut_frames if f.bus == index or is_single_bus])
             for index, bus in enumerate(self.buses)
         ]
         for _ in range(TORQUE_CUT_ATTEMPTS):
-            self._send_torque_cut_once(left)
-            if not any(frames for _, frames in left):
+            self._send_torque_cut_once(unsent_frames)
+            if not any(frames for _, frames in unsent_frames):
                 return
             time.sleep(TORQUE_CUT_RETRY_PAUSE_S)
 
@@ -364,12 +368,12 @@ class ControlLoop(Generic[S]):
 
     def _collect_tick_input(self, k: int, lateness_ns: int) -> TickIn:
         """Return the inputs of a tick: the frames and the events since the last tick."""
-        parts: list[Frames] = []
+        frame_batches: list[Frames] = []
         events = self.take_host_events()
         for bus in self.buses:
-            parts.append(bus.drain())
+            frame_batches.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        frames = join_frames(parts)
+        frames = join_frames(frame_batches)
         return TickIn(k, k * self.period_ns, lateness_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:
@@ -379,8 +383,13 @@ class ControlLoop(Generic[S]):
         else:
             records = frames_as_records(frames).records
             bus_indices = records["bus"]
-            parts = [Frames(records[bus_indices == index]) for index in range(len(self.buses))]
-            accepted = sum(bus.send(part) for bus, part in zip(self.buses, parts, strict=True))
+            frames_by_bus = [
+                Frames(records[bus_indices == index]) for index in range(len(self.buses))
+            ]
+            accepted = sum(
+                bus.send(frames_of_bus)
+                for bus, frames_of_bus in zip(self.buses, frames_by_bus, strict=True)
+            )
         self.stats.frames_tx += accepted
         self.stats.refused_frames += len(frames) - accepted
 

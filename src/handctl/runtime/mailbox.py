@@ -285,8 +285,8 @@ class StatusWatcher:
     def status_lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
         """Yield the status lines that arrive until the timeout [s] has passed."""
         end = time.monotonic() + timeout_s
-        while (left := end - time.monotonic()) > 0.0:
-            line = self.next_status_line(left)
+        while (remaining_s := end - time.monotonic()) > 0.0:
+            line = self.next_status_line(remaining_s)
             if line is not None:
                 yield line
 

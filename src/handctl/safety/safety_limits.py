@@ -56,8 +56,8 @@ class SafetyLimits:
             a cut wire, or no supply. The threshold is the same for all tendons and tares.
         silent_ticks: number of consecutive missing replies after which a motor or a load cell
             counts as silent.
-        one_silent_ticks: number of consecutive missing replies after which a motor counts as silent
-            while another motor answers.
+        silent_ticks_of_single_motor: number of consecutive missing replies after which a motor
+            counts as silent while another motor answers.
         stalled_ticks: number of consecutive missed ticks after which the host counts as stalled.
         temperature_soft: drive temperature at which the controller begins to lower the tension
             limit [degC].
@@ -76,7 +76,7 @@ class SafetyLimits:
     tension_rail: float
     tension_low: float = -math.inf
     silent_ticks: int = MIN_SILENT_TICKS
-    one_silent_ticks: int = MIN_SILENT_TICKS
+    silent_ticks_of_single_motor: int = MIN_SILENT_TICKS
     stalled_ticks: int = MIN_STALLED_TICKS
     temperature_soft: float = SOFT_TEMPERATURE_LIMIT_DEGC
     temperature_hard: float = HARD_TEMPERATURE_LIMIT_DEGC

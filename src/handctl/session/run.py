@@ -87,7 +87,7 @@ class RunOutcome:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
-    def raise_if_not_finished(self, location: str, right: str = "") -> None:
+    def raise_if_not_finished(self, location: str, remedy: str = "") -> None:
         """Raise an error if the run did not finish.
 
         Args:
@@ -101,7 +101,7 @@ class RunOutcome:
         if self.state.unconfirmed:
             raise PowerError(self.state.failure, location)
         if self.state.failure or not self.state.progress.finished:
-            raise DriveError(self.state.failure or "stopped before the end", location, right)
+            raise DriveError(self.state.failure or "stopped before the end", location, remedy)
 
 
 RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]

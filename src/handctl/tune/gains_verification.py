@@ -240,7 +240,8 @@ class VerifyObserver:
         # If a request does not set the force of some tendon, the running controller keeps the
         # present force of this tendon. Therefore the request must set the forces of all tendons.
         value_by_key = values_by_key(gains) | {
-            key: new for key, (_, new) in changed_gain_values(present_gains, gains).items()
+            key: new_value
+            for key, (_, new_value) in changed_gain_values(present_gains, gains).items()
         }
         values = {
             key: value
@@ -408,11 +409,20 @@ def scores_by_round(
         measured_truth = GroundTruth.from_record(truth, hand, log.t_ns + offset_ns)
     results = []
     for start, end in zip(start_indices, [*start_indices[1:], int(log.k[-1]) + 1], strict=True):
-        part = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
-        truth_of_round = GroundTruth(measured_truth.angle[part], measured_truth.tension[part])
-        tension = log.field("tension_goal")[part]
-        torque = log.field("motor_torque_goal")[part]
+        is_in_round = (log.k >= start) & (log.k < end) & (log.mode == int(HandMode.ACTIVE))
+        truth_of_round = GroundTruth(
+            measured_truth.angle[is_in_round], measured_truth.tension[is_in_round]
+        )
+        tension = log.field("tension_goal")[is_in_round]
+        torque = log.field("motor_torque_goal")[is_in_round]
         results.append(
-            score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, truth_of_round)
+            score_ticks(
+                log.t_ns[is_in_round],
+                phase[is_in_round],
+                angle[is_in_round],
+                tension,
+                torque,
+                truth_of_round,
+            )
         )
     return results

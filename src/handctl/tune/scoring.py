@@ -77,11 +77,13 @@ class GainScore:
         """
         # The weights of tracking, tension and effort are 1, 1 and 0.1. They are divided by their
         # sum 2.1, so that the cost of the reference is 1.
-        parts = [
-            objective / max(other, 1e-9)
-            for objective, other in zip(self.objectives, scale.objectives, strict=True)
+        relative_objectives = [
+            objective / max(scale_objective, 1e-9)
+            for objective, scale_objective in zip(self.objectives, scale.objectives, strict=True)
         ]
-        return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
+        return (
+            relative_objectives[0] + relative_objectives[1] + 0.1 * relative_objectives[2]
+        ) / 2.1
 
 
 def evaluate_job(score_job: Mapping[str, Any]) -> dict[str, Any]:

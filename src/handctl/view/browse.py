@@ -58,10 +58,10 @@ def browse_log(
             chunks_of_run_by_part,
         )  # Rerun is imported while the viewer starts
 
-        parts = chunks_of_run_by_part(path, run, FIRST_SLICE_NS, scan)
-        first_parts = list(islice(parts, 2))
+        chunk_lists = chunks_of_run_by_part(path, run, FIRST_SLICE_NS, scan)
+        first_parts = list(islice(chunk_lists, 2))
         viewer_process = starting_viewer.wait_until_ready()
-        _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, parts)))
+        _send_chunks(viewer_process, run, chain.from_iterable(chain(first_parts, chunk_lists)))
         yield viewer_process
 
 

@@ -50,8 +50,8 @@ def draw_recording(recording_path: Path, picture_time_s: float, picture_path: Pa
         time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
         reports = problem_reports_of_view(client)
-    with atomic_path(picture_path) as part:
-        part.write_bytes(png)
+    with atomic_path(picture_path) as temporary_path:
+        temporary_path.write_bytes(png)
     return reports
 
 

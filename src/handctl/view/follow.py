@@ -56,11 +56,11 @@ class LogFollower:
         Raises:
             LogError: the log is damaged.
         """
-        part = Path(self._folder.name) / "part.mcap"
-        new_chunk_count = self._tail.write_new_chunks(part)
+        partial_log = Path(self._folder.name) / "part.mcap"
+        new_chunk_count = self._tail.write_new_chunks(partial_log)
         if new_chunk_count is None:
             return False
-        chunks = chunks_of_log(part, self._converters, self._run.name, new_chunk_count)
+        chunks = chunks_of_log(partial_log, self._converters, self._run.name, new_chunk_count)
         rr.send_chunks(chunks, recording=self._stream)
         self._wait_until_viewer_has_data()
         return True

@@ -73,8 +73,8 @@ def chunks_of_run_by_part(
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         converters = TopicConverters(run)
         complete_log, scan = ensure_complete_log(path, Path(folder), scan or scan_path(path))
-        for part, since_ns in time_slices(complete_log, scan, Path(folder), first_slice_ns):
-            yield list(chunks_of_log(part, converters, run.name, since_ns))
+        for partial_log, since_ns in time_slices(complete_log, scan, Path(folder), first_slice_ns):
+            yield list(chunks_of_log(partial_log, converters, run.name, since_ns))
 
 
 def ensure_complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, RecordScan]:

@@ -41,7 +41,7 @@ def time_slices(
         first_chunk = scan.chunks[0]
         remaining_chunks = scan.chunks[1:]
         start_offsets = [chunk.offset for chunk in remaining_chunks] + [scan.end]
-        part = folder / "part.mcap"
+        partial_log = folder / "part.mcap"
         for group in _group_chunks(first_chunk.first_ns, remaining_chunks, first_slice_ns) or [[]]:
             first_chunk_index = remaining_chunks.index(group[0]) if group else 0
             for chunk in group:
@@ -49,7 +49,7 @@ def time_slices(
                 file.chunk_content(chunk)
             # Every part begins with the head of the log file and the first chunk, which contain the
             # definitions of all topics.
-            with part.open("wb") as output_file:
+            with partial_log.open("wb") as output_file:
                 output_file.write(file.read_range(0, start_offsets[0]))
                 if group:
                     output_file.write(
@@ -60,7 +60,7 @@ def time_slices(
                         )
                     )
             yield (
-                part,
+                partial_log,
                 min((chunk.first_ns for chunk in group), default=first_chunk.first_ns)
                 if first_chunk_index
                 else first_chunk.first_ns,

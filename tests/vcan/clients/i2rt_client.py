@@ -54,9 +54,9 @@ def check_registers(checks: CheckList) -> None:
         return "verified"
 
     checks.check("types, control mode and ranges are verified", bool(verify_motors(MOTORS, "MIT")))
-    wrong = [(1, "DM4340"), *MOTORS[1:]]
+    wrong_motors = [(1, "DM4340"), *MOTORS[1:]]
     checks.check_raises(
-        "a wrong type is refused", lambda: verify_motors(wrong, "MIT"), "motor 1 reported"
+        "a wrong type is refused", lambda: verify_motors(wrong_motors, "MIT"), "motor 1 reported"
     )
     checks.check_raises(
         "a wrong control mode is reported", lambda: verify_motors(MOTORS, "VEL"), "CTRL_MODE"
@@ -99,7 +99,7 @@ def check_velocity_mode(checks: CheckList) -> None:
     checks.check_until(
         "four motors turn at 3 rad/s in velocity mode",
         speeds,
-        lambda seen: all(abs(speed - 3.0) < 0.1 for speed in seen),
+        lambda measured_speeds: all(abs(speed - 3.0) < 0.1 for speed in measured_speeds),
     )
     chain.set_commands(np.zeros(MOTOR_COUNT))
     time.sleep(0.5)
@@ -119,7 +119,7 @@ def check_mit_mode(checks: CheckList) -> None:
         return np.array([state.pos for state in states]) - start
 
     checks.check_until(
-        "four motors turn by a torque", travel, lambda seen: bool(np.all(seen > TRAVEL_RAD))
+        "four motors turn by a torque", travel, lambda travels: bool(np.all(travels > TRAVEL_RAD))
     )
     torques = [state.eff for state in chain.read_states()]
     checks.check(
@@ -137,7 +137,9 @@ def check_mit_mode(checks: CheckList) -> None:
         return np.array([state.pos for state in states]) - goal
 
     checks.check_until(
-        "they hold positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+        "they hold positions",
+        errors,
+        lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
     checks.check("the control loop has met no error", bool(chain.running))
     close_chain(chain)

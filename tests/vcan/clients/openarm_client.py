@@ -95,18 +95,20 @@ def check_mit_mode(checks: CheckList) -> None:
     checks.check_until(
         "three motors report the commanded torque",
         torques,
-        lambda seen: all(abs(torque - TORQUE_N_M) < 0.01 for torque in seen),
+        lambda measured_torques: all(
+            abs(torque - TORQUE_N_M) < 0.01 for torque in measured_torques
+        ),
     )
     checks.check_until(
         "they turn by it",
         lambda: command(0.0, 0.0, start, TORQUE_N_M),
-        lambda seen: all(a - b > TRAVEL_RAD for a, b in zip(seen, start, strict=True)),
+        lambda positions: all(a - b > TRAVEL_RAD for a, b in zip(positions, start, strict=True)),
     )
     goals = [motor.get_position() - TRAVEL_RAD for motor in request_feedback(arm)]
     checks.check_until(
         "they hold positions",
         lambda: command(20.0, 1.0, goals, 0.0),
-        lambda seen: all(abs(a - b) < 0.02 for a, b in zip(seen, goals, strict=True)),
+        lambda positions: all(abs(a - b) < 0.02 for a, b in zip(positions, goals, strict=True)),
     )
     checks.check("no reply has another identifier", not arm.get_unmatched_frames())
     close_arm(arm, checks, "MIT")
@@ -124,7 +126,7 @@ def check_velocity_mode(checks: CheckList) -> None:
     checks.check_until(
         "three motors turn at 2 rad/s",
         speeds,
-        lambda seen: all(abs(speed - 2.0) < 0.1 for speed in seen),
+        lambda measured_speeds: all(abs(speed - 2.0) < 0.1 for speed in measured_speeds),
     )
     close_arm(arm, checks, "velocity")
 

@@ -83,12 +83,12 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
     checks.check_until(
         "three motors report the commanded torque",
         lambda: command_torque_and_read("torques"),
-        lambda seen: bool(np.allclose(seen, TORQUE_N_M, atol=0.01)),
+        lambda torques: bool(np.allclose(torques, TORQUE_N_M, atol=0.01)),
     )
     checks.check_until(
         "they turn by it",
         lambda: command_torque_and_read("positions") - start,
-        lambda seen: bool(np.all(seen > TRAVEL_RAD)),
+        lambda travels: bool(np.all(travels > TRAVEL_RAD)),
     )
     goals = np.array(arm.positions()) - TRAVEL_RAD
 
@@ -97,7 +97,9 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
         return read_feedback("positions") - goals
 
     checks.check_until(
-        "they hold positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+        "they hold positions",
+        errors,
+        lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 
 
@@ -107,7 +109,9 @@ def use_velocity_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
         return read_feedback("velocities")
 
     checks.check_until(
-        "three motors turn at 2 rad/s", speeds, lambda seen: bool(np.all(np.abs(seen - 2.0) < 0.1))
+        "three motors turn at 2 rad/s",
+        speeds,
+        lambda measured_speeds: bool(np.all(np.abs(measured_speeds - 2.0) < 0.1)),
     )
 
 
@@ -119,7 +123,9 @@ def use_position_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
         return read_feedback("positions") - goals
 
     checks.check_until(
-        "three motors reach positions", errors, lambda seen: bool(np.all(np.abs(seen) < 0.02))
+        "three motors reach positions",
+        errors,
+        lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 
 
@@ -133,7 +139,7 @@ def use_force_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], A
     checks.check_until(
         "three motors reach positions with little torque",
         errors,
-        lambda seen: bool(np.all(np.abs(seen) < 0.02)),
+        lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
 
 

@@ -79,10 +79,10 @@ def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
     time.sleep(0.2)
     bus.send([Frame(2, b"", bus=BUS_INDEX)])
     time.sleep(0.2)
-    first, second = drain_bus(other_bus, 2)
+    first_frame, second_frame = drain_bus(other_bus, 2)
     slack = 100_000_000
-    assert time_ns_before - slack <= first.t_ns <= send_time_ns + slack
-    assert second.t_ns - first.t_ns >= 150_000_000
+    assert time_ns_before - slack <= first_frame.t_ns <= send_time_ns + slack
+    assert second_frame.t_ns - first_frame.t_ns >= 150_000_000
 
 
 def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, other_bus: Bus) -> None:
@@ -172,11 +172,11 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, s
 @pytest.fixture
 def slow_tunnel() -> Iterator[tuple[str, str]]:
     """Make a CAN tunnel with a slow wire behind its first end. Yield the names of both ends."""
-    made = subprocess.run(
+    result = subprocess.run(
         ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False
     )
-    if made.returncode:
-        pytest.skip(f"no vxcan with netem here: {made.stderr.strip()}")
+    if result.returncode:
+        pytest.skip(f"no vxcan with netem here: {result.stderr.strip()}")
     yield "vxcan0", "vxcan1"
     subprocess.run(["ip", "link", "del", "vxcan0"], check=True)
 

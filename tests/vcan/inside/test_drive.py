@@ -35,11 +35,11 @@ def scene_file() -> None:
 
 def _write_homed_calibration(calibration_file: Path) -> None:
     """Write the calibration of a simulated hand that starts with known motor zeros."""
-    hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
+    hand, made_at = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     tendon_calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     tendons = dict.fromkeys(hand.tendon_names, tendon_calibration)
     calibration = Calibration(
-        hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons
+        hand="jamia", identity=hand.identity, made=made_at.isoformat(), tendon=tendons
     )
     write_calibration(calibration_file, calibration)
 
@@ -65,14 +65,17 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     result = json.loads(ran.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
     with RunLog(GOLDEN_LOG) as original_log, RunLog(tmp_path / "again.mcap") as replayed_log:
-        apart, (old, new) = (
+        apart, (recorded_tensions, repeated_tensions) = (
             mean_angle_differences(original_log, replayed_log),
             mean_held_tensions(original_log, replayed_log),
         )
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
-    print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
+    print(
+        summary
+        + f"tensions {100 * abs(repeated_tensions / recorded_tensions - 1).max():.1f} % apart"
+    )
     assert max(angles.values()) < 1.0, angles
     assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, (
         summary
     )  # single peaks do not count, because the clocks of the guest jump
-    np.testing.assert_allclose(new, old, rtol=0.05)
+    np.testing.assert_allclose(repeated_tensions, recorded_tensions, rtol=0.05)

@@ -124,18 +124,18 @@ def run_until_done(
     """
     failure = ""
     for number in range(5):
-        place = work_folder / str(number)
-        place.mkdir()
+        run_folder = work_folder / str(number)
+        run_folder.mkdir()
         observer.reset()
         set_interface_up("vcan0", True)
         try:
-            outcome, truth = run_pull(place, observer)
+            outcome, truth = run_pull(run_folder, observer)
         except LogError as error:  # the recorder did not start in time
             failure = str(error)
             continue
         failure = outcome.state.failure
         if not observer.left and (expected_end in failure if expected_end else not failure):
-            (place / "run.mcap").rename(work_folder / "run.mcap")
+            (run_folder / "run.mcap").rename(work_folder / "run.mcap")
             return outcome, truth
         assert any(row in failure for row in STALL_FAULTS), failure
     pytest.fail(f"none of five runs came through: {failure}")

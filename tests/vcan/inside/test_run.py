@@ -60,24 +60,24 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
 def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
     """Return the first run that was not stopped by the load of the machine, and its folder."""
     for number, time_scale in enumerate(TIME_SCALES):
-        place = work_folder / str(number)
-        place.mkdir()
-        result = run_handctl(place, time_scale)
+        run_folder = work_folder / str(number)
+        run_folder.mkdir()
+        result = run_handctl(run_folder, time_scale)
         if result.returncode == 0:
             break
-        simulator = (place / "simulator").read_text()
+        simulator = (run_folder / "simulator").read_text()
         is_undisturbed = "slips=0" in simulator and not any(
             row in result.stderr for row in STALL_FAULTS
         )
         assert not is_undisturbed, result.stderr + result.stdout + simulator
     assert result.returncode == 0, result.stderr + result.stdout
-    return result, place
+    return result, run_folder
 
 
 @pytest.mark.timeout(900)
 def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
-    ran, place = run_until_undisturbed(tmp_path)
-    log = place / "run.mcap"
+    ran, run_folder = run_until_undisturbed(tmp_path)
+    log = run_folder / "run.mcap"
     result = json.loads(ran.stdout)
     assert result["failure"] == ""
     assert result["log_complete"]

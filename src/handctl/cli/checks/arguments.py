@@ -202,7 +202,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
 
 def _parse_lengths(text: str) -> tuple[float, ...]:
     """Return the lengths [mm] in a list such as ``40,30``."""
-    return tuple(float(part) for part in text.split(","))
+    return tuple(float(length_text) for length_text in text.split(","))
 
 
 def _declare_files(parser: argparse.ArgumentParser) -> None:

@@ -30,7 +30,7 @@ from handctl.programs.default_task import grasp_warnings
 
 def lengths_from_text(text: str) -> tuple[float, ...]:
     """Return the lengths [mm] in a list such as ``40,30``."""
-    return tuple(float(part) for part in text.replace(",", " ").split())
+    return tuple(float(length_text) for length_text in text.replace(",", " ").split())
 
 
 HAND_QUESTIONS = (

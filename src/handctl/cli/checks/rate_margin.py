@@ -83,8 +83,8 @@ def force_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     force = gains.force_weights_of_tendon(name)[0]
     is_own_force = force != gains.motion.force_N
     key = f"tendon.{name}.motion_force_N" if is_own_force else "motion.force_N"
-    right = None if is_own_force else _largest_force_with_margin(hand, gains, rate_hz)
-    expected = "gains from tune design" if right is None else f"at most {right:g} N"
+    largest_force = None if is_own_force else _largest_force_with_margin(hand, gains, rate_hz)
+    expected = "gains from tune design" if largest_force is None else f"at most {largest_force:g} N"
     return [
         f"{key}: {force:g} N leave the motion loop of {name}, which has no load cell, a gain margin of "
         f"{margin_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB at {rate_hz:g} Hz; expected {expected}"
@@ -121,7 +121,7 @@ def _smallest_gain_margin(hand: Hand, gains: Gains, rate_hz: float) -> tuple[str
         name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)).gain_db
         for i, name in enumerate(hand.tendon_names)
     }
-    return min(margin_by_digit.items(), key=lambda item: item[1])
+    return min(margin_by_digit.items(), key=lambda digit_and_margin: digit_and_margin[1])
 
 
 def _has_tendon_without_cell(hand: Hand, digit: str) -> bool:

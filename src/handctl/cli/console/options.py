@@ -284,9 +284,12 @@ def print_json_line(result: dict[str, Any]) -> None:
 
 def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {escape_surrogates(str(key)): _json_value(item) for key, item in value.items()}
+        return {
+            escape_surrogates(str(key)): _json_value(member_value)
+            for key, member_value in value.items()
+        }
     if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
+        return [_json_value(element) for element in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
     return escape_surrogates(str(value)) if isinstance(value, Path | str) else value

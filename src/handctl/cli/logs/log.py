@@ -171,10 +171,10 @@ def _export_log(args: argparse.Namespace) -> int:
         logs = [stack.enter_context(RunLog(path)) for path in (args.log, *args.more)]
         output_path = args.output or path_with_suffix(args.log, f".{args.format}")
         with (
-            atomic_path(output_path, must_be_new=True) as part,
+            atomic_path(output_path, must_be_new=True) as temporary_path,
             progress_bar("writing", quiet=args.json),
         ):
-            count = _write_export(args, logs, part)
+            count = _write_export(args, logs, temporary_path)
         code = max(
             warn_if_lossy(path, log.warning)
             for path, log in zip((args.log, *args.more), logs, strict=True)
@@ -225,7 +225,7 @@ def _recover_log(args: argparse.Namespace) -> int:
         recovery = recover_log(args.log, output)
     status = recovery.status.name.lower()
     if args.json:
-        lost_parts = [list(part) for part in recovery.lost_ranges]
+        lost_parts = [list(lost_range) for lost_range in recovery.lost_ranges]
         result = {
             "status": status,
             "messages": recovery.messages,

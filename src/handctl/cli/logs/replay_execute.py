@@ -124,7 +124,9 @@ def _writer_text(log: Any) -> tuple[str, str]:
 
 def _difference_line(difference: Any) -> str:
     """Return a difference from the log as one line: tick, time [s], field, value in the log, computed value."""
-    place = f"{difference.field} of {difference.name}" if difference.name else difference.field
+    difference_location = (
+        f"{difference.field} of {difference.name}" if difference.name else difference.field
+    )
     ulps_text = ""
     if difference.ulps is not None:
         is_small = difference.ulps <= MAX_PRINTED_ULPS
@@ -134,7 +136,7 @@ def _difference_line(difference: Any) -> str:
             else f", {difference.computed - difference.logged:+.3g}"
         )
     values = f"logged {difference.logged!r}, now {difference.computed!r}{ulps_text}"
-    return f"tick {difference.k} ({difference.t_s:.3f} s), {place}: {values}"
+    return f"tick {difference.k} ({difference.t_s:.3f} s), {difference_location}: {values}"
 
 
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:

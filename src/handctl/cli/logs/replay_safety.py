@@ -47,8 +47,9 @@ def run(args: argparse.Namespace) -> int:
     )
     for stop in judgement.stops:
         comparison_text = "as in the run" if stop.occurs_in_logged_run else "new"
-        place = f"tick {stop.k} ({stop.t_s:.3f} s)"
+        tick_and_time = f"tick {stop.k} ({stop.t_s:.3f} s)"
         print_escaped(
-            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {comparison_text}"
+            f"{tick_and_time}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: "
+            f"{stop.action}, {comparison_text}"
         )
     return code

@@ -105,8 +105,8 @@ def _write_files(args: argparse.Namespace, run_info: Any, picture_time_s: float)
 
     result: dict[str, Any] = {}
     if args.save:
-        with atomic_path(args.save) as part:
-            result = {"rrd": args.save, "bytes": write_rrd(args.log, run_info, part)}
+        with atomic_path(args.save) as temporary_path:
+            result = {"rrd": args.save, "bytes": write_rrd(args.log, run_info, temporary_path)}
         _print_note(
             args,
             f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}",

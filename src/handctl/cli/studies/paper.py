@@ -48,15 +48,15 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _check_writable(args.output, args.figures, args.export)
     results = None if args.quick else _load_or_measure_results(args.results, args.jobs)
-    parts = page_sections(results)
+    sections = page_sections(results)
     if args.export:
         _export_files(args.export)
     if args.figures or args.output:
         with tempfile.TemporaryDirectory() as folder:
             figures = draw_all_figures(args.figures or Path(folder), results)
             if args.output:
-                write_text_atomically(args.output, page_as_html(parts, figures))
-    _print_items(args, parts)
+                write_text_atomically(args.output, page_as_html(sections, figures))
+    _print_items(args, sections)
     return ExitCode.DONE
 
 
@@ -102,7 +102,7 @@ def _export_files(folder: Path) -> None:
 def _print_items(args: argparse.Namespace, shown_sections: tuple[PageSection, ...]) -> None:
     if args.json:
         json.dump(
-            items_as_json([item for part in shown_sections for item in part.items]),
+            items_as_json([item for section in shown_sections for item in section.items]),
             sys.stdout,
             indent=2,
         )
@@ -135,24 +135,28 @@ def _print_table(shown_sections: tuple[PageSection, ...]) -> None:
     from rich.text import Text
 
     console = rich_console(min_width=80)
-    for part in shown_sections:
-        if part.table:
-            numbers = Table(*part.table[0])
-            for row in part.table[1:]:
+    for section in shown_sections:
+        if section.table:
+            numbers = Table(*section.table[0])
+            for row in section.table[1:]:
                 numbers.add_row(*row)
             console.print(numbers)
         table = Table(
-            title=part.title, title_justify="left", title_style="bold", expand=True, show_lines=True
+            title=section.title,
+            title_justify="left",
+            title_style="bold",
+            expand=True,
+            show_lines=True,
         )
         table.add_column("id", no_wrap=True)
         table.add_column("verdict", no_wrap=True)
         table.add_column("printed → right, and why", ratio=1)
-        for item in part.items:
+        for item in section.items:
             verdict = Text(item.verdict.value, VERDICT_COLOURS[item.verdict])
             cell = Text.assemble(
                 item.printed, (" → ", "bold"), value_text(item), "\n", (item.why, "dim")
             )
             table.add_row(item.id, verdict, cell)
         console.print(table)
-    counts = count_by_verdict([item for part in shown_sections for item in part.items])
+    counts = count_by_verdict([item for section in shown_sections for item in section.items])
     console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

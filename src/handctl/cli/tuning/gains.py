@@ -92,8 +92,8 @@ def _provenance_text(provenance: GainsProvenance) -> str:
     """Return a phrase about the origin of gains: the number, the time and the sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
-    made = f", made {provenance.made}" if provenance.made else ""
-    return number + made + (f", from {', '.join(sources)}" if sources else "")
+    date_text = f", made {provenance.made}" if provenance.made else ""
+    return number + date_text + (f", from {', '.join(sources)}" if sources else "")
 
 
 def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
@@ -107,15 +107,15 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     )
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
-    one, other = (_gains_to_compare(word, hand) for word in sides)
-    changed = changed_gain_values(one, other)
+    old_gains, new_gains = (_gains_to_compare(word, hand) for word in sides)
+    changed = changed_gain_values(old_gains, new_gains)
     if args.json:
         print_json({"sides": sides, "changed": changed})
         return ExitCode.DONE
     for key, (old_value, new_value) in changed.items():
         print(f"{key:<38} {old_value:g} -> {new_value:g}")
     print(
-        f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}"
+        f"{len(changed)} of {len(values_by_key(new_gains))} gains differ between {sides[0]} and {sides[1]}"
     )
     return ExitCode.DONE
 
@@ -239,11 +239,11 @@ def _number_text(present_value: Any) -> int:
 
 def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
-    by_number = {one.number: one.file.gains for one in stored_gains}
-    before = by_number.get(
+    by_number = {stored_entry.number: stored_entry.file.gains for stored_entry in stored_gains}
+    replaced_gains = by_number.get(
         entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
     )
-    changed = list(changed_gain_values(before, entry.file.gains))
+    changed = list(changed_gain_values(replaced_gains, entry.file.gains))
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
     made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
     return made_and_sources + (f"; changes {few}" if few else "; changes nothing")

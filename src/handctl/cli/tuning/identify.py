@@ -247,19 +247,23 @@ def _report_results(
         if tendon_result.blocked_event
     }
     blocked_results = {
-        one.data.digit: one.contact_text
-        for one in all_results
-        if one.contact_text and not one.blocked_event
+        result.data.digit: result.contact_text
+        for result in all_results
+        if result.contact_text and not result.blocked_event
     }
-    incoherent_names = [one.data.tendon for one in all_results if one.is_incoherent]
+    incoherent_names = [result.data.tendon for result in all_results if result.is_incoherent]
     any_identified = False
     for log, tendons in results_of_log.items():
-        new_entries = {name: one.calibration_entry(log, date_text) for name, one in tendons.items()}
-        any_identified = any_identified or any(one is not None for one in new_entries.values())
+        new_entries = {
+            name: result.calibration_entry(log, date_text) for name, result in tendons.items()
+        }
+        any_identified = any_identified or any(
+            new_entry is not None for new_entry in new_entries.values()
+        )
         identified |= {
-            name: one.merged_with_older(identified.get(name))
-            for name, one in new_entries.items()
-            if one is not None
+            name: new_entry.merged_with_older(identified.get(name))
+            for name, new_entry in new_entries.items()
+            if new_entry is not None
         }
     written_path = (
         calibration is not None
@@ -292,7 +296,7 @@ def _report_results(
     elif calibration is None:
         reason = f"there is no {path}: handctl commission first"
     else:
-        all_blocked = set(blocked_events) == {one.data.digit for one in all_results}
+        all_blocked = set(blocked_events) == {result.data.digit for result in all_results}
         reason = "every digit was blocked" if all_blocked else "no parameter was identified"
     print_escaped(f"no calibration written: {reason}")
     return exit_code

@@ -134,7 +134,8 @@ def _result_fields(
             for (name, kind), margins in gain_design.margins_before.items()
         },
         "after": {
-            f"{name}/{kind}": asdict(one) for (name, kind), one in gain_design.margins_after.items()
+            f"{name}/{kind}": asdict(margins)
+            for (name, kind), margins in gain_design.margins_after.items()
         },
         "not_at_rest_before": gain_design.old_gains_unrest_reason,
         "worst_before": asdict(gain_design.worst_margins_before),

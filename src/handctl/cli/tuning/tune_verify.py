@@ -55,11 +55,11 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
-    check_gain_margins(plan.hand, new.gains, plan.rate_hz)
-    old = plan.gains
-    base = old.model_copy(update={"filter": new.gains.filter})
-    if old.filter != new.gains.filter:
+    candidate_file = read_gains_for_hand(plan.hand, args.candidate, plan.show_notice)
+    check_gain_margins(plan.hand, candidate_file.gains, plan.rate_hz)
+    present_gains = plan.gains
+    gains_with_new_filter = present_gains.model_copy(update={"filter": candidate_file.gains.filter})
+    if present_gains.filter != candidate_file.gains.filter:
         print_note(
             "the filter's gains cannot change in a run: both halves use the new filter gains"
         )
@@ -67,20 +67,22 @@ def run(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
     log = args.log or default_log_path(plan.hand, "verify")
-    plan = _with_gains(plan, base, args.candidate)
-    first = args.seed
+    plan = _with_gains(plan, gains_with_new_filter, args.candidate)
+    first_seed = args.seed
     runs = []
     for seed in range(
-        first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
+        first_seed, first_seed + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
     ):
         args.seed = seed
-        run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
-        observer = VerifyObserver(plan.hand, base, new.gains, amplitudes=amplitudes)
+        run_log = log if seed == first_seed else log.with_stem(f"{log.stem}-seed{seed}")
+        observer = VerifyObserver(
+            plan.hand, gains_with_new_filter, candidate_file.gains, amplitudes=amplitudes
+        )
         outcome, truth = _run_test_round(args, plan, ExerciseProgram(amplitudes), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
-    args.seed = first
+    args.seed = first_seed
     return _report_verification(args, runs, outcome)
 
 
@@ -179,28 +181,34 @@ def _report_verification(
     """
     from handctl.tune.gains_verification import compare_rounds
 
-    last = round_results[-1]
-    columns = compare_rounds([one["rounds"] for one in round_results]) if last["through"] else []
+    last_run = round_results[-1]
+    columns = (
+        compare_rounds([run_result["rounds"] for run_result in round_results])
+        if last_run["through"]
+        else []
+    )
     worse = [column.name for column in columns if column.verdict == "worse"]
-    reason = last["stopped"]
+    reason = last_run["stopped"]
     if worse and not args.accept_worse:
         reason = f"{', '.join(worse)} worse than with the old gains; --accept-worse accepts this"
     if not reason and outcome.exit_code != ExitCode.DONE:
         reason = f"the run ended with exit code {int(outcome.exit_code)}"
-    verified = last["through"] and not reason
-    result = {key: value for key, value in last.items() if key not in ("through", "stopped")} | {
+    verified = last_run["through"] and not reason
+    result = {
+        key: value for key, value in last_run.items() if key not in ("through", "stopped")
+    } | {
         "verified": verified,
         "why_not": reason,
         "columns": [asdict(column) for column in columns],
         "worse": worse,
-        "rounds": [asdict(one) for one in last["rounds"]],
+        "rounds": [asdict(test_round) for test_round in last_run["rounds"]],
         "runs": len(round_results),
-        "logs": [one["log"] for one in round_results],
+        "logs": [run_result["log"] for run_result in round_results],
     }
     if args.json:
         print_json(result)
     else:
-        _print_rounds(result, last["rounds"], args)
+        _print_rounds(result, last_run["rounds"], args)
     if outcome.exit_code != ExitCode.DONE:
         return outcome.exit_code
     return ExitCode.DONE if verified else ExitCode.FAILED
@@ -209,9 +217,12 @@ def _report_verification(
 def _print_columns(result: dict[str, Any]) -> None:
     runs = result["runs"]
     how = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
-    for one in result["columns"]:
-        change = f"{one['old']:.2f} -> {one['new']:.2f} {one['unit']}, difference +-{one['spread']:.2f} ({how})"
-        print(f"{one['name']}: {one['verdict']}, {change}")
+    for measure in result["columns"]:
+        change = (
+            f"{measure['old']:.2f} -> {measure['new']:.2f} {measure['unit']}, "
+            f"difference +-{measure['spread']:.2f} ({how})"
+        )
+        print(f"{measure['name']}: {measure['verdict']}, {change}")
 
 
 def _print_rounds(
@@ -229,8 +240,15 @@ def _print_rounds(
         "peak tension [N]",
     ):
         table.add_column(heading)
-    for i, (one, amplitude) in enumerate(zip(test_rounds, result["amplitudes"], strict=False)):
-        numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
+    for i, (test_round, amplitude) in enumerate(
+        zip(test_rounds, result["amplitudes"], strict=False)
+    ):
+        numbers = (
+            test_round.tracking_deg,
+            test_round.tension_N,
+            test_round.effort_Nm_per_s,
+            test_round.peak_tension_N,
+        )
         table.add_row(
             _gains_label(i, result["returned"], result["amplitudes"]),
             f"{amplitude:g}",
@@ -238,9 +256,9 @@ def _print_rounds(
         )
     console = rich_console()
     console.print(table)
-    back = result["returned"]
-    if back:
-        console.print(gains_return_text(back))
+    returned_gains = result["returned"]
+    if returned_gains:
+        console.print(gains_return_text(returned_gains))
     if result.get("columns"):
         _print_columns(result)
     console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)

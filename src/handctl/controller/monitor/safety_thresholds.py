@@ -110,7 +110,7 @@ def compiled_constants(
         "joint_group": [sensors.group_of_joint(j) for j in range(len(hand.joints))],
         "mute_ns": round(silent_ticks * 1e9),
         "silent_ticks": limits.silent_ticks,
-        "one_silent_ticks": limits.one_silent_ticks,
+        "one_silent_ticks": limits.silent_ticks_of_single_motor,
         "stalled_ticks": limits.stalled_ticks,
         "frames_limit": limits.frames,
         "tension_groups": sensors.tension_frames,

@@ -398,17 +398,19 @@ def _motion_force_terms(
             continue
         efficiency[n] = winding_efficiency(c, n, trajectory[0])
         excursion, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
-        place = x.tendon[s.EXCURSION, n]
+        measured_excursion = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n]:
             has_surplus = True
             # If a part of the excursions cannot come from any motion of the digit, it is an error
             # of the tendon lengths. The feedback ignores this part.
-            place = (
+            measured_excursion = (
                 part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXCURSION_MODEL_OFFSET, n]
             )
         feedback = (
-            x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
+            x.tendon[s.STIFFNESS_FRACTION, n]
+            * c.tendon[h.ERROR_GAIN, n]
+            * (excursion - measured_excursion)
         )
         feedback += (
             x.tendon[s.DAMPING_FRACTION, n]

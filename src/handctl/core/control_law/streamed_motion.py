@@ -138,13 +138,13 @@ def _write_segment(
 @kernel_helper
 def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
-    after = t - x.run[s.STREAM_SEGMENT_START]
-    if after >= x.run[s.STREAM_DURATION]:
+    time_in_segment = t - x.run[s.STREAM_SEGMENT_START]
+    if time_in_segment >= x.run[s.STREAM_DURATION]:
         return x.coordinate[s.STREAM_TARGET, k], 0.0
     position = rate = 0.0
     for power in range(5, -1, -1):  # Horner's scheme evaluates the polynomial and its derivative
-        rate = rate * after + position
-        position = position * after + x.coordinate[s.STREAM_SEGMENT + power, k]
+        rate = rate * time_in_segment + position
+        position = position * time_in_segment + x.coordinate[s.STREAM_SEGMENT + power, k]
     return position, rate
 
 

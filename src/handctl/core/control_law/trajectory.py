@@ -246,15 +246,15 @@ class ChirpTrajectory:
     def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
         """Return the amplitude factor at time t [s], its rate [1/s] and its acceleration [1/s^2]."""
         ramp_duration = 0.1 * self.duration
-        left = min(t, self.duration - t)
-        if left >= ramp_duration:
+        time_to_nearest_end = min(t, self.duration - t)
+        if time_to_nearest_end >= ramp_duration:
             return 1.0, 0.0, 0.0
         w = math.pi / ramp_duration
         sign = 1.0 if t <= self.duration - t else -1.0
         return (
-            0.5 - 0.5 * math.cos(w * left),
-            sign * 0.5 * w * math.sin(w * left),
-            0.5 * w * w * math.cos(w * left),
+            0.5 - 0.5 * math.cos(w * time_to_nearest_end),
+            sign * 0.5 * w * math.sin(w * time_to_nearest_end),
+            0.5 * w * w * math.cos(w * time_to_nearest_end),
         )
 
 

@@ -232,25 +232,25 @@ def _copy_design_matrix(c: ConstantTables, n: int, design_kind: int, first_colum
 
 
 @kernel_helper
-def _multiply_matrices(left: Matrix, right: Matrix) -> Matrix:
+def _multiply_matrices(left_matrix: Matrix, right_matrix: Matrix) -> Matrix:
     """Return the product of two matrices.
 
     The products are always added in the same order, so that equal inputs give equal results.
     """
-    matrix = np.zeros((left.shape[0], right.shape[1]))
-    for i in range(left.shape[0]):
-        for j in range(right.shape[1]):
-            for k in range(left.shape[1]):
-                matrix[i, j] += left[i, k] * right[k, j]
+    matrix = np.zeros((left_matrix.shape[0], right_matrix.shape[1]))
+    for i in range(left_matrix.shape[0]):
+        for j in range(right_matrix.shape[1]):
+            for k in range(left_matrix.shape[1]):
+                matrix[i, j] += left_matrix[i, k] * right_matrix[k, j]
     return matrix
 
 
 @kernel_helper
-def _multiply_by_transposed(left: Matrix, right: Matrix) -> Matrix:
+def _multiply_by_transposed(left_matrix: Matrix, right_matrix: Matrix) -> Matrix:
     """Return the product of a matrix and a transposed matrix."""
-    matrix = np.zeros((left.shape[0], right.shape[0]))
-    for i in range(left.shape[0]):
-        for j in range(right.shape[0]):
-            for k in range(left.shape[1]):
-                matrix[i, j] += left[i, k] * right[j, k]
+    matrix = np.zeros((left_matrix.shape[0], right_matrix.shape[0]))
+    for i in range(left_matrix.shape[0]):
+        for j in range(right_matrix.shape[0]):
+            for k in range(left_matrix.shape[1]):
+                matrix[i, j] += left_matrix[i, k] * right_matrix[j, k]
     return matrix

@@ -384,9 +384,9 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
         total += x.tendon[s.NIS_FAST, n]
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
-        left = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
+        remaining_time = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
         x.tendon[s.ADDED_NOISE_S, n] = (
-            MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
+            MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else remaining_time
         )
 
 

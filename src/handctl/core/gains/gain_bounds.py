@@ -130,11 +130,11 @@ def bounds_of_key(key: str) -> GainBounds | None:
 
     The key may belong to the whole hand or to a single tendon.
     """
-    parts = tendon_key(key)
-    if parts is None:
+    key_parts = tendon_key(key)
+    if key_parts is None:
         return gain_bounds().get(key)
-    meaning = key_description(TendonForces, parts.field)
-    return replace(gain_bounds()[parts.shared_key], key=key, meaning=meaning)
+    meaning = key_description(TendonForces, key_parts.field)
+    return replace(gain_bounds()[key_parts.shared_key], key=key, meaning=meaning)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
@@ -172,8 +172,12 @@ def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
 
     If a single tendon has no value, return the value for all tendons.
     """
-    parts = tendon_key(key)
-    return gain_values[parts.shared_key] if parts and key not in gain_values else gain_values[key]
+    key_parts = tendon_key(key)
+    return (
+        gain_values[key_parts.shared_key]
+        if key_parts and key not in gain_values
+        else gain_values[key]
+    )
 
 
 def gains_with_values(
@@ -201,8 +205,8 @@ def gains_with_values(
                 f"{source_name}: {key}",
                 expected,
             )
-        if parts := tendon_key(key):
-            _set_force_weight_of_tendon(content, parts, float(value))
+        if key_parts := tendon_key(key):
+            _set_force_weight_of_tendon(content, key_parts, float(value))
             continue
         section, _, name = key.partition(".")
         content[section][name] = int(value) if bound.is_integer else float(value)
@@ -210,16 +214,16 @@ def gains_with_values(
 
 
 def _set_force_weight_of_tendon(
-    gains_content: dict[str, Any], parts: TendonKey, force: float
+    gains_content: dict[str, Any], key_parts: TendonKey, force: float
 ) -> None:
     """Set a force of a single tendon in the content of the gains [N]."""
     entries = [dict(entry) for entry in gains_content[TENDON_SECTION]]
     entry = next(
-        (tendon_entry for tendon_entry in entries if tendon_entry["name"] == parts.tendon), None
+        (tendon_entry for tendon_entry in entries if tendon_entry["name"] == key_parts.tendon), None
     )
     if entry is None:
-        entries.append(entry := {"name": parts.tendon})
-    entry[parts.field] = force
+        entries.append(entry := {"name": key_parts.tendon})
+    entry[key_parts.field] = force
     gains_content[TENDON_SECTION] = entries
 
 

@@ -270,8 +270,10 @@ def check_mesh_keys(
         mesh_scales if isinstance(section, Digit) and mesh_scales else [mesh_scales]
     ):
         if isinstance(scale, tuple) and 0.0 in scale:
-            place = f"{key_path}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
-            yield FileMistake("a factor of 0", place, "factors that are not 0")
+            scale_path = f"{key_path}.{mesh}_scale" + (
+                f"[{i}]" if isinstance(section, Digit) else ""
+            )
+            yield FileMistake("a factor of 0", scale_path, "factors that are not 0")
 
 
 def _check_body(digit: Digit, i: int, key_path: str) -> MistakeIterator:
@@ -499,9 +501,9 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
             if abs(values[smallest_index]) < SMALLEST_ARM_M
             else values[np.argmax(np.abs(values))]
         )
-        place = angle[np.argmin(np.abs(values - worst_arm))]
+        worst_angle = angle[np.argmin(np.abs(values - worst_arm))]
         yield FileMistake(
-            f"an arm of {worst_arm:.3g} m at {place:.0f} deg",
+            f"an arm of {worst_arm:.3g} m at {worst_angle:.0f} deg",
             location,
             f"0.0001 to 0.05 m over {range_text}",
         )

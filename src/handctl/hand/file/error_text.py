@@ -163,11 +163,11 @@ def _field_of_key(key_location: Sequence[str | int], model: type[BaseModel]) -> 
     If there is no field, for example for an entry of a list, return None.
     """
     *tables, key = key_location
-    for part in tables:
-        if isinstance(part, str):
+    for table_or_index in tables:
+        if isinstance(table_or_index, str):
             models = (
-                _models_in_annotation(model.model_fields[part].annotation)
-                if part in model.model_fields
+                _models_in_annotation(model.model_fields[table_or_index].annotation)
+                if table_or_index in model.model_fields
                 else []
             )
             if not models:
@@ -274,27 +274,31 @@ def _path_in_file(path: str, origin_of_path: Mapping[str, str]) -> str:
     If parts of the path have entries in ``origin_of_path``, the longest of these parts is replaced.
     The rest stays.
     """
-    part = path
-    while part:
-        if part in origin_of_path:
-            return origin_of_path[part] + path[len(part) :]
-        part = part[: max(part.rfind("."), part.rfind("["))] if re.search(r"[.\[]", part) else ""
+    known_path = path
+    while known_path:
+        if known_path in origin_of_path:
+            return origin_of_path[known_path] + path[len(known_path) :]
+        known_path = (
+            known_path[: max(known_path.rfind("."), known_path.rfind("["))]
+            if re.search(r"[.\[]", known_path)
+            else ""
+        )
     return path
 
 
 def key_path(content: Any, key_location: Sequence[str | int]) -> str:
     """Return a readable key path such as ``digit[index].link_mass_kg[1]``, with the names of list entries."""
     path = ""
-    for part in key_location:
+    for key_or_index in key_location:
         try:
-            content = content[part]
+            content = content[key_or_index]
         except (KeyError, IndexError, TypeError):
             content = None
-        if isinstance(part, int):
+        if isinstance(key_or_index, int):
             name = content.get("name") if isinstance(content, Mapping) else None
-            path += f"[{name if isinstance(name, str) and name else part}]"
+            path += f"[{name if isinstance(name, str) and name else key_or_index}]"
         else:
-            path += f".{part}" if path else part
+            path += f".{key_or_index}" if path else key_or_index
     return path
 
 
@@ -312,9 +316,11 @@ def toml_spelling(value: Any) -> str:
 
 def _valid_keys_at(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
     """Return the valid keys of the table at a location in the file."""
-    for part in key_location:
-        if isinstance(part, str):
-            model = next(m for m in _models_in_annotation(model.model_fields[part].annotation))
+    for key_or_index in key_location:
+        if isinstance(key_or_index, str):
+            model = next(
+                m for m in _models_in_annotation(model.model_fields[key_or_index].annotation)
+            )
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
@@ -324,8 +330,8 @@ def _models_in_annotation(type_annotation: Any) -> list[type[BaseModel]]:
         return [type_annotation]
     return [
         model
-        for part in getattr(type_annotation, "__args__", ())
-        for model in _models_in_annotation(part)
+        for inner_annotation in getattr(type_annotation, "__args__", ())
+        for model in _models_in_annotation(inner_annotation)
     ]
 
 

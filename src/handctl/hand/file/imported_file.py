@@ -172,8 +172,8 @@ def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]],
             notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
         elif not all(
             SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M
-            for place, arm in arms.items()
-            if place not in prismatic_joints
+            for digit_and_joint, arm in arms.items()
+            if digit_and_joint not in prismatic_joints
         ):
             expected = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
             notes.append(
@@ -189,7 +189,9 @@ def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]],
             own_values |= {
                 "arms": {joint: arm for (_, joint), arm in arms.items()},
                 "sliding": {
-                    joint for place in prismatic_joints & arms.keys() for joint in place[1:]
+                    joint
+                    for digit_and_joint in prismatic_joints & arms.keys()
+                    for joint in digit_and_joint[1:]
                 },
                 "tension_max": tendon["tension_max"],
             }
@@ -224,21 +226,25 @@ def imported_hand_text(
         for line in _placeholder_tendons(digit, tendon_answers)
     ]
     buses = _bus_by_digit(described_hand, tendons)
-    parts = [_head_text(described_hand, tendon_answers, max(buses.values(), default=0) + 1, can_fd)]
+    file_sections = [
+        _head_text(described_hand, tendon_answers, max(buses.values(), default=0) + 1, can_fd)
+    ]
     if has_placeholder_tendons:
-        parts[0] = (
+        file_sections[0] = (
             PLACEHOLDER_TENDONS_COMMENT.format(
                 "digit" if tendon_answers.tendons == "one" else "joint"
             )
-            + parts[0]
+            + file_sections[0]
         )
     common_lines = _common_lines(described_hand, tendon_answers)
-    parts += [_section_text("default.digit", common_lines)] if common_lines else []
+    file_sections += [_section_text("default.digit", common_lines)] if common_lines else []
     largest = {tendon["tension_max"] for tendon in tendons}
     if tendon_answers.tension_N is None and len(largest) == 1:
         tendon_answers = replace(tendon_answers, tension_N=largest.pop())
-    parts.append(_section_text("default.tendon", _tendon_lines(tendon_answers)))
-    parts.append(_section_text("default.motor", _motor_lines(tendon_answers)) + option_words)
+    file_sections.append(_section_text("default.tendon", _tendon_lines(tendon_answers)))
+    file_sections.append(
+        _section_text("default.motor", _motor_lines(tendon_answers)) + option_words
+    )
     nodes: dict[int, int | None] = dict.fromkeys(buses.values(), tendon_answers.first_node)
     for digit in described_hand.digits:
         own_tendons = [tendon for tendon in tendons if tendon["digit"] == digit.name]
@@ -248,11 +254,11 @@ def imported_hand_text(
         ]
         if len(own_tendons) < len(digit.joints):
             lines.append(_todo_line(Digit, "coupling"))
-        parts.append(
+        file_sections.append(
             f"# joints in {described_hand.source}: {', '.join(digit.joints)}\n"
             + _section_text("[digit]", lines)
         )
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(file_sections) + "\n"
 
 
 def _placeholder_tendons(

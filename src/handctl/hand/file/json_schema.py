@@ -97,13 +97,13 @@ def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
         )
     for key in KEYS_WITH_ONE_VALUE_FOR_ALL_LINKS:
         lists = properties[key]
-        items = next(
+        element_schema = next(
             subschema["items"]
             for subschema in (lists, *lists.get("anyOf", ()))
             if "items" in subschema
         )
         properties[key] = {
-            "anyOf": [items, {"type": "array", "items": items}],
+            "anyOf": [element_schema, {"type": "array", "items": element_schema}],
             "description": lists["description"],
         }
 

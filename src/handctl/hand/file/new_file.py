@@ -242,8 +242,8 @@ def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can
         given_options: options of a drive of the protocol.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
-    parts = [_head_tables(answers, can_fd), _digit_values(answers)]
-    parts += [_tendon_values(answers), _motor_values(answers, given_options)]
+    file_sections = [_head_tables(answers, can_fd), _digit_values(answers)]
+    file_sections += [_tendon_values(answers), _motor_values(answers, given_options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     digits_per_bus = _digits_per_bus(answers)
@@ -252,18 +252,19 @@ def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // digits_per_bus]
         # On each bus, the node numbers begin at 1.
-        first = number % digits_per_bus * len(motors) + 1
+        first_node_id = number % digits_per_bus * len(motors) + 1
         on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
         ids = ", ".join(
-            f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors)
+            f"{motor}.node_id = {first_node_id + i}{on_bus.format(motor)}"
+            for i, motor in enumerate(motors)
         )
         roll = 180.0 * (1 - side)
         comment = "closes towards -y" if side == 0 else "closes towards +y, against the others"
-        parts.append(
+        file_sections.append(
             f'[[digit]]\nname = "{name}"\nmount_position_m = [0.0, {_number_text(y)}, {_number_text(z)}]\n'
             f"mount_rpy_deg = [{roll}, 0.0, 0.0]   # {comment}\nmotor = {{ {ids} }}"
         )
-    return "\n\n".join(parts) + "\n"
+    return "\n\n".join(file_sections) + "\n"
 
 
 def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:

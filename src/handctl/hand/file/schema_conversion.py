@@ -201,7 +201,10 @@ def _remove_shared_values(
         key
         for key, value in first_values.items()
         if may_be_shared(key, value)
-        and all(key in other and _are_equal(other[key], value) for other in other_values)
+        and all(
+            key in other_block_values and _are_equal(other_block_values[key], value)
+            for other_block_values in other_values
+        )
     ]
     entries = {entry.key: entry for entry in section_tables[0].take(keys)}
     for block in section_tables[1:]:
@@ -339,8 +342,10 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
         name = "finger" if not templates else f"finger_{len(templates) + 1}"
         templates[name] = template
         for block in group:
-            place = next(i for i, entry in enumerate(block.entries) if entry.key == "name") + 1
-            block.entries.insert(place, TomlEntry("template", f'"{name}"', name))
+            template_index = (
+                next(i for i, entry in enumerate(block.entries) if entry.key == "name") + 1
+            )
+            block.entries.insert(template_index, TomlEntry("template", f'"{name}"', name))
     return templates
 
 

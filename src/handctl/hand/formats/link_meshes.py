@@ -231,14 +231,14 @@ def with_meshes_from(hand_content: Mapping[str, Any], folder: Path) -> dict[str,
         hand_content: content of the hand, from ``Hand.content``.
         folder: folder of the hand file.
     """
-    place = folder.absolute()
+    mesh_folder = folder.absolute()
     mount, digits = dict(hand_content["mount"]), []
     if mount.get("palm_mesh"):
-        mount["palm_mesh"] = str(place / mount["palm_mesh"])
+        mount["palm_mesh"] = str(mesh_folder / mount["palm_mesh"])
     for digit in hand_content["digit"]:
         files = digit.get("link_mesh")
         digits.append(
-            digit | {"link_mesh": [str(place / file) if file else "" for file in files]}
+            digit | {"link_mesh": [str(mesh_folder / file) if file else "" for file in files]}
             if files
             else digit
         )

@@ -92,8 +92,8 @@ def _add_digit(base_element: ET.Element, hand: Hand, digit: Digit) -> None:
         position, rotation = link_placement(digit, i)
         # In MuJoCo, a quaternion begins with w.
         x, y, z, w = quaternion_of_rotation(rotation)
-        place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
-        link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
+        link_pose = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
+        link = ET.SubElement(parent, "body", link_pose, name=f"{digit.name}_link{i + 1}")
         _add_joint(link, digit, i, joint)
         _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
@@ -179,9 +179,9 @@ def _add_meshes(model_root: ET.Element, mesh_of_link: Mapping[str, LinkMesh]) ->
         for geom in bodies[link].findall("geom"):
             geom.set("group", HIDDEN_GROUP)
         x, y, z, w = quaternion_of_rotation(mesh.rotation)
-        place = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
+        mesh_pose = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
         geom_attributes = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
-        ET.SubElement(bodies[link], "geom", place | geom_attributes, type="mesh", mesh=link)
+        ET.SubElement(bodies[link], "geom", mesh_pose | geom_attributes, type="mesh", mesh=link)
 
 
 def _add_couplings(model_root: ET.Element, hand: Hand) -> None:

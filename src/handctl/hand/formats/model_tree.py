@@ -180,7 +180,10 @@ class ModelLink:
             mass=float(values["mass"]),
             com=np.array(values["com"], dtype=float),
             inertia=np.array(values["inertia"], dtype=float),
-            frames={name: np.array(place, dtype=float) for name, place in values["frames"].items()},
+            frames={
+                name: np.array(frame_origin, dtype=float)
+                for name, frame_origin in values["frames"].items()
+            },
             points=np.array(values["points"], dtype=float).reshape(-1, 3),
             radius=values["radius"],
             mesh=mesh,
@@ -263,7 +266,9 @@ def digits_of_links(
     for chain in chains:
         first_member, *other_members = chain.members
         base = palm if chain.carrier is None else frames[chains[chain.carrier].members[-1]][0]
-        place = links[first_member].position - (origin if chain.carrier is None else 0.0)
+        position_from_carrier = links[first_member].position - (
+            origin if chain.carrier is None else 0.0
+        )
         turns = [
             frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0] for i in other_members
         ]
@@ -274,7 +279,7 @@ def digits_of_links(
                 name=chain.name,
                 carrier=None if chain.carrier is None else chains[chain.carrier].name,
                 joints=tuple(link.joint for link in bodies),
-                position=base.T @ place,
+                position=base.T @ position_from_carrier,
                 rotation=base.T @ links[first_member].rotation @ frames[first_member][0],
                 turns=np.array(turns).reshape(-1, 3, 3),
                 lengths=np.array([frames[i][1] for i in chain.members]),
@@ -407,12 +412,14 @@ def _link_end(links: Sequence[ModelLink], i: int, location: str) -> Array:
     """
     link = links[i]
     distant_frames = {
-        name: place
-        for name, place in link.frames.items()
-        if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M
+        name: frame_origin
+        for name, frame_origin in link.frames.items()
+        if np.linalg.norm(frame_origin) > INTERSECTION_TOLERANCE_M
     }
     tip_positions = [
-        place for name, place in distant_frames.items() if TIP_NAME_PATTERN.search(name)
+        frame_origin
+        for name, frame_origin in distant_frames.items()
+        if TIP_NAME_PATTERN.search(name)
     ]
     if tip_positions:
         return tip_positions[0]

@@ -115,9 +115,9 @@ def _add_palm(
     if mesh and carrier is None:
         _add_mesh(link_element, mesh)
     for element in _shape_elements(mesh):
-        part = ET.SubElement(link_element, element)
-        ET.SubElement(part, "origin", xyz=numbers_text(centre), rpy="0 0 0")
-        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=numbers_text(size))
+        shape_element = ET.SubElement(link_element, element)
+        ET.SubElement(shape_element, "origin", xyz=numbers_text(centre), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(shape_element, "geometry"), "box", size=numbers_text(size))
 
 
 def _add_joint(robot_element: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
@@ -239,7 +239,10 @@ def _add_link(
     )
     ET.SubElement(inertial_element, "mass", value=number_text(digit.link_mass_kg[i]))
     moments = link_inertia(digit, i)
-    values = {f"i{key}": number_text(moments[place]) for key, place in INERTIA_INDICES.items()}
+    values = {
+        f"i{key}": number_text(moments[matrix_index])
+        for key, matrix_index in INERTIA_INDICES.items()
+    }
     ET.SubElement(inertial_element, "inertia", values)
     if mesh:
         _add_mesh(link, mesh)

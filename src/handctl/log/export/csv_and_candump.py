@@ -112,14 +112,20 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
     names = [change.name for change in changes]
     rows = log.packed_telemetry()
     for start in range(0, len(log), TICKS_PER_BLOCK):
-        part = slice(start, min(start + TICKS_PER_BLOCK, len(log)))
-        data = b"".join(next(rows) for _ in range(part.start, part.stop))
-        numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
-        phase = [names[i] for i in np.searchsorted(start_indices, log.k[part], "right") - 1]
-        mode = [HandMode(value).name for value in log.mode[part].tolist()]
-        action = [SafetyAction(value).name for value in log.action[part].tolist()]
+        block_slice = slice(start, min(start + TICKS_PER_BLOCK, len(log)))
+        data = b"".join(next(rows) for _ in range(block_slice.start, block_slice.stop))
+        numbers = np.frombuffer(data, "<f8").reshape(block_slice.stop - block_slice.start, -1)
+        phase = [names[i] for i in np.searchsorted(start_indices, log.k[block_slice], "right") - 1]
+        mode = [HandMode(value).name for value in log.mode[block_slice].tolist()]
+        action = [SafetyAction(value).name for value in log.action[block_slice].tolist()]
         yield TableBlock(
-            log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers
+            log.k[block_slice],
+            log.t_ns[block_slice],
+            log.late_ns[block_slice],
+            mode,
+            phase,
+            action,
+            numbers,
         )
 
 
@@ -139,7 +145,9 @@ def export_csv(log: RunLog, path: Path) -> int:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow((*INTEGER_COLUMNS, *TEXT_COLUMNS, *column_titles))
         for block in table_blocks(log):
-            fixed_columns = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
+            fixed_columns = zip(
+                *(integer_column.tolist() for integer_column in block[:3]), *block[3:6], strict=True
+            )
             for tick_columns, row in zip(fixed_columns, block.numbers.tolist(), strict=True):
                 writer.writerow(
                     (*tick_columns, *("" if value != value else repr(value) for value in row))

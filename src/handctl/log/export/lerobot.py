@@ -118,11 +118,14 @@ def export_lerobot(
         )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
     scalar_features = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
-    parts = [
+    tables_of_logs = [
         {name: values for name, (_, values) in episode.vector_features.items()} | scalar_features[i]
         for i, episode in enumerate(episodes)
     ]
-    joined_columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    joined_columns = {
+        name: np.concatenate([log_tables[name] for log_tables in tables_of_logs])
+        for name in tables_of_logs[0]
+    }
     path.mkdir()
     videos_by_camera = {
         camera.feature_key: _write_videos(camera, episodes, path, fps) for camera in cameras
@@ -132,7 +135,8 @@ def export_lerobot(
         _frame_table(episodes[0].element_names, joined_columns),
     )
     statistics = [
-        {name: _feature_statistics(table) for name, table in part.items()} for part in parts
+        {name: _feature_statistics(table) for name, table in log_tables.items()}
+        for log_tables in tables_of_logs
     ]
     for number, statistic in enumerate(statistics):
         statistic |= {
@@ -399,7 +403,7 @@ def _episode_table(
     for key in video_keys:
         video_file_places = [video_file_numbers(number) for number in range(count)]
         rows |= {
-            f"videos/{key}/{name}": [place[name] for place in video_file_places]
+            f"videos/{key}/{name}": [file_place[name] for file_place in video_file_places]
             for name in video_file_places[0]
         }
         rows[f"videos/{key}/from_timestamp"] = [0.0] * count

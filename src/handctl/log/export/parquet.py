@@ -47,8 +47,10 @@ def export_parquet(log: RunLog, path: Path) -> int:
     )
     with path.open("xb") as file, pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for block in table_blocks(log):
-            arrays = [pa.array(part) for part in block[:3]]
-            arrays += [pa.array(part, pa.string()).dictionary_encode() for part in block[3:6]]
+            arrays = [pa.array(integer_column) for integer_column in block[:3]]
+            arrays += [
+                pa.array(text_column, pa.string()).dictionary_encode() for text_column in block[3:6]
+            ]
             arrays += [pa.array(column) for column in block.numbers.T]
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
             count += len(block.k)

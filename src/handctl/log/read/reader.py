@@ -205,11 +205,11 @@ class RunLog:
     @functools.cached_property
     def _chunk_index(self) -> _ChunkIndex:
         """Read the file once, and return the index of all chunks."""
-        parts = [np.empty(0, FIXED_DTYPE)]
+        index_arrays = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
         snapshots = dict[int, int]()
         for i, chunk in enumerate(self._chunks):
-            part_count_before = len(parts)
+            part_count_before = len(index_arrays)
             for rows in self._message_rows_of_chunk(chunk, self._tick):
                 data = rows.data()
                 with LogErrorContext(self._file.position_text(chunk.offset)):
@@ -217,15 +217,15 @@ class RunLog:
                         raise ValueError("a tick that is too short")
                     # In each message, four bytes (the CDR encapsulation) come before the part whose
                     # length is constant.
-                    parts.append(
+                    index_arrays.append(
                         np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(
                             FIXED_DTYPE
                         )[:, 0]
                     )
-            counts.append(sum(map(len, parts[part_count_before:])))
+            counts.append(sum(map(len, index_arrays[part_count_before:])))
             for rows in self._message_rows_of_chunk(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
                 snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
-        return _ChunkIndex(np.concatenate(parts), np.cumsum(counts), snapshots)
+        return _ChunkIndex(np.concatenate(index_arrays), np.cumsum(counts), snapshots)
 
     @property
     def _fixed_parts(self) -> NDArray[np.void]:
@@ -333,18 +333,18 @@ class RunLog:
             LogError: the sequence numbers of the telemetry messages differ from those of the tick
                 messages.
         """
-        parts = [np.empty((0, columns.stop - columns.start))]
+        column_arrays = [np.empty((0, columns.stop - columns.start))]
         sequence = [np.empty(0, np.uint32)]
         for data, numbers in self._values_parts():
-            part = np.ascontiguousarray(data[:, 8 * columns.start : 8 * columns.stop])
-            parts.append(part.view("<f8"))
+            chunk_columns = np.ascontiguousarray(data[:, 8 * columns.start : 8 * columns.stop])
+            column_arrays.append(chunk_columns.view("<f8"))
             sequence.append(numbers)
         sequence_numbers = np.concatenate(sequence)
         if len(sequence_numbers) != len(self) or (sequence_numbers != (self.k & 0xFFFF_FFFF)).any():
             raise LogError(
                 "telemetry and ticks do not belong together", self._file.name, "an intact file"
             )
-        return np.concatenate(parts)
+        return np.concatenate(column_arrays)
 
     def _values_parts(
         self, chunks: slice = slice(None)

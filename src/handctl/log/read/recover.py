@@ -71,14 +71,14 @@ def recover_log(path: Path, output_path: Path) -> RecoveryReport:
             return RecoveryReport(
                 RecoveryStatus.NOTHING, lost_ranges=((0, file.size),), problem=problem
             )
-        with atomic_path(output_path, must_be_new=True) as part:
-            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        with atomic_path(output_path, must_be_new=True) as temporary_path:
+            descriptor = os.open(temporary_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
                 recovery = _copy_intact_parts(file, scan, problem, McapContainer(descriptor))
             finally:
                 os.close(descriptor)
             if recovery.status == RecoveryStatus.NOTHING:
-                part.unlink()
+                temporary_path.unlink()
         return recovery
     finally:
         file.close()

@@ -221,12 +221,15 @@ class HealthTopics:
             "motor_temperature",
             "motor_age",
         )
-        part = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
+        values_of_field = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
         for index, motor in enumerate(self._header.motors):
-            number = part["drive_phase"][index]
+            number = values_of_field["drive_phase"][index]
             is_valid = number in set(DrivePhase)
             phase = DrivePhase(int(number)) if is_valid else DrivePhase.SILENT
-            values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in fields}
+            values = {
+                name.removeprefix("motor_"): f"{values_of_field[name][index]:.6g}"
+                for name in fields
+            }
             level = _DRIVE_LEVEL.get(phase, WARN_LEVEL)
             statuses.append(
                 DiagnosticStatus(

@@ -150,12 +150,12 @@ def variable_length_block(
     channel: int, stamps: MessageStamps, messages: list[bytes]
 ) -> MessageBlock:
     """Join messages of different lengths to one block."""
-    parts = []
+    encoded_messages = []
     for sequence, t_ns, message in zip(
         stamps.sequence.tolist(), stamps.log_times.tolist(), messages, strict=True
     ):
-        parts.append(
+        encoded_messages.append(
             MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message
         )
-    end_offsets = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
-    return MessageBlock(channel, b"".join(parts), stamps.log_times, end_offsets[:-1])
+    end_offsets = np.cumsum([0, *map(len, encoded_messages)], dtype=np.uint64)
+    return MessageBlock(channel, b"".join(encoded_messages), stamps.log_times, end_offsets[:-1])

@@ -164,8 +164,8 @@ class StateTopics:
         self._polynomials = hand.arm_polynomials if hand.has_varying_arm.any() else None
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
-        for topic, (axis, *parts) in JOINT_STATE_TOPICS.items():
-            template = joint_state_template(header.axis_names(axis), *map(bool, parts))
+        for topic, (axis, *field_names) in JOINT_STATE_TOPICS.items():
+            template = joint_state_template(header.axis_names(axis), *map(bool, field_names))
             channel = registry.register_topic(
                 topic, "sensor_msgs/JointState", note=_TOPIC_NOTES.get(topic, "")
             )
@@ -174,7 +174,9 @@ class StateTopics:
         self._pairs = None
         if self._pretension:
             names = tuple(
-                f"{name}/{part}" for name in self._pretension for part in ("first", "second")
+                f"{name}/{tendon_of_pair}"
+                for name in self._pretension
+                for tendon_of_pair in ("first", "second")
             )
             channel = registry.register_topic(
                 SPOOL_PAIRS_TOPIC, "sensor_msgs/JointState", note=_TOPIC_NOTES[SPOOL_PAIRS_TOPIC]
@@ -183,7 +185,10 @@ class StateTopics:
                 channel, joint_state_template(names, position=False, velocity=False, effort=True)
             )
         self._wrenches = [self._add_wrench_topic(registry, digit) for digit in header.digits]
-        width = sum(part.stop - part.start for part in self._columns.values())
+        width = sum(
+            columns_of_field.stop - columns_of_field.start
+            for columns_of_field in self._columns.values()
+        )
         channel = registry.register_topic(
             "/controller/values", "pal_statistics_msgs/StatisticsValues"
         )
@@ -211,32 +216,40 @@ class StateTopics:
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
-        part = {
+        values_of_field = {
             name: batch.numbers[:, columns_of_field]
             for name, columns_of_field in self._columns.items()
         }
-        part["tendon_torque"] = self._tendon_torque(part["tension"], part["q"])
+        values_of_field["tendon_torque"] = self._tendon_torque(
+            values_of_field["tension"], values_of_field["q"]
+        )
         blocks = [
-            stream.block(stamps, self._joint_state_values(topic, part))
+            stream.block(stamps, self._joint_state_values(topic, values_of_field))
             for topic, stream in self._joint_states.items()
         ]
         if self._pairs is not None:
             blocks.append(
-                self._pairs.block(stamps, {"effort": self._pair_tensions(part["tension"])})
+                self._pairs.block(
+                    stamps, {"effort": self._pair_tensions(values_of_field["tension"])}
+                )
             )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
             # A closing tip moves in the direction +y. The object pushes it in the opposite
             # direction. With the expression `0.0 -`, the result is never -0.0.
-            force[:, 1] = 0.0 - part["tip_force"][:, index]
+            force[:, 1] = 0.0 - values_of_field["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
         blocks.append(
-            self._cycle.block(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]})
+            self._cycle.block(
+                stamps, self._cycle_values(batch) | {"stale": values_of_field["motor_age"]}
+            )
         )
         for field, stream in self._estimates.items():
-            variance = part[f"{field}_sigma"] ** 2
-            blocks.append(stream.block(stamps, {"value": part[field], "variance": variance}))
+            variance = values_of_field[f"{field}_sigma"] ** 2
+            blocks.append(
+                stream.block(stamps, {"value": values_of_field[field], "variance": variance})
+            )
         return blocks
 
     def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
@@ -264,12 +277,12 @@ class StateTopics:
         return np.maximum(np.maximum(taut_tensions, both_tensions), 0.0).reshape(len(net), -1)
 
     def _joint_state_values(
-        self, topic: str, part: dict[str, FloatArray]
+        self, topic: str, values_of_field: dict[str, FloatArray]
     ) -> dict[str, NDArray[np.generic]]:
         """Return the positions, velocities and efforts for the messages of a JointState topic."""
         _, *fields = JOINT_STATE_TOPICS[topic]
         return {
-            part_name: part[name]
+            part_name: values_of_field[name]
             for part_name, name in zip(("position", "velocity", "effort"), fields, strict=True)
             if name
         }

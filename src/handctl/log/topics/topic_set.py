@@ -123,6 +123,6 @@ class TopicSet:
         # If the controller has failed, its numbers may overflow in these calculations. The log
         # contains the results nevertheless.
         with np.errstate(all="ignore"):
-            for part in self._parts:
-                blocks += part.blocks(batch, stamps)
+            for topic_writer in self._parts:
+                blocks += topic_writer.blocks(batch, stamps)
         return blocks

@@ -190,7 +190,7 @@ def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
     """
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEE_TENSIONS_N], None)
-    for place, tendon in zip(
+    for tendon_label, tendon in zip(
         ("Sec. 5", "Abstract"), curves_of_tendons(measured_results), strict=True
     ):
         nominal_knee_N = tendon.nominal_knee_N
@@ -202,7 +202,7 @@ def knee_items(measured_results: Mapping[str, Any]) -> list[ErrataItem]:
         )
         rows.append(
             ErrataItem(
-                f"fig5.measured{nominal_knee_N:g}", f"Fig. 5, {place}", f"linear up to {nominal_knee_N:g} N",
+                f"fig5.measured{nominal_knee_N:g}", f"Fig. 5, {tendon_label}", f"linear up to {nominal_knee_N:g} N",
                 tendon.knee, "N", verdict,
                 f"Measured on the simulator's bench with a tendon whose knee is at {nominal_knee_N:g} N: "
                 f"{measured_text}, with {tendon.stiffness / 1000:.1f} N/mm below the knee. Each claim has its own "

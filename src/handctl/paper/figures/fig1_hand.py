@@ -110,7 +110,7 @@ def _palm_faces() -> list[Array]:
     high[0] = 0.0
     faces = []
     for axis in range(3):
-        first_axis, second_axis = (other for other in range(3) if other != axis)
+        first_axis, second_axis = (other_axis for other_axis in range(3) if other_axis != axis)
         for level in (low[axis], high[axis]):
             face = np.full((4, 3), level)
             face[:, first_axis] = low[first_axis]
@@ -165,5 +165,7 @@ def _shaded_colour(face_corners: Array, colour: str) -> tuple[float, float, floa
         if length
         else 1.0
     )
-    red, green, blue = (min(1.0, brightness * part + 0.06) for part in to_rgb(colour))
+    red, green, blue = (
+        min(1.0, brightness * colour_component + 0.06) for colour_component in to_rgb(colour)
+    )
     return red, green, blue

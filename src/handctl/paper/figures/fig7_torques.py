@@ -37,12 +37,12 @@ def draw_torque_figure(figure: Any) -> None:
             motion = closing_torques(name, duration)
             total_axes = rows[2 * pair][column]
             link_axes = rows[2 * pair + 1][column]
-            for part in TORQUE_PARTS:
+            for torque_cause in TORQUE_PARTS:
                 total_axes.plot(
                     1e3 * motion.times,
-                    1e3 * motion.torque_by_cause[part],
-                    color=PART_COLOURS[part],
-                    label=part,
+                    1e3 * motion.torque_by_cause[torque_cause],
+                    color=PART_COLOURS[torque_cause],
+                    label=torque_cause,
                 )
             total = sum(motion.torque_by_cause.values(), np.zeros(len(motion.times)))
             total_axes.plot(
@@ -53,9 +53,11 @@ def draw_torque_figure(figure: Any) -> None:
                 linestyle="--",
                 label="sum",
             )
-            for part in LINK_PARTS:
+            for torque_cause in LINK_PARTS:
                 link_axes.plot(
-                    1e3 * motion.times, 1e3 * motion.torque_by_cause[part], color=PART_COLOURS[part]
+                    1e3 * motion.times,
+                    1e3 * motion.torque_by_cause[torque_cause],
+                    color=PART_COLOURS[torque_cause],
                 )
             total_axes.set_title(
                 f"{title}, {CLOSED_JOINT_ANGLE_DEG:g}° in {duration:g} s", fontsize=9.5

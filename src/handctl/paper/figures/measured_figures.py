@@ -103,10 +103,10 @@ def draw_payloads(figure: Any, payload_results: Sequence[Mapping[str, Any]]) -> 
     """
     grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
     _draw_payload_bars(figure.add_subplot(grid[0, :]), payload_results)
-    first = None
+    first_axes = None
     for column, axis in enumerate(payload.LOAD_DIRECTIONS):
-        axes = figure.add_subplot(grid[1, column], sharey=first)
-        first = first or axes
+        axes = figure.add_subplot(grid[1, column], sharey=first_axes)
+        first_axes = first_axes or axes
         _draw_load_traces(
             axes, axis, [result for result in payload_results if result["axis"] == axis]
         )

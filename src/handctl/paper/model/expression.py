@@ -152,12 +152,12 @@ def _combined_dimension(
 def dimension_text(dimension: Dimension) -> str:
     """Return a dimension as text, e.g. kg m² s⁻²."""
     units = zip(("kg", "m", "s"), dimension, strict=True)
-    parts = [
+    unit_powers = [
         unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPT_TABLE))
         for unit, power in units
         if power
     ]
-    return " ".join(parts) or "1"
+    return " ".join(unit_powers) or "1"
 
 
 _SUPERSCRIPT_TABLE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -178,7 +178,10 @@ def _symmetry_evidence(term: EquationTerm) -> str:
     if not term.mirror_id:
         return ""
     mirror_term = next(
-        other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror_id
+        other_term
+        for terms in equations.TORQUE_TERMS
+        for other_term in terms
+        if other_term.id == term.mirror_id
     )
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
     is_asymmetric = (
@@ -202,7 +205,7 @@ def equation_items() -> list[ErrataItem]:
         relative_deviation(model_torque, lagrange_torque)
         for model_torque, lagrange_torque in zip(model, lagrange_torques(states), strict=True)
     )
-    items = [
+    errata_items = [
         ErrataItem(
             "eq7-9.lagrange", "Eq. 7-9", "d/dt(∂L/∂θ̇ᵢ) − ∂L/∂θᵢ = Tᵢ", "the same", "",
             verdict_of_statement(max_deviation < RELATIVE_TOLERANCE),
@@ -219,7 +222,7 @@ def equation_items() -> list[ErrataItem]:
         wrong_terms = [
             item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL
         ]
-        items.append(
+        errata_items.append(
             ErrataItem(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.correct_form.as_typeset_text() for term in terms).replace("+ −", "− "), "",
@@ -231,7 +234,7 @@ def equation_items() -> list[ErrataItem]:
                 ("Lagrange", "this project's dynamics"), deviation,
             )
         )  # fmt: skip
-    return items
+    return errata_items
 
 
 def _check_joint_torque(

@@ -144,7 +144,7 @@ def _check_completeness() -> ErrataItem:
     The paper mentions neither springs nor the inertia of the actuator.
     """
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
-    links = sum(torques.torque_by_cause[part] for part in TORQUE_PARTS[:3])
+    links = sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
     links_and_motor = links + torques.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
         float(np.abs(torque).max()) / torques.lever_m for torque in (links, links_and_motor)
@@ -167,7 +167,9 @@ def _check_torque_value() -> ErrataItem:
     """
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(
-        np.abs(sum(torques.torque_by_cause[part] for part in TORQUE_PARTS[:3])).max()
+        np.abs(
+            sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
+        ).max()
     )
     terms = [
         term

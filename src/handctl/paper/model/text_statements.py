@@ -178,14 +178,14 @@ def _check_axis_of_inertia() -> ErrataItem:
     moment_by_axis = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
     # The energy of rotation is half of the moment of inertia times the squared rate. Here the rate
     # is 1.
-    right = [
+    correct_axes = [
         axis
         for axis, inertia in moment_by_axis.items()
         if abs(inertia / 2.0 - energy) < RELATIVE_TOLERANCE * energy
     ]
     return ErrataItem(
-        "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",
-        verdict_of_statement(right == ["y"]),
+        "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {correct_axes[0]}-axis through the centre of mass", "",
+        verdict_of_statement(correct_axes == ["y"]),
         "Links turn in the x-y plane (section 4: about z). Eq. 3 adds m₁ d₁², so that I is about the centre of mass. "
         f"For a bar of 30 × 8 × 10 mm the two differ by {100 * (moment_by_axis['y'] / moment_by_axis['z'] - 1):.1f} %.",
         ("mechanics",))  # fmt: skip

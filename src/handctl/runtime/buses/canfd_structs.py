@@ -69,10 +69,10 @@ def _copy_payload(
         payload_length: length of the payload [bytes].
     """
     for word in range(PAYLOAD_WORDS):
-        left = payload_length - 8 * word
-        value = source_words[row, source_word + word] if left > 0 else np.uint64(0)
-        if 0 < left < 8:
-            value &= (np.uint64(1) << np.uint64(8 * left)) - np.uint64(1)
+        remaining_length = payload_length - 8 * word
+        value = source_words[row, source_word + word] if remaining_length > 0 else np.uint64(0)
+        if 0 < remaining_length < 8:
+            value &= (np.uint64(1) << np.uint64(8 * remaining_length)) - np.uint64(1)
         target_words[row, target_word + word] = value
 
 
@@ -92,7 +92,7 @@ def read_structs(
         added_flags: flags to set in every record.
     """
     bits_of_all_ids = np.uint64(0)
-    place = np.uint64(bus) << np.uint64(BUS_BIT)
+    bus_bits = np.uint64(bus) << np.uint64(BUS_BIT)
     for i in range(records.shape[0]):
         head_word = structs[i, 0]
         can_id = head_word & np.uint64(ID_MASK)
@@ -105,7 +105,7 @@ def read_structs(
         records[i, ID_AND_FLAGS_WORD] = (
             can_id
             | flags << np.uint64(FLAGS_BIT)
-            | place
+            | bus_bits
             | np.uint64(length) << np.uint64(LENGTH_BIT)
         )
         _copy_payload(structs, 1, records, PAYLOAD_WORD, i, length)

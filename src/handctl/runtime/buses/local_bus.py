@@ -129,16 +129,16 @@ class LocalBus:
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
-        parts = [self.early_frames] if self.early_frames else []
+        frame_batches = [self.early_frames] if self.early_frames else []
         self.early_frames = NO_FRAMES
         for _ in range(self._reads):
             partial = self._partial_record_bytes
             size = self._read(self._buffer[partial:] if partial else self._buffer)
             if size:
-                parts.append(self._frames_of_complete_records(partial + size))
+                frame_batches.append(self._frames_of_complete_records(partial + size))
             if size < len(self._buffer) - partial:
                 break
-        return join_frames(parts)
+        return join_frames(frame_batches)
 
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.

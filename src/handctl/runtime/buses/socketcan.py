@@ -104,7 +104,7 @@ class SocketCanBus:
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
-        parts: list[Frames] = []
+        frame_batches: list[Frames] = []
         for _ in range(MAX_READS_PER_DRAIN):
             try:
                 count = datagram_batches.receive_datagrams(self._socket.fileno(), self._in)
@@ -112,11 +112,11 @@ class SocketCanBus:
                 self._events.count_failure(error.errno, "enodev")
                 break
             if count:
-                parts.append(self._convert_datagrams(count))
+                frame_batches.append(self._convert_datagrams(count))
                 self._in.reset_headers(count)
             if count < MAX_FRAMES_PER_CALL:
                 break
-        return join_frames(parts)
+        return join_frames(frame_batches)
 
     def _convert_datagrams(self, count: int) -> Frames:
         """Convert the received datagrams to frames.

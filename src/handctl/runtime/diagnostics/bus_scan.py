@@ -67,10 +67,10 @@ def collect_frames(bus: Bus, duration_s: float, seen_frames: list[Frame]) -> Non
     end = time.monotonic() + duration_s
     while True:
         seen_frames += bus.drain()
-        left = end - time.monotonic()
-        if left <= 0:
+        remaining_s = end - time.monotonic()
+        if remaining_s <= 0:
             return
-        time.sleep(min(left, 0.005))
+        time.sleep(min(remaining_s, 0.005))
 
 
 def scan_bus(
@@ -135,7 +135,7 @@ def _requests_of_round(
 def _commands_of_other_hosts(name: str, seen_frames: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each discovered drive that uses another protocol than ``name``."""
     other_discoveries = (
-        discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name
+        discovery for protocol, discovery in DISCOVERY_BY_PROTOCOL.items() if protocol != name
     )
     return [
         discovery.command_ids(node)

@@ -106,7 +106,11 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     half_range = 0.5 * (high - low)
 
     def excite_step(
-        step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
+        step_name: str,
+        kind: str,
+        duration_s: float,
+        targets: Array | None = None,
+        **other_fields: object,
     ) -> ExciteStep:
         target_values = () if targets is None else tuple(targets.tolist())
         step_fields = {
@@ -114,7 +118,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
             "name": step_name,
             "kind": kind,
             "duration_s": duration_s,
-        } | more
+        } | other_fields
         return ExciteStep.model_validate(step_fields | {"targets": target_values})
 
     sweep_steps = []

@@ -393,10 +393,10 @@ def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> Resid
 
 def _row_times(problem: TendonFitProblem) -> Array:
     """Return the time of every row of measured data, in the order of the residuals."""
-    parts = [problem.motor_windows.t, problem.open_stop_bins.t, problem.slack_tendon_bins.t]
+    time_arrays = [problem.motor_windows.t, problem.open_stop_bins.t, problem.slack_tendon_bins.t]
     if problem.digit_load is not None and len(problem.free_motion_bins.t):
-        parts.append(problem.free_motion_bins.t)
-    return np.concatenate(parts)
+        time_arrays.append(problem.free_motion_bins.t)
+    return np.concatenate(time_arrays)
 
 
 def _cell_noise(quiet_readings: Array, stated_noise: float) -> float:
@@ -464,6 +464,6 @@ def with_model_error(fit: TendonFit, error_of_parameter: Mapping[str, float]) ->
     """
     covariance = fit.covariance.copy()
     for name, error in error_of_parameter.items():
-        place = PARAMETER_NAMES.index(name)
-        covariance[place, place] += (error * fit.z[place]) ** 2
+        parameter_index = PARAMETER_NAMES.index(name)
+        covariance[parameter_index, parameter_index] += (error * fit.z[parameter_index]) ** 2
     return replace(fit, covariance=covariance)

@@ -213,7 +213,13 @@ def identify_tendons(
                 (
                     data,
                     _fit_single_tendon(
-                        hand, data, [other for other in tendons_data if other.digit == data.digit]
+                        hand,
+                        data,
+                        [
+                            other_data
+                            for other_data in tendons_data
+                            if other_data.digit == data.digit
+                        ],
                     ),
                 )
             )
@@ -245,13 +251,13 @@ def _fit_single_tendon(hand: Hand, data: TendonData, digit_data: list[TendonData
         LogError: the tendon hardly moves.
     """
     digit = DigitModel.from_hand(hand, data.digit)
-    place = digit.tendon_names.index(data.tendon)
+    tendon_index = digit.tendon_names.index(data.tendon)
     if hand.is_pair[digit.tendons].any():
-        return fit_pair(hand, digit, place, digit_data)
+        return fit_pair(hand, digit, tendon_index, digit_data)
     fit = fit_tendon(TendonFitProblem.from_data(data, hand))
     if any(digit.spring_stiffness):
         return fit
-    return fit_travel(digit, place, data, fit, hand.sensor_node.joint_noise_rad)
+    return fit_travel(digit, tendon_index, data, fit, hand.sensor_node.joint_noise_rad)
 
 
 def _result_with_contacts(hand: Hand, result: TendonResult, event: str) -> TendonResult:

@@ -129,18 +129,21 @@ def _parameter_covariance(
     score_covariance = jacobian[len(sample_times) :].T @ jacobian[len(sample_times) :]
     expected = [np.diag(plain_covariance @ score_covariance @ plain_covariance)]
     for rows in _block_rows(sample_times):
-        part = jacobian[rows]
-        left = np.eye(len(rows)) - part @ plain_covariance @ part.T
+        block_jacobian = jacobian[rows]
+        residual_maker = np.eye(len(rows)) - block_jacobian @ plain_covariance @ block_jacobian.T
         # If a single block determines a parameter alone, the matrix (I - H) is singular. Therefore
         # a least-squares solution takes the place of the inverse of (I - H).
         parameter_alone = np.linalg.lstsq(
-            left, np.column_stack([residual[rows], part]), rcond=1e-9
+            residual_maker, np.column_stack([residual[rows], block_jacobian]), rcond=1e-9
         )[0]
-        score = part.T @ parameter_alone[:, 0]
+        score = block_jacobian.T @ parameter_alone[:, 0]
         score_covariance += np.outer(score, score)
         expected.append(
             np.maximum(
-                np.diag(plain_covariance @ part.T @ parameter_alone[:, 1:] @ plain_covariance), 0.0
+                np.diag(
+                    plain_covariance @ block_jacobian.T @ parameter_alone[:, 1:] @ plain_covariance
+                ),
+                0.0,
             )
         )
     robust_covariance = plain_covariance @ score_covariance @ plain_covariance

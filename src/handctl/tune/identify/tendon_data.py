@@ -206,7 +206,7 @@ def _restrict_to_excitation(
     """Return the part of the data in which the digit was excited."""
     ticks = np.flatnonzero(np.char.startswith(phase_of_tick[:-1], f"{digit} "))
     rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
-    parts = {
+    excited_samples = {
         name: getattr(data, name)[rows]
         for name in (
             "t",
@@ -220,7 +220,7 @@ def _restrict_to_excitation(
             "torque_mask",
         )
     }
-    return replace(data, **parts)
+    return replace(data, **excited_samples)
 
 
 def average_samples(values: Array, half_window: int) -> Array:

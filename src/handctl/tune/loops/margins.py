@@ -295,7 +295,7 @@ def worst_loop(
     margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
 ) -> tuple[tuple[str, LoopKind], LoopMargins]:
     """Return the loop with the largest shortfall: its tendon and kind, and its margins."""
-    return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
+    return max(margins_by_loop.items(), key=lambda loop_and_margins: loop_and_margins[1].shortfall)
 
 
 def step_response(

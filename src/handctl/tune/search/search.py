@@ -136,7 +136,9 @@ class SearchResult:
         front_trials = [
             trial.number
             for trial in feasible_trials
-            if not any(_dominates(other.score, trial.score) for other in feasible_trials)
+            if not any(
+                _dominates(other_trial.score, trial.score) for other_trial in feasible_trials
+            )
         ]
         return SearchResult(trials, best, tuple(front_trials))
 

@@ -39,7 +39,7 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
         is_live: True to show only the last seconds of the run. The time axis then moves with the run.
     """
     window = [LIVE_TIME_RANGE] if is_live else None
-    left = rrb.Vertical(
+    left_column = rrb.Vertical(
         _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
     )
     right_column = rrb.Vertical(
@@ -49,7 +49,7 @@ def dashboard_layout(run: RunInfo, is_live: bool = False) -> rrb.Blueprint:
         row_shares=ROW_HEIGHT_FRACTIONS,
     )
     return rrb.Blueprint(
-        rrb.Horizontal(left, right_column, column_shares=[0.40, 0.60]),
+        rrb.Horizontal(left_column, right_column, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
         rrb.BlueprintPanel(state=PanelState.Collapsed),
         rrb.SelectionPanel(state=PanelState.Collapsed),

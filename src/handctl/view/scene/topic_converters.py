@@ -92,29 +92,35 @@ class TopicConverters:
             return
         table = column_as_array(messages.field("values"))
         times = times_since_start(chunk, self._offset)
-        part = self._run.split_telemetry(table)
+        values_of_field = self._run.split_telemetry(table)
         yield timed_chunk(
-            "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
+            "/tension/estimate",
+            times,
+            lines_with_band(values_of_field["tension"], values_of_field["tension_sigma"]),
         )
-        yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
-        limits = limits_near_tensions(self._run.tension_limits, part["tension"])
+        yield timed_chunk("/tension/command", times, plot_lines(values_of_field["tension_goal"]))
+        limits = limits_near_tensions(self._run.tension_limits, values_of_field["tension"])
         if not np.isnan(limits).all():
             drawn_lines = plot_lines(np.tile(limits, (2, 1)))
             yield timed_chunk("/tension/limit", times[[0, -1]], drawn_lines)
         for digit, joints in self._run.hand.digit_joints.items():
             factor = self._run.hand.display_units.factor[joints]
-            angle = factor * part["q"][:, joints]
+            angle = factor * values_of_field["q"][:, joints]
             # Without an encoder, the standard deviation of a joint angle is about 20 deg. A band of
             # this width would cover the plot. So the plot of the angles shows no band. The plot of
             # the signal q_sigma shows the standard deviation instead.
             yield timed_chunk(f"/angle/{digit}/estimate", times, plot_lines(angle))
             yield timed_chunk(
-                f"/angle/{digit}/command", times, plot_lines(factor * part["q_goal"][:, joints])
+                f"/angle/{digit}/command",
+                times,
+                plot_lines(factor * values_of_field["q_goal"][:, joints]),
             )
         for index, digit in enumerate(self._run.hand.digit_names):
-            yield timed_chunk(f"/force/{digit}", times, force_arrows(part["tip_force"][:, index]))
+            yield timed_chunk(
+                f"/force/{digit}", times, force_arrows(values_of_field["tip_force"][:, index])
+            )
         for name in TELEMETRY_AXES:
-            yield timed_chunk(f"/controller/{name}", times, plot_lines(part[name]))
+            yield timed_chunk(f"/controller/{name}", times, plot_lines(values_of_field[name]))
 
     def _convert_cycle(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the lateness of each tick to a plot line [us]."""

@@ -47,8 +47,8 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     for name in SHAPE_COLOURS.keys() & shapes.keys():
         yield static_chunk(f"/true/{name}", _solid_shape(shapes[name], SHAPE_COLOURS[name]))
         yield static_chunk(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
-        place = _object_pose if name == "object" else _table_pose
-        translation, rotation = place(run.truth, shapes[name], times)
+        pose_of_shape = _object_pose if name == "object" else _table_pose
+        translation, rotation = pose_of_shape(run.truth, shapes[name], times)
         pose = rr.Transform3D.columns(
             translation=translation,
             quaternion=rotation,
@@ -82,7 +82,9 @@ def _object_pose(
     truth: TruthRecord, object_shape: Mapping[str, Any], times: Any
 ) -> tuple[Any, Any]:
     """Return the position [m] and the quaternion (x, y, z, w) of the object, with one row for each time."""
-    pose = truth.interpolated_columns([f"object/{part}" for part in POSE_COLUMNS], times)
+    pose = truth.interpolated_columns(
+        [f"object/{pose_column}" for pose_column in POSE_COLUMNS], times
+    )
     return pose[:, :3], pose[:, 3:]
 
 
