@@ -158,7 +158,7 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
             and isinstance(node.targets[0], ast.Name)
         ):
             function, first_argument = node.value.func, node.value.args[:1]
-            if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
+            if isinstance(function, ast.Name) and function.id in ("_real", "_integer"):
                 assert isinstance(first_argument[0], ast.Constant)
                 constant_by_field[str(first_argument[0].value)] = node.targets[0].id
     return constant_by_field

@@ -24,7 +24,7 @@ from tests.drives.virtual_bench import OPTIONS_BY_PROTOCOL, VirtualBench, drive_
 
 TORQUE_LIMIT_N_M = 0.1
 DRIVES_PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "drives.md"
-DEFECT_TABLE_MARK = "**Defects.** The columns are the protocols of the hand file, the rows the defects of `--broken`."
+DEFECT_TABLE_MARK = "and a row for each defect of `--broken`."
 OPTIONS_WITHOUT_ENDPOINTS = {"torque_feedback": True}
 """Options of an ODrive on a bench without endpoint numbers."""
 
