@@ -95,12 +95,18 @@ def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension that is the reference for the encoder of a motor [N].
 
     Return NaN if other motors also change this tension. This is the case in every digit with several
-    tendons. The motor of another tendon turns a joint that both tendons pass. The tension then
-    changes, although friction holds the motor of the tendon at rest.
+    tendons and load cells. The motor of another tendon turns a joint that both tendons pass. The
+    tension then changes, although friction holds the motor of the tendon at rest.
+
+    Without a load cell, the tension is that of the motor's own torque. It then shows that a tendon
+    has torn. In a digit with surplus tendons, an antagonist also changes this tension.
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     has_other_tendons = c.digit_int[h.END_TENDON, d] - c.digit_int[h.FIRST_TENDON, d] > 1
-    return math.nan if has_other_tendons else x.tendon[s.RESIDUAL + TENSION, n]
+    has_cell = c.tendon_int[h.CELL_GROUP, n] >= 0
+    if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] or (has_other_tendons and has_cell):
+        return math.nan
+    return x.tendon[s.RESIDUAL + TENSION, n]
 
 
 @kernel_helper

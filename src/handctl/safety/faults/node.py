@@ -29,9 +29,9 @@ STUCK_SENSOR_JOINT_CHANGE_DEG = 10.0
 """Thresholds for a stuck sensor: time with a constant reading, and motion of each of its references in this time.
 
 A motor's encoder is stuck if meanwhile the goal moves by 0.5 mm, or the tension changes by 8 N (80
-um of tendon stretch). In a digit with several tendons, only the goal counts, because the other
-tendons also change the tension. A joint encoder is stuck if the joint angle computed from the spools changes
-by 10 degrees.
+um of tendon stretch). In a digit with several tendons and load cells, only the goal counts,
+because the other tendons also change the tension. A joint encoder is stuck if the joint angle
+computed from the spools changes by 10 degrees.
 """
 SLIP_WARN_DEG = 3.0
 SLIP_TRIP_DEG = 6.0
