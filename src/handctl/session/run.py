@@ -92,7 +92,7 @@ class RunOutcome:
 
         Args:
             location: text for the error message that names the purpose of the run.
-            right: remedy that the error message suggests, or an empty text if no remedy is known.
+            remedy: remedy that the error message suggests, or an empty text if no remedy is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
