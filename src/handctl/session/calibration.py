@@ -19,7 +19,7 @@ from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.runtime.buses.bus_opening import real_buses
 from handctl.session.notices import NoticeCallback, ignore_notice
 from handctl.session.run import RunFunction, RunOutcome, make_controller
-from handctl.session.run_plan import RunPlan, check_gain_margins
+from handctl.session.run_plan import RunPlan
 from handctl.session.time_scale_advice import pace_advice
 
 MAX_CALIBRATION_AGE_S = 24 * 3600.0
@@ -86,7 +86,7 @@ def find_calibration(
 
 
 def run_commissioning(
-    plan: RunPlan, log: Path, runner: RunFunction
+    plan: RunPlan, log: Path, runner: RunFunction, reason: str = ""
 ) -> tuple[Calibration, RunOutcome]:
     """Run the commissioning program, and return the new calibration and the outcome of the run.
 
@@ -94,13 +94,18 @@ def run_commissioning(
         plan: checked plan of the run.
         log: path of the log file to write.
         runner: function that executes the run, either in real time or in lockstep.
+        reason: reason why another run needs the commissioning, for a notice to the operator. The text
+            is empty if the operator has requested the commissioning.
 
     Raises:
+        ConfigError: no controller can be designed with the gains. The notice is not shown in this case.
         PowerError: a drive did not confirm that it is disabled.
         DriveError: a tendon, a sensor or a drive did not pass the commissioning. See
             ``RunOutcome.check_finished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
+    if reason:
+        plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
     outcome = runner(plan, controller, log)
     outcome.raise_if_not_finished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
     is_lockstep = outcome.priority is None  # with a fixed date, two lockstep runs give equal files
@@ -213,9 +218,7 @@ def ensure_calibration(
     Raises:
         DriveError: see ``run_commissioning``.
     """
-    check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
-    plan.show_notice(f"commissioning {plan.hand.name} first: {reason}")
-    calibration, _ = run_commissioning(plan, log, runner)
+    calibration, _ = run_commissioning(plan, log, runner, reason)
     previous_parameters = previous_identified_parameters(
         path, plan.hand, calibration.drive, plan.show_notice
     )
