@@ -237,15 +237,14 @@ def task_from_trajectory_file(file_content: Mapping[str, Any], source_name: str)
         ConfigError: The same errors as from `load_trajectory`. The message names the source.
     """
     file = validate_content(file_content, TrajectoryFile, source_name)
-    first_angles = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
-    follow_phase = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
-    # The location of an error in the phase is then its key in the trajectory file.
-    validate_content(follow_phase, FollowPhase, source_name)
-    phases = [
-        {"kind": "move", "name": "to the start", "angle_deg": first_angles, "duration_s": 1.5},
-        follow_phase,
-    ]
-    return validate_content({"schema": 1, "name": file.name, "phase": phases}, Task, source_name)
+    # The phase is validated alone, so that an error names the key in the trajectory file.
+    follow_content = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
+    follow_phase = validate_content(follow_content, FollowPhase, source_name)
+    first_angles: dict[str, DigitAnglesDeg] = {
+        digit: angles[0] for digit, angles in follow_phase.angle_deg.items()
+    }
+    move_phase = MovePhase(kind="move", name="to the start", angle_deg=first_angles, duration_s=1.5)
+    return Task(schema_=1, name=file.name, phase=(move_phase, follow_phase))
 
 
 def load_task(path: Path) -> Task:
