@@ -333,9 +333,8 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
         report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
             load_kernel(uncompiled_kernel.code, uncompiled_kernel.types)
-        uncompiled_kernel.code.compile(
-            uncompiled_kernel.types
-        )  # this call does nothing if the code was loaded from the disk
+        # The next call does nothing if the code was loaded from the disk.
+        uncompiled_kernel.code.compile(uncompiled_kernel.types)
         uncompiled_kernel.code.disable_compile()
 
 

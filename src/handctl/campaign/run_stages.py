@@ -94,7 +94,11 @@ def hand_with_drives(
         options.setdefault(protocol_traits.torque_option, True)
     motors = tuple(
         motor.model_copy(
-            update={"protocol": protocol, "node_id": FIRST_NODE_NUMBER + i, "options": options}
+            update={
+                "protocol": protocol,
+                "node_id": FIRST_NODE_NUMBER + i,
+                "options": dict(options),
+            }
         )
         for i, motor in enumerate(hand.motor)
     )

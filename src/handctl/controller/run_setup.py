@@ -213,11 +213,10 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
-    for motor, drive in zip(motors, drives, strict=True):
-        _check_position_loop(motor, drive)
-    for motor, tendon, has_cell in zip(
-        motors, hand.tendon_names, hand.has_cell.tolist(), strict=True
+    for motor, drive, tendon, has_cell in zip(
+        motors, drives, hand.tendon_names, hand.has_cell.tolist(), strict=True
     ):
+        _check_position_loop(motor, drive)
         if not has_cell:
             _check_torque_report(motor, tendon)
     sensors = make_sensors(hand)

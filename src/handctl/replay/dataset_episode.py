@@ -234,9 +234,8 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     distance_beyond_range = units.to_displayed(
         np.maximum(low - angles_of_frames, angles_of_frames - high)
     )
-    is_beyond_limit = ~(
-        distance_beyond_range <= MAX_CLIPPED_DEG
-    )  # this negated comparison also finds NaN
+    # The negated comparison also finds NaN.
+    is_beyond_limit = ~(distance_beyond_range <= MAX_CLIPPED_DEG)
     if is_beyond_limit.any():
         frame, joint = (int(index) for index in np.argwhere(is_beyond_limit)[0])
         unit = units.names[joint]
