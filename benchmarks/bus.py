@@ -109,7 +109,7 @@ def measure_vcan(c_program: str, tick_count: int) -> dict:
         return {"skipped": reason}
     output: list[str] = []
     command = [sys.executable, __file__, "--one", "vcan", c_program, str(tick_count // 5)]
-    status = uml_guest.run_with_vcan(command, timeout_s=240.0, report_line=output.append)
+    status = uml_guest.run_with_vcan(command, timeout_s=240.0, print_line=output.append)
     return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 

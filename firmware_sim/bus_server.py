@@ -18,7 +18,7 @@ from firmware_sim.simulation_pace import PaceCounter
 
 MAX_TURN_NS = 1_000_000
 """Maximum time from one advance of the plant to the next, as plant time [ns]."""
-OVERRUN_NS = 5 * MAX_TURN_NS
+OVERRUN_DELAY_NS = 5 * MAX_TURN_NS
 """Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
@@ -52,7 +52,7 @@ class ServerClock(Protocol):
         """Return the time that the plant should reach [ns]."""
         ...
 
-    def ticks_sent(self) -> int:
+    def sent_tick_count(self) -> int:
         """Return the number of ticks whose frames were all sent by the controller.
 
         The controller uses the same clock.
@@ -74,11 +74,11 @@ class ServedNodes(Protocol):
     Attributes:
         t_ns: present time of the nodes [ns].
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        foreign: number of received frames that no node has handled.
+        foreign_frame_count: number of received frames that no node has handled.
     """
 
     slip_ns: int
-    foreign: int
+    foreign_frame_count: int
 
     @property
     def t_ns(self) -> int:
@@ -162,8 +162,8 @@ class BusServer:
         ready_sockets = self._wait_for_sockets()
         frames = self._receive_frames(ready_sockets)
         if frames:
-            self._check_for_host()
-        self._catch_up(is_sampled=bool(frames))
+            self._register_host()
+        self._advance_plant(is_exact=bool(frames))
         self._send_answers(frames)
         if self._faults and self._faults.read_sockets()[0] in ready_sockets:
             self._faults.serve(self.pace)
@@ -178,11 +178,11 @@ class BusServer:
         self._clock.publish_reached_time(self._world.t_ns + self._world.slip_ns)
         # The number of ticks must be read before the sockets are checked. Frames that arrive
         # between these two steps then belong to a later tick.
-        ticks = self._clock.ticks_sent()
-        if ticks and not self._ready_links(0.0):
+        ticks = self._clock.sent_tick_count()
+        if ticks and not self._readable_sockets(0.0):
             self._clock.publish_answered_ticks(ticks)
 
-    def _check_for_host(self) -> None:
+    def _register_host(self) -> None:
         """Take the real-time priority, because a host has sent frames.
 
         When the first frame of a host arrives, restart the measurement of the pace.
@@ -191,7 +191,7 @@ class BusServer:
             self._served = True
             self.pace.restart(self._world.t_ns)
         if self._priority:
-            self._priority.note_host_frames()
+            self._priority.request_priority()
 
     def _receive_frames(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames of all ports."""
@@ -207,11 +207,11 @@ class BusServer:
         # lost.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
-        return self._ready_links(
+        return self._readable_sockets(
             max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
         )
 
-    def _ready_links(self, timeout_s: float) -> list[socket.socket]:
+    def _readable_sockets(self, timeout_s: float) -> list[socket.socket]:
         """Wait for at most ``timeout_s``, and return the sockets that are ready for reading."""
         readers = [link for port in self._ports for link in port.read_sockets()]
         readers += self._faults.read_sockets() if self._faults else []
@@ -219,11 +219,11 @@ class BusServer:
         readable, _, _ = select.select(readers, writers, [], timeout_s)
         return readable
 
-    def _catch_up(self, is_sampled: bool) -> None:
+    def _advance_plant(self, is_exact: bool) -> None:
         """Advance the plant to the time of the clock.
 
         Args:
-            is_sampled: True to reach the time of the clock exactly. This is necessary if answers to
+            is_exact: True to reach the time of the clock exactly. This is necessary if answers to
                 frames contain readings of the plant.
         """
         world = self._world
@@ -232,8 +232,8 @@ class BusServer:
         if behind_ns > MAX_DELAY_NS:
             self._skip_lost_time(behind_ns)
             return
-        self.overruns += behind_ns > OVERRUN_NS
-        advance_world = world.advance_exactly if is_sampled else world.advance
+        self.overruns += behind_ns > OVERRUN_DELAY_NS
+        advance_world = world.advance_exactly if is_exact else world.advance
         advance_world(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
     def _skip_lost_time(self, behind_ns: int) -> None:
@@ -269,7 +269,7 @@ class BusServer:
             "overruns": self.overruns,
             "slips": self.slips,
             "slipped_ns": self._world.slip_ns,
-            "foreign_frames": self._world.foreign,
+            "foreign_frames": self._world.foreign_frame_count,
             "malformed_frames": self._world.malformed_frame_count,
             "lost_frames": sum(port.lost_frame_count for port in self._ports),
             "wire_load": [

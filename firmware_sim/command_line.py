@@ -38,11 +38,11 @@ def check_time_scale(value: float) -> None:
         raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
 
 
-def until_signal(stop_program: Callable[[], None]) -> None:
+def stop_on_signal(stop_program: Callable[[], None]) -> None:
     """Install ``stop_program`` as the handler of the signals SIGTERM and SIGINT."""
 
-    def handle(number: int, frame: FrameType | None) -> None:
+    def handle_signal(number: int, frame: FrameType | None) -> None:
         stop_program()
 
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, handle)
+        signal.signal(number, handle_signal)

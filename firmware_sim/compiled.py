@@ -65,12 +65,12 @@ def call_c_function(function: int, first_argument: int, second_argument: int) ->
 
     Raises:
         NotImplementedError: always, if Python calls this function. Compiled kernels call the
-            compiled form from ``_call_intrinsic`` instead.
+            compiled form from ``_build_c_call`` instead.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
 
-def rows_at(address: int, row_count: int, row_type: Any) -> Any:
+def array_at(address: int, row_count: int, row_type: Any) -> Any:
     """Return an array of the ``row_count`` numbers or rows at an address in memory.
 
     If a kernel makes an array itself, the array costs no time. Each array that a caller passes to a
@@ -83,7 +83,7 @@ def rows_at(address: int, row_count: int, row_type: Any) -> Any:
 
     Raises:
         NotImplementedError: always when called from Python. Compiled kernels call the compiled form
-            from ``_rows_at`` instead.
+            from ``_build_array_at`` instead.
     """
     raise NotImplementedError("only compiled kernels can read rows at an address")
 
@@ -99,7 +99,7 @@ def machine_code(module: ModuleType) -> Any:
     """
     from numba import njit
 
-    names = dict(vars(module), call_c_function=_call_intrinsic(), rows_at=_rows_at())
+    names = dict(vars(module), call_c_function=_build_c_call(), array_at=_build_array_at())
     imported_kernels = _imported_kernels(module)
     for name, owner in imported_kernels.items():
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
@@ -134,16 +134,16 @@ def _source_digest(modules: set[ModuleType]) -> str:
     The digest also includes the modules from which these modules import kernels. If no module is
     given, the digest is an empty text.
     """
-    reached_modules = set(modules)
+    known_modules = set(modules)
     new_modules = set(modules)
     while new_modules:
         new_modules = {
             owner for module in new_modules for owner in _imported_kernels(module).values()
-        } - reached_modules
-        reached_modules |= new_modules
+        } - known_modules
+        known_modules |= new_modules
     sources = [
         Path(str(module.__file__)).read_bytes()
-        for module in sorted(reached_modules, key=lambda module: module.__name__)
+        for module in sorted(known_modules, key=lambda module: module.__name__)
     ]
     return "_" + hashlib.sha256(b"".join(sources)).hexdigest()[:12] if sources else ""
 
@@ -192,7 +192,7 @@ def _numba_type(name: ArgumentType) -> Any:
     }[name]
 
 
-def _call_intrinsic() -> Any:
+def _build_c_call() -> Any:
     """Build the compiled form of ``call_c_function``.
 
     The address of the function is an argument of the compiled code. If the address were a constant
@@ -217,8 +217,8 @@ def _call_intrinsic() -> Any:
     return intrinsic(typed)
 
 
-def _rows_at() -> Any:
-    """Build the compiled form of ``rows_at``."""
+def _build_array_at() -> Any:
+    """Build the compiled form of ``array_at``."""
     from numba import carray, njit, types  # type: ignore[attr-defined, unused-ignore]
     from numba.extending import intrinsic
 
@@ -228,14 +228,14 @@ def _rows_at() -> Any:
     pointer: Any = intrinsic(lambda typing, address: (types.voidptr(types.intp), code))
 
     @njit
-    def rows_at(address: Any, count: Any, kind: Any) -> Any:
+    def array_at(address: Any, count: Any, kind: Any) -> Any:
         return carray(pointer(address), (count,), kind)
 
-    return rows_at
+    return array_at
 
 
 def array_addresses(arrays: Iterable[Any]) -> list[int]:
-    """Return the address and the length of each array. ``rows_at`` needs these two numbers.
+    """Return the address and the length of each array. ``array_at`` needs these two numbers.
 
     The caller must keep the arrays alive.
     """

@@ -36,7 +36,7 @@ PRISMATIC = "prismatic"
 
 ARM_COEFFICIENT_COUNT = 6
 """Number of polynomial coefficients of a moment arm that depends on the joint angle."""
-ARM_TABLE_DEGREE = 4
+MAX_FITTED_COEFFICIENTS = 4
 """Maximum number of polynomial coefficients fitted to a table of moment arms."""
 
 
@@ -669,7 +669,7 @@ def _parse_arm_curve(
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     """Fit a polynomial to a table of moment arms by least squares, and return the coefficients."""
-    count = min(ARM_TABLE_DEGREE, len(angles))
+    count = min(MAX_FITTED_COEFFICIENTS, len(angles))
     rows = [
         [math.fsum(angle ** (i + j) for angle in angles) for j in range(count)]
         + [math.fsum(arm * angle**i for angle, arm in zip(angles, arms, strict=True))]

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.frame_records import to_frames, to_records
-from firmware_sim.bus.timed_lockstep import TimedLockstep
+from firmware_sim.bus.frame_records import frames_to_records, records_to_frames
+from firmware_sim.bus.lockstep_buses import LockstepBuses
 from firmware_sim.hand_description import load_hand
 from firmware_sim.plant.plant_perturbation import perturbed_hand
 from firmware_sim.scene.scene import load_scene
@@ -61,11 +61,11 @@ class LockstepHand:
         """
         hand = with_serial_numbers(perturbed_hand(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
-        assert self.world.exchange
-        self._exchange = self.world.exchange
+        assert self.world.compiled_nodes
+        self._compiled_nodes = self.world.compiled_nodes
         self._period_ns = period_ns
-        self.wired = None if wire is None else TimedLockstep(self.world, parse_wire_options(wire))
-        self._exchange.sends_unsolicited = self.wired is None
+        self.wired = None if wire is None else LockstepBuses(self.world, parse_wire_options(wire))
+        self._compiled_nodes.sends_unsolicited = self.wired is None
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
@@ -88,16 +88,16 @@ class LockstepHand:
         """
         end_ns = t_ns + self._period_ns
         if self.wired:
-            return to_records(self.wired.step(t_ns, to_frames(frames), end_ns))
+            return frames_to_records(self.wired.step(t_ns, records_to_frames(frames), end_ns))
         world = self.world
         world.advance_exactly(t_ns)
-        answer_frames, is_in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
-        world.advance(end_ns, self._exchange.wake_ns)
+        answer_frames, is_in_order = self._compiled_nodes.answer(frames, t_ns, self._period_ns - 1)
+        world.advance(end_ns, self._compiled_nodes.wake_ns)
         unsolicited_records = world.take_unsolicited_records()
         return (
             answer_frames
             if is_in_order and not len(unsolicited_records)
-            else self._exchange.merge_frames(answer_frames, unsolicited_records)
+            else self._compiled_nodes.merge_frames(answer_frames, unsolicited_records)
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
@@ -109,7 +109,7 @@ class LockstepHand:
             t_ns: start of the tick [ns], not before the previous tick.
             frames: frames of the host as tuples of can_id, data, flags, bus and t_ns.
         """
-        return to_frames(self.exchange(t_ns, to_records(frames)))
+        return records_to_frames(self.exchange(t_ns, frames_to_records(frames)))
 
     def inject(self, fault_line: str) -> None:
         """Start a fault, now or at a later time.
@@ -138,7 +138,7 @@ class LockstepHand:
         """Complete and close the truth file, if one exists."""
         if self._truth is not None:
             counts = {
-                "foreign_frames": self.world.foreign,
+                "foreign_frames": self.world.foreign_frame_count,
                 "malformed_frames": self.world.malformed_frame_count,
             }
             self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))

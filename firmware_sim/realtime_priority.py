@@ -64,26 +64,26 @@ class RealTimePriority:
 
     def __init__(
         self,
-        take_priority_function: Callable[[], bool] = request_realtime_priority,
+        request_function: Callable[[], bool] = request_realtime_priority,
         restore_function: Callable[[], None] = restore_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start without real-time priority.
 
         Args:
-            take_priority_function: function that requests the priority, and returns True if the
+            request_function: function that requests the priority, and returns True if the
                 system has granted it.
             restore_function: function that gives the process the ordinary priority again.
             now_s: function that returns the present time [s].
         """
-        self._take = take_priority_function
+        self._take = request_function
         self._restore = restore_function
         self._now_s = now_s
         self.active = False
         self._not_before_s = -math.inf
         self._slips_s: deque[float] = deque(maxlen=MAX_CLOCK_SLIPS)
 
-    def note_host_frames(self) -> None:
+    def request_priority(self) -> None:
         """Take the real-time priority, because the host has sent frames."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()

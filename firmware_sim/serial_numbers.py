@@ -19,12 +19,12 @@ EXPECTED_FORM_TEXT = (
 """Part of the error message for a wrong serial number."""
 
 
-def with_serial_numbers(hand: Hand, serial_words: Iterable[str]) -> Hand:
+def with_serial_numbers(hand: Hand, serial_options: Iterable[str]) -> Hand:
     """Return the description of a hand in which the drives have the given serial numbers.
 
     Args:
         hand: description of the hand.
-        serial_words: NUMBER for all drives, where each drive has NUMBER plus its node number, or
+        serial_options: NUMBER for all drives, where each drive has NUMBER plus its node number, or
             MOTOR=NUMBER for a single drive. If two words concern the same drive, the later word
             applies.
 
@@ -33,7 +33,7 @@ def with_serial_numbers(hand: Hand, serial_words: Iterable[str]) -> Hand:
             number.
     """
     serials: dict[str, int | None] = {motor.name: motor.serial for motor in hand.motors}
-    for word in serial_words:
+    for word in serial_options:
         name, equals, text = word.rpartition("=")
         if equals and name not in serials:
             raise SimulatorError(

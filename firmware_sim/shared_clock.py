@@ -97,7 +97,7 @@ class SharedClock:
             now = gate
         return int(now * self.scale)
 
-    def ticks_sent(self) -> int:
+    def sent_tick_count(self) -> int:
         """Return the number of ticks for which the controller has sent all frames."""
         return self._numbers[SENT_INDEX]
 

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.frame_records import to_frames, to_records
+from firmware_sim.bus.frame_records import frames_to_records, records_to_frames
 from firmware_sim.compiled import structure_array, use_compiled_kernels
+from firmware_sim.compiled_nodes import CompiledNodes
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.hand_description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, noise, sensor_node
@@ -25,7 +26,6 @@ from firmware_sim.nodes.sensor_node import SensorNode, SensorNodeRow, SensorStru
 from firmware_sim.plant.mjcf import scene_shapes
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
-from firmware_sim.tick_exchange import TickExchange
 from firmware_sim.truth_file import TruthWriter
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class SimulatedWorld:
         nodes: list of the nodes on each bus of the hand.
         t_ns: present time of plant and nodes [ns].
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        foreign: number of received frames that no simulated node has handled.
+        foreign_frame_count: number of received frames that no simulated node has handled.
         sensor_node: node with load cells and joint encoders, or an object for all load-cell
             amplifiers.
         sensor_nodes: all nodes on the bus that read load cells.
@@ -94,7 +94,7 @@ class SimulatedWorld:
             for module in (mit_codec, sensor_node, noise):
                 use_compiled_kernels(module)
         self.t_ns = self._origin_ns = origin_ns
-        self.foreign = 0
+        self.foreign_frame_count = 0
         rng = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {
@@ -113,7 +113,7 @@ class SimulatedWorld:
         self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
         self._by_id: list[dict[int, list[tuple[SimulatedNode, frozenset[int] | None]]]]
-        self.exchange = TickExchange(self, rows) if compiled else None
+        self.compiled_nodes = CompiledNodes(self, rows) if compiled else None
         self.refresh_identifiers()
         self._unsolicited: list[Frame] = []
         self.faults = ActiveFaults(self)
@@ -258,7 +258,7 @@ class SimulatedWorld:
                 is_handled = True
                 answer_frames += replies
         if not is_handled:
-            self.foreign += 1
+            self.foreign_frame_count += 1
         for i, (can_id, data, flags, bus_number, send_time_ns) in enumerate(answer_frames):
             if bus_number != bus or send_time_ns != t_ns:
                 answer_frames[i] = Frame(can_id, data, flags, bus, t_ns)
@@ -285,8 +285,8 @@ class SimulatedWorld:
         """Read the identifiers of all nodes again, because identifiers may have changed."""
         self._nodes_of_bus = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
-        if self.exchange:
-            self.exchange.refresh_identifiers()
+        if self.compiled_nodes:
+            self.compiled_nodes.refresh_identifiers()
 
     def advance(self, t_ns: int, row_wake_ns: int | None = None) -> None:
         """Advance the plant and the nodes towards the time ``t_ns``, by whole time steps.
@@ -301,18 +301,18 @@ class SimulatedWorld:
         plant = self.plant
         truth = self._truth
         faults = self.faults
-        now_ns = self.t_ns - plant.part_ns
+        now_ns = self.t_ns - plant.step_progress_ns
         if now_ns + STEP_NS > t_ns:
             return
         wake_ns = self._next_wake(row_wake_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
-                self._write_truth(now_ns)
+                self._write_truth_row(now_ns)
                 until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
             if faults.on:
                 until_ns = min(until_ns, now_ns if plant.faulty_motors else faults.due_ns())
-            count = _steps_until(now_ns, min(until_ns, wake_ns), t_ns)
+            count = _count_steps_until(now_ns, min(until_ns, wake_ns), t_ns)
             plant.advance(count)
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
@@ -331,14 +331,14 @@ class SimulatedWorld:
         call completes this step.
         """
         self.advance(t_ns)
-        rest_ns = t_ns - self.t_ns
-        if rest_ns > 0:
-            if not self.plant.part_ns:
-                self._write_truth(self.t_ns)
-            self.plant.advance_part(rest_ns)
+        remaining_ns = t_ns - self.t_ns
+        if remaining_ns > 0:
+            if not self.plant.step_progress_ns:
+                self._write_truth_row(self.t_ns)
+            self.plant.advance_within_step(remaining_ns)
             self.t_ns = t_ns
 
-    def _write_truth(self, now_ns: int) -> None:
+    def _write_truth_row(self, now_ns: int) -> None:
         """Write a row of the truth file if a row is due."""
         truth = self._truth
         plant = self.plant
@@ -352,9 +352,9 @@ class SimulatedWorld:
             row_wake_ns: earliest wake time of the drives whose state is in array rows [ns], None if
                 not known.
         """
-        if not self.exchange:
+        if not self.compiled_nodes:
             return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
-        wake_ns = self.exchange.next_wake() if row_wake_ns is None else row_wake_ns
+        wake_ns = self.compiled_nodes.next_wake() if row_wake_ns is None else row_wake_ns
         return (
             min(wake_ns, *[node.wake_ns for node in self._without_row])
             if self._without_row
@@ -368,8 +368,12 @@ class SimulatedWorld:
             The earliest wake time of the drives whose state is in array rows [ns], or None if it is
             not known.
         """
-        if self.exchange and not self._without_row and self.exchange.send_due(now_ns):
-            return self.exchange.wake_ns
+        if (
+            self.compiled_nodes
+            and not self._without_row
+            and self.compiled_nodes.send_due_frames(now_ns)
+        ):
+            return self.compiled_nodes.wake_ns
         for bus, node in self._nodes_by_bus:
             if now_ns >= node.wake_ns:
                 unsolicited_frames = node.wake(now_ns)
@@ -392,8 +396,8 @@ class SimulatedWorld:
         """Return the unsolicited frames since the last call, sorted by time."""
         unsolicited_frames = self._unsolicited
         self._unsolicited = []
-        if self.exchange and len(from_drives := self.exchange.take_sent_frames()):
-            return sorted(to_frames(from_drives) + unsolicited_frames, key=_ARRIVAL_NS)
+        if self.compiled_nodes and len(from_drives := self.compiled_nodes.take_sent_frames()):
+            return sorted(records_to_frames(from_drives) + unsolicited_frames, key=_ARRIVAL_NS)
         return unsolicited_frames
 
     def take_unsolicited_records(self) -> Any:
@@ -401,11 +405,11 @@ class SimulatedWorld:
 
         The array stays valid until a node sends the next frame.
         """
-        assert self.exchange
+        assert self.compiled_nodes
         return (
-            to_records(self.take_unsolicited_frames())
+            frames_to_records(self.take_unsolicited_frames())
             if self._unsolicited
-            else self.exchange.take_sent_frames()
+            else self.compiled_nodes.take_sent_frames()
         )
 
     @property
@@ -430,7 +434,7 @@ class SimulatedWorld:
         }
 
 
-def _steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
+def _count_steps_until(now_ns: int, due_ns: int, end_ns: int) -> int:
     """Count the time steps until an event is due or until the end is reached.
 
     The result is at least 1.

@@ -9,17 +9,17 @@ from dataclasses import dataclass
 
 REPORT_PERIOD_S = 1.0
 """Minimum time between two reports of slips [s]."""
-SLOW_MACHINE_SLIPS = 3
+SLOW_MACHINE_SLIP_COUNT = 3
 """With this number of slips within a report period, a machine counts as too slow.
 
 With fewer slips, the process was only stopped for a moment.
 """
-CORE_FRACTION = 0.5
+SIMULATOR_CORE_FRACTION = 0.5
 """Fraction of a processor core for the simulator.
 
 Controller, recorder and system need the rest.
 """
-ADVISED_FRACTION = 0.8
+ADVISED_PACE_FRACTION = 0.8
 """Advised pace divided by the pace that the machine can keep."""
 
 
@@ -53,7 +53,7 @@ class PaceCounter:
         plant_ns: int,
         wall_s: Callable[[], float] = time.monotonic,
         cpu_s: Callable[[], float] = time.process_time,
-        report_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
+        print_line: Callable[[str], None] = lambda line: print(line, file=sys.stderr, flush=True),
         time_scale: float = 1.0,
     ) -> None:
         """Start to measure the pace.
@@ -62,14 +62,14 @@ class PaceCounter:
             plant_ns: present time of the plant [ns].
             wall_s: function that returns the time of the wall clock [s].
             cpu_s: function that returns the computing time of this process [s].
-            report_line: function that prints a line.
+            print_line: function that prints a line.
             time_scale: requested pace, as the ratio of plant time to wall time.
         """
         self._time_scale = time_scale
         self._wall_s = wall_s
         self._cpu_s = cpu_s
-        self._report_line = report_line
-        self._mark = self._clock_readings(plant_ns)
+        self._print_line = print_line
+        self._mark = self._read_clocks(plant_ns)
         self._start = self._mark
         self._reported_s = -math.inf
         self._slips = self._lost_ns = 0
@@ -81,7 +81,7 @@ class PaceCounter:
         Args:
             plant_ns: present time of the plant [ns].
         """
-        self._mark = self._start = self._clock_readings(plant_ns)
+        self._mark = self._start = self._read_clocks(plant_ns)
 
     def count_slip(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock.
@@ -95,15 +95,15 @@ class PaceCounter:
         """
         self._slips += 1
         self._lost_ns += behind_ns
-        present_readings = self._clock_readings(plant_ns)
+        present_readings = self._read_clocks(plant_ns)
         if present_readings.wall_s - self._reported_s < REPORT_PERIOD_S:
             return
-        if self._slips >= SLOW_MACHINE_SLIPS:
-            self._update_advice(present_readings)
-            self._report_line(self._slow_machine_text(present_readings.wall_s - self._mark.wall_s))
+        if self._slips >= SLOW_MACHINE_SLIP_COUNT:
+            self._update_advised_pace(present_readings)
+            self._print_line(self._slow_machine_text(present_readings.wall_s - self._mark.wall_s))
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
-            self._report_line(
+            self._print_line(
                 f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}"
             )
         self._reported_s = present_readings.wall_s
@@ -112,7 +112,7 @@ class PaceCounter:
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
         """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
-        max_pace = _pace_ratio(self._start, self._clock_readings(plant_ns))
+        max_pace = _pace_ratio(self._start, self._read_clocks(plant_ns))
         return {
             "time_scale": self._time_scale,
             "advice": self.advice,
@@ -124,28 +124,28 @@ class PaceCounter:
         slip_text = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {slip_text}: this machine is fast enough for --time-scale {self.advice:g}"
 
-    def _update_advice(self, present_readings: ClockReadings) -> None:
+    def _update_advised_pace(self, present_readings: ClockReadings) -> None:
         """Update the advised pace from the pace since the last report."""
         measured_pace = (present_readings.plant_s - self._mark.plant_s) / (
             present_readings.wall_s - self._mark.wall_s
         )
-        advised_scale = ADVISED_FRACTION * min(
+        advised_pace = ADVISED_PACE_FRACTION * min(
             measured_pace,
-            CORE_FRACTION
+            SIMULATOR_CORE_FRACTION
             * _pace_ratio(self._mark, present_readings)
             * (1 if len(_usable_cores()) == 1 else 2),
         )
         self.advice = (
-            rounded_down(advised_scale)
+            round_pace_down(advised_pace)
             if self.advice is None
-            else min(self.advice, rounded_down(advised_scale))
+            else min(self.advice, round_pace_down(advised_pace))
         )
 
-    def _clock_readings(self, plant_ns: int) -> ClockReadings:
+    def _read_clocks(self, plant_ns: int) -> ClockReadings:
         return ClockReadings(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
 
 
-def rounded_down(pace: float) -> float:
+def round_pace_down(pace: float) -> float:
     """Round a pace down to one significant digit, but not below the minimum of ``--time-scale``."""
     if pace <= 0.001:
         return 0.001

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from firmware_sim.hand_description import SimulatorError
 
-_PRIVATE_MODE = 0o700
+_PRIVATE_FOLDER_MODE = 0o700
 """File mode of a directory with access only for the owner."""
 _PATH_MAX = 103
 """Maximum length of a Unix socket's path that all systems allow [bytes]."""
@@ -72,7 +72,7 @@ def _check_directory(path: Path, is_private: bool) -> None:
         SimulatorError: see ``run_dir``.
     """
     with suppress(FileExistsError):
-        path.mkdir(mode=_PRIVATE_MODE)
+        path.mkdir(mode=_PRIVATE_FOLDER_MODE)
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):
         raise _path_error(path, "is a link")
@@ -83,7 +83,7 @@ def _check_directory(path: Path, is_private: bool) -> None:
     if status.st_mode & 0o022 and (is_private or not status.st_mode & stat.S_ISVTX):
         raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if is_private and status.st_mode & 0o077:
-        path.chmod(_PRIVATE_MODE)
+        path.chmod(_PRIVATE_FOLDER_MODE)
 
 
 def _path_error(path: Path, problem_text: str) -> SimulatorError:

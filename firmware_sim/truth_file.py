@@ -71,7 +71,7 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
         (f"object/{quaternion_component}", "1") for quaternion_component in ("qw", "qx", "qy", "qz")
     ]
     column_names += [("slip", "m/s")]
-    if plant.can_table_sink:
+    if plant.has_sinking_table:
         column_names += [("support", "m")]
     if plant.load:
         column_names += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
@@ -142,7 +142,7 @@ class TruthWriter:
                 *plant.contact_forces(),
                 *engine.object_pose(),
                 engine.object_speed(),
-                *((plant.table.depth,) if plant.can_table_sink and plant.table else ()),
+                *((plant.table.depth,) if plant.has_sinking_table and plant.table else ()),
                 *plant.measured_grip_forces(),
                 *plant.pair_tensions(),
             )

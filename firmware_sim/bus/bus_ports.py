@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.local_ports import HubPort, JoinedPort
+from firmware_sim.bus.local_ports import HubClientPort, HubPort
 from firmware_sim.bus.socketcan import SocketCanPort
 from firmware_sim.hand_description import SimulatorError
 
@@ -89,7 +89,7 @@ def open_port(
     if kind == "local":
         return timed_port(name, bus) if timed_port else HubPort(name, bus)
     if kind == "join":
-        return JoinedPort(name, bus)
+        return HubClientPort(name, bus)
     if kind == "socketcan" and name:
         return SocketCanPort(name, bus)
     raise SimulatorError(f"bus {spec!r}: expected local:NAME, join:NAME or socketcan:INTERFACE")

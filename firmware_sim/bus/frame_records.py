@@ -37,7 +37,7 @@ The payload is padded with zeros to 64 bytes. ``length`` excludes the padding.
 _FRAME_STRUCT = struct.Struct("<qIHBB64s")
 
 
-def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
+def frames_to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     """Convert frames to an array of ``FRAME_DTYPE``.
 
     Args:
@@ -55,7 +55,7 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
 
 
-def to_frames(records: Any) -> list[Frame]:
+def records_to_frames(records: Any) -> list[Frame]:
     """Convert an array of ``FRAME_DTYPE`` to frames."""
     unpacked = _FRAME_STRUCT.iter_unpack(records.tobytes())
     return [

@@ -179,7 +179,7 @@ class BusHub:
         received_records = self.poll(ready_sockets)
         for link, records in received_records:
             self._forward_records(records, link)
-        self.drop_closed()
+        self.remove_closed_clients()
         return b"".join(records for _, records in received_records)
 
     def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
@@ -219,7 +219,7 @@ class BusHub:
             if link is not sender and not link.closed:
                 link.deliver(records)
 
-    def drop_closed(self) -> None:
+    def remove_closed_clients(self) -> None:
         """Remove the clients that have disconnected from the hub."""
         if not any(link.closed for link in self._links):
             return

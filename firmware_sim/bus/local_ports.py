@@ -57,7 +57,7 @@ class HubPort:
         self._hub.close()
 
 
-class JoinedPort:
+class HubClientPort:
     """A port that is a client of a hub in another process.
 
     The class ``bus_ports.BusPort`` describes the methods.

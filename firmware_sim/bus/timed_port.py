@@ -27,7 +27,7 @@ from firmware_sim.wire.wire_options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
 """Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
-QUEUE_REPORT = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
+QUEUE_REPORT_ID = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 """Identifier of a record with the level of a client's queue.
 
 No CAN frame has this combination of flags.
@@ -106,7 +106,11 @@ class TimedPort:
     @property
     def due_ns(self) -> int:
         """See ``bus_ports.BusPort.due_ns``."""
-        return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
+        return (
+            min(self.wire.next_event_ns(), self._late[0][0])
+            if self._late
+            else self.wire.next_event_ns()
+        )
 
     @property
     def load(self) -> float:
@@ -131,8 +135,8 @@ class TimedPort:
         now_ns = self._now_ns()
         if ready_sockets:
             self._read_clients(ready_sockets, now_ns)
-        while not self._received and self.wire.next_ns() <= now_ns:
-            self._at_ns = self.wire.next_ns()
+        while not self._received and self.wire.next_event_ns() <= now_ns:
+            self._at_ns = self.wire.next_event_ns()
             self.wire.step(now_ns)
         while self._late and self._late[0][0] <= now_ns:
             _, _, link, record = heappop(self._late)
@@ -155,7 +159,7 @@ class TimedPort:
                 link.deliver(
                     pack_record(
                         Frame(
-                            QUEUE_REPORT,
+                            QUEUE_REPORT_ID,
                             _QUEUE_STRUCT.pack(
                                 departed_count & 0xFFFFFFFF, self.wire.options.queue
                             ),
@@ -188,13 +192,13 @@ class TimedPort:
             for frame in frames:
                 if not frame.can_id & ERROR_FLAG:
                     self._clients[link].queue_frame(frame, self._latencies[link].send(now_ns))
-        self._drop_closed()
+        self._remove_closed_clients()
 
-    def _drop_closed(self) -> None:
+    def _remove_closed_clients(self) -> None:
         for link in [link for link in self._clients if link.closed]:
             self.wire.remove(self._clients.pop(link))
             del self._queues[link], self._latencies[link]
-        self._hub.drop_closed()
+        self._hub.remove_closed_clients()
 
     def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
         """Return the function that passes frames from the wire to a client.

@@ -9,20 +9,20 @@ from typing import Any
 from firmware_sim.bus.frame import Frame
 from firmware_sim.faults import plant_faults, wire_faults
 from firmware_sim.faults.fault_text import (
-    BUS_TARGET,
-    DIGIT_TARGET,
     FAULT_KINDS,
+    FAULT_TARGET_BUS,
+    FAULT_TARGET_DIGIT,
+    FAULT_TARGET_NODE,
+    FAULT_TARGET_TENDON,
     FOREVER_NS,
-    NODE_TARGET,
     SENSOR_NODE_NAME,
-    TENDON_TARGET,
     Fault,
     instances_of_component,
     parse_fault,
 )
 from firmware_sim.faults.wire_faults import ActiveFault
 
-GENERATION_PERIOD_NS = 1_000_000
+FAULT_FRAME_PERIOD_NS = 1_000_000
 """Period of the frames that a flood or an unknown identifier generates [ns]."""
 SECOND_HOST_PERIOD_NS = 10_000_000
 """Period at which a simulated second host sends commands [ns]."""
@@ -30,7 +30,7 @@ FLOOD_CAN_ID = 0x000
 """Identifier of the frames of a flood: the one with the highest priority."""
 UNKNOWN_CAN_ID = 0x7E5
 """Identifier that belongs to no node."""
-FRAME_SOURCE_KINDS = ("flood", "unknown", "foreign")
+FRAME_SENDING_FAULTS = ("flood", "unknown", "foreign")
 """Kinds of fault that send frames of their own periodically."""
 
 
@@ -154,12 +154,12 @@ class ActiveFaults:
             for frame in wire_faults.released_frames([active], t_ns)
         ]
         if not self._turn_ns or (
-            t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
+            t_ns >= self._turn_ns and (t_ns - self._turn_ns) % FAULT_FRAME_PERIOD_NS == 0
         ):
             # Frames that a fault generates are sent at the ends of whole steps of the plant. A
             # fault can start within a step of the plant. So the part of the step that is already
             # completed is subtracted.
-            self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
+            self._turn_ns = t_ns - self._world.plant.step_progress_ns + FAULT_FRAME_PERIOD_NS
             frames += self._generated_frames(t_ns)
         return frames
 
@@ -171,7 +171,7 @@ class ActiveFaults:
                 active.fault.start_ns + active.fault.duration_ns,
                 *(release_ns for release_ns, _ in active.delayed_frames),
             ]
-            if active.fault.kind in FRAME_SOURCE_KINDS:
+            if active.fault.kind in FRAME_SENDING_FAULTS:
                 due_times.append(self._turn_ns)
         return min(due_times, default=FOREVER_NS)
 
@@ -181,20 +181,20 @@ class ActiveFaults:
         self.wire_faults_of = {}
         self._all_wire = []
         self.in_frames = any(
-            active.fault.component not in (TENDON_TARGET, DIGIT_TARGET)
+            active.fault.component not in (FAULT_TARGET_TENDON, FAULT_TARGET_DIGIT)
             for active, _ in self._acting
         )
         for active, _ in self._acting:
-            if active.fault.component not in (NODE_TARGET, BUS_TARGET):
+            if active.fault.component not in (FAULT_TARGET_NODE, FAULT_TARGET_BUS):
                 continue
-            for node, bus in self._nodes_of(active.fault):
+            for node, bus in self._target_nodes(active.fault):
                 self.wire_faults_of.setdefault(id(node), []).append(active)
                 self._all_wire.append((bus, active))
 
-    def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
+    def _target_nodes(self, fault: Fault) -> list[tuple[Any, int]]:
         """List the target nodes of a fault, each with the index of the node's bus."""
         world = self._world
-        if fault.component == BUS_TARGET:
+        if fault.component == FAULT_TARGET_BUS:
             bus = world.hand.buses.index(fault.instance)
             return [(node, bus) for node in world.nodes[bus]]
         nodes = (

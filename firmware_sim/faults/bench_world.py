@@ -23,13 +23,13 @@ class BenchInterface(Protocol):
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        part_ns: completed part of the plant step in progress [ns].
+        step_progress_ns: completed part of the plant step in progress [ns].
     """
 
     motors: list[Motor]
     nodes: list[Any]
     slip_ns: int
-    part_ns: int
+    step_progress_ns: int
 
     @property
     def t_ns(self) -> int:
@@ -62,9 +62,9 @@ class BenchPlant:
         return self._bench.t_ns
 
     @property
-    def part_ns(self) -> int:
+    def step_progress_ns(self) -> int:
         """Return the part of the present plant step that is already completed [ns]."""
-        return self._bench.part_ns
+        return self._bench.step_progress_ns
 
 
 class BenchWorld:

@@ -6,19 +6,19 @@ from typing import NamedTuple
 
 from firmware_sim.hand_description import Hand, SimulatorError
 
-NODE_TARGET = "node"
+FAULT_TARGET_NODE = "node"
 """Target of a fault: a drive or the sensor node."""
-BUS_TARGET = "bus"
+FAULT_TARGET_BUS = "bus"
 """Target of a fault: all nodes of a bus."""
-ENCODER_TARGET = "encoder"
+FAULT_TARGET_ENCODER = "encoder"
 """Target of a fault: the encoder of a motor."""
-JOINT_TARGET = "joint"
+FAULT_TARGET_JOINT = "joint"
 """Target of a fault: a joint encoder."""
-CELL_TARGET = "cell"
+FAULT_TARGET_CELL = "cell"
 """Target of a fault: a load cell."""
-TENDON_TARGET = "tendon"
+FAULT_TARGET_TENDON = "tendon"
 """Target of a fault: a tendon."""
-DIGIT_TARGET = "digit"
+FAULT_TARGET_DIGIT = "digit"
 """Target of a fault: a digit."""
 SENSOR_NODE_NAME = "sensors"
 """Name of the sensor node in the text of a fault."""
@@ -42,52 +42,54 @@ class FaultKind(NamedTuple):
 
 
 FAULT_KINDS = {
-    "drop": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are lost"),
-    "deaf": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames to a node are lost"),
-    "delay": FaultKind((NODE_TARGET, BUS_TARGET), 4, "frames from a node are late by size [ms]"),
-    "duplicate": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are duplicated"),
-    "twin": FaultKind((NODE_TARGET,), 0, "a second node with the same identifier answers with other values"),
-    "reorder": FaultKind((NODE_TARGET, BUS_TARGET), 0, "a frame from a node comes after the next frame"),
-    "corrupt": FaultKind((NODE_TARGET, BUS_TARGET), 1, "size bits of the payload are flipped"),
-    "shorten": FaultKind((NODE_TARGET, BUS_TARGET), 1, "the payload is shortened by size bytes"),
-    "extend": FaultKind((NODE_TARGET, BUS_TARGET), 0, "the identifier is marked as extended (29 bits)"),
-    "slow": FaultKind((NODE_TARGET,), 2, "a node answers only every size-th frame"),
-    "off": FaultKind((NODE_TARGET,), 0, "a node loses power: no torque, no answers"),
-    "reset": FaultKind((NODE_TARGET,), 0, "a node restarts, once"),
-    "error": FaultKind((NODE_TARGET,), 0, "a node enters fault with code size, once (0: over-temperature)"),
-    "watchdog": FaultKind((NODE_TARGET,), 0, "a node's watchdog fires, once"),
-    "voltage": FaultKind((NODE_TARGET,), 0, "a node reports under-voltage, once"),
-    "hot": FaultKind((NODE_TARGET,), 90, "a node's winding is at size [degC]"),
-    "disobey": FaultKind((NODE_TARGET,), 0, "a node makes size times the commanded torque"),
-    "runaway": FaultKind((NODE_TARGET,), 1, "a node makes size times its maximum torque, whatever the command"),
-    "hold_on": FaultKind((NODE_TARGET,), 0, "a node reports that it is disabled but keeps its torque"),
-    "forget": FaultKind((NODE_TARGET,), 0,
+    "drop": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 0, "frames from a node are lost"),
+    "deaf": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 0, "frames to a node are lost"),
+    "delay": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 4, "frames from a node are late by size [ms]"),
+    "duplicate": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 0, "frames from a node are duplicated"),
+    "twin": FaultKind((FAULT_TARGET_NODE,), 0, "a second node with the same identifier answers with other values"),
+    "reorder": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 0, "a frame from a node comes after the next frame"),
+    "corrupt": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 1, "size bits of the payload are flipped"),
+    "shorten": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 1, "the payload is shortened by size bytes"),
+    "extend": FaultKind((FAULT_TARGET_NODE, FAULT_TARGET_BUS), 0, "the identifier is marked as extended (29 bits)"),
+    "slow": FaultKind((FAULT_TARGET_NODE,), 2, "a node answers only every size-th frame"),
+    "off": FaultKind((FAULT_TARGET_NODE,), 0, "a node loses power: no torque, no answers"),
+    "reset": FaultKind((FAULT_TARGET_NODE,), 0, "a node restarts, once"),
+    "error": FaultKind((FAULT_TARGET_NODE,), 0, "a node enters fault with code size, once (0: over-temperature)"),
+    "watchdog": FaultKind((FAULT_TARGET_NODE,), 0, "a node's watchdog fires, once"),
+    "voltage": FaultKind((FAULT_TARGET_NODE,), 0, "a node reports under-voltage, once"),
+    "hot": FaultKind((FAULT_TARGET_NODE,), 90, "a node's winding is at size [degC]"),
+    "disobey": FaultKind((FAULT_TARGET_NODE,), 0, "a node makes size times the commanded torque"),
+    "runaway": FaultKind((FAULT_TARGET_NODE,), 1, "a node makes size times its maximum torque, whatever the command"),
+    "hold_on": FaultKind((FAULT_TARGET_NODE,), 0, "a node reports that it is disabled but keeps its torque"),
+    "forget": FaultKind((FAULT_TARGET_NODE,), 0,
         "a node loses its settings once and stays enabled (size > 0: TMAX is size [N m])"),
-    "ripple": FaultKind((NODE_TARGET,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
-    "late": FaultKind((NODE_TARGET,), 50, "a node executes each command late by size [ms]"),
-    "swap": FaultKind((NODE_TARGET,), 0, "two drives report each other's encoder and current"),
-    "cross": FaultKind((NODE_TARGET,), 0, "two drives make each other's torque and report their own commands"),
-    "flood": FaultKind((BUS_TARGET,), 100, "size frames of identifier 0x000 every millisecond"),
-    "unknown": FaultKind((BUS_TARGET,), 1, "size frames of an unknown identifier every millisecond"),
-    "foreign": FaultKind((NODE_TARGET,), 0, "a second host sends commands to a node every 10 ms"),
-    "mute": FaultKind((JOINT_TARGET, CELL_TARGET), 0, "the frame with a reading is not sent"),
-    "stuck": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 0, "a reading is stuck"),
-    "offset": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1, "a reading jumps by size [rad, N]"),
-    "drift": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+    "ripple": FaultKind((FAULT_TARGET_NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
+    "late": FaultKind((FAULT_TARGET_NODE,), 50, "a node executes each command late by size [ms]"),
+    "swap": FaultKind((FAULT_TARGET_NODE,), 0, "two drives report each other's encoder and current"),
+    "cross": FaultKind((FAULT_TARGET_NODE,), 0, "two drives make each other's torque and report their own commands"),
+    "flood": FaultKind((FAULT_TARGET_BUS,), 100, "size frames of identifier 0x000 every millisecond"),
+    "unknown": FaultKind((FAULT_TARGET_BUS,), 1, "size frames of an unknown identifier every millisecond"),
+    "foreign": FaultKind((FAULT_TARGET_NODE,), 0, "a second host sends commands to a node every 10 ms"),
+    "mute": FaultKind((FAULT_TARGET_JOINT, FAULT_TARGET_CELL), 0, "the frame with a reading is not sent"),
+    "stuck": FaultKind((FAULT_TARGET_ENCODER, FAULT_TARGET_JOINT, FAULT_TARGET_CELL), 0, "a reading is stuck"),
+    "offset": FaultKind((FAULT_TARGET_ENCODER, FAULT_TARGET_JOINT, FAULT_TARGET_CELL), 1,
+        "a reading jumps by size [rad, N]"),
+    "drift": FaultKind((FAULT_TARGET_ENCODER, FAULT_TARGET_JOINT, FAULT_TARGET_CELL), 1,
         "a reading drifts by size per second [rad/s, N/s]"),
-    "scale": FaultKind((ENCODER_TARGET,), 1.5, "a reading changes by size times the true change"),
-    "old": FaultKind((CELL_TARGET,), 16, "a reading is stale by size samples with a fresh counter"),
-    "replay": FaultKind((NODE_TARGET,), 16, "a node sends the frames of size answers ago"),
-    "noise": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+    "scale": FaultKind((FAULT_TARGET_ENCODER,), 1.5, "a reading changes by size times the true change"),
+    "old": FaultKind((FAULT_TARGET_CELL,), 16, "a reading is stale by size samples with a fresh counter"),
+    "replay": FaultKind((FAULT_TARGET_NODE,), 16, "a node sends the frames of size answers ago"),
+    "noise": FaultKind((FAULT_TARGET_ENCODER, FAULT_TARGET_JOINT, FAULT_TARGET_CELL), 1,
         "a reading has noise of standard deviation size [rad, N]"),
-    "saturate": FaultKind((CELL_TARGET,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
-    "snap": FaultKind((TENDON_TARGET,), 0, "a tendon breaks"),
-    "slack": FaultKind((TENDON_TARGET,), 2, "a tendon is longer by size [mm]"),
-    "friction": FaultKind((TENDON_TARGET,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
-    "block": FaultKind((DIGIT_TARGET,), 0, "a digit is blocked"),
+    "saturate": FaultKind((FAULT_TARGET_CELL,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
+    "snap": FaultKind((FAULT_TARGET_TENDON,), 0, "a tendon breaks"),
+    "slack": FaultKind((FAULT_TARGET_TENDON,), 2, "a tendon is longer by size [mm]"),
+    "friction": FaultKind((FAULT_TARGET_TENDON,), 3,
+        "a motor has additional Coulomb friction of size [N] at its tendon"),
+    "block": FaultKind((FAULT_TARGET_DIGIT,), 0, "a digit is blocked"),
 }  # fmt: skip
 """All kinds of fault by name."""
-SIZE_RANGES = {
+FAULT_SIZE_RANGES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
     "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
     "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "late": (0.0, 1e3),
@@ -95,16 +97,16 @@ SIZE_RANGES = {
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
-"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_SIZE_RANGE``."""
-TWO_MOTOR_KINDS = ("swap", "cross")
+"""Allowed sizes of faults by kind. Kinds without an entry have ``DEFAULT_FAULT_SIZE_RANGE``."""
+TWO_MOTOR_FAULTS = ("swap", "cross")
 """Kinds of fault that act on two motors.
 
 The text of such a fault names the second motor, ``with=NAME``.
 """
-DEFAULT_SIZE_RANGE = (-1e6, 1e6)
-"""Allowed sizes of a fault whose kind has no entry in ``SIZE_RANGES``."""
-DRIVE_KINDS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
-             "ripple", "late", "swap", "cross")  # fmt: skip
+DEFAULT_FAULT_SIZE_RANGE = (-1e6, 1e6)
+"""Allowed sizes of a fault whose kind has no entry in ``FAULT_SIZE_RANGES``."""
+DRIVE_ONLY_FAULTS = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign",
+             "forget", "ripple", "late", "swap", "cross")  # fmt: skip
 """Kinds of fault that only drives can have.
 
 The sensor node has no power stage and receives only SYNC from the host.
@@ -181,7 +183,7 @@ def parse_fault(fault_line: str, hand: Hand, now_ns: int = 0) -> Fault:
             fault_line,
             "size",
             option_values.pop("size", str(FAULT_KINDS[kind].size)),
-            *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE),
+            *FAULT_SIZE_RANGES.get(kind, DEFAULT_FAULT_SIZE_RANGE),
         ),
         p=_number_from_text(fault_line, "p", option_values.pop("p", "1"), 0.0, 1.0),
         start_ns=now_ns + _time_from_text(fault_line, "at", option_values.pop("at", "0s")),
@@ -207,13 +209,13 @@ def _target_component(fault_line: str, fault_kind: str, fault_options: dict[str,
         for key in fault_options
         if key
         in (
-            NODE_TARGET,
-            BUS_TARGET,
-            ENCODER_TARGET,
-            JOINT_TARGET,
-            CELL_TARGET,
-            TENDON_TARGET,
-            DIGIT_TARGET,
+            FAULT_TARGET_NODE,
+            FAULT_TARGET_BUS,
+            FAULT_TARGET_ENCODER,
+            FAULT_TARGET_JOINT,
+            FAULT_TARGET_CELL,
+            FAULT_TARGET_TENDON,
+            FAULT_TARGET_DIGIT,
         )
     ]
     allowed_components = FAULT_KINDS[fault_kind].components
@@ -231,14 +233,14 @@ def _second_motor(
 
     For other faults, return an empty string.
     """
-    if fault_kind not in TWO_MOTOR_KINDS:
+    if fault_kind not in TWO_MOTOR_FAULTS:
         return ""
     if "with" not in fault_options:
         raise SimulatorError(f"fault {fault_line!r}: {fault_kind} needs with=NAME, the other motor")
     other_node = _target_instance(
         fault_line,
-        instances_of_component(NODE_TARGET, hand, fault_kind),
-        NODE_TARGET,
+        instances_of_component(FAULT_TARGET_NODE, hand, fault_kind),
+        FAULT_TARGET_NODE,
         fault_options.pop("with"),
         hand,
     )
@@ -253,22 +255,22 @@ def instances_of_component(component: str, hand: Hand, fault_kind: str = "") -> 
     """List the names of all components of one type in a hand.
 
     Args:
-        component: type of component, one of the constants from ``NODE_TARGET`` to ``DIGIT_TARGET``.
+        component: type of component, one of the constants from ``FAULT_TARGET_NODE`` to ``FAULT_TARGET_DIGIT``.
         hand: hand whose components are listed.
         fault_kind: kind of fault that the listed components can have. If empty, all components are
             listed.
     """
     motors = [motor.name for motor in hand.motors]
     return {
-        NODE_TARGET: [*motors, SENSOR_NODE_NAME]
-        if hand.sensors and fault_kind not in DRIVE_KINDS
+        FAULT_TARGET_NODE: [*motors, SENSOR_NODE_NAME]
+        if hand.sensors and fault_kind not in DRIVE_ONLY_FAULTS
         else motors,
-        BUS_TARGET: hand.buses,
-        ENCODER_TARGET: motors,
-        JOINT_TARGET: hand.sensors.joints if hand.sensors else [],
-        CELL_TARGET: hand.sensors.tendons if hand.sensors else [],
-        TENDON_TARGET: [tendon.name for tendon in hand.all_tendons],
-        DIGIT_TARGET: [digit.name for digit in hand.digits],
+        FAULT_TARGET_BUS: hand.buses,
+        FAULT_TARGET_ENCODER: motors,
+        FAULT_TARGET_JOINT: hand.sensors.joints if hand.sensors else [],
+        FAULT_TARGET_CELL: hand.sensors.tendons if hand.sensors else [],
+        FAULT_TARGET_TENDON: [tendon.name for tendon in hand.all_tendons],
+        FAULT_TARGET_DIGIT: [digit.name for digit in hand.digits],
     }[component]
 
 
@@ -276,7 +278,7 @@ def _target_instance(
     fault_line: str, component_names: list[str], component: str, name: str, hand: Hand
 ) -> str:
     """Return the name of a component. A motor may also be given by its node number."""
-    if component in (NODE_TARGET, ENCODER_TARGET):
+    if component in (FAULT_TARGET_NODE, FAULT_TARGET_ENCODER):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
     if name not in component_names:

@@ -10,7 +10,12 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.faults.fault_text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
+from firmware_sim.faults.fault_text import (
+    FAULT_TARGET_CELL,
+    FAULT_TARGET_ENCODER,
+    SENSOR_NODE_NAME,
+    Fault,
+)
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
@@ -22,7 +27,7 @@ from firmware_sim.nodes.robstride.node import RobstrideNode
 from firmware_sim.nodes.sensor_node import CHANNELS_PER_FRAME, JOINT_OFFSET
 
 UndoFunction = Callable[[], None]
-OUTSIDE_RANGE_N = 1e4
+OUT_OF_RANGE_TENSION_N = 1e4
 """Tension beyond the range of every load cell [N]."""
 BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
@@ -32,7 +37,7 @@ ERROR_CODES = {
         1 << 13,
         0x4310,
         moteus.OVER_TEMPERATURE,
-        robstride.HOT_FAULT,
+        robstride.OVER_TEMPERATURE_FAULT,
     ),
     "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
     "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
@@ -59,8 +64,8 @@ def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
 def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Change the readings of one sensor from now on."""
     fault = active.fault
-    change = _reading_change(active, lambda: int(world.t_ns))
-    if fault.component == ENCODER_TARGET:
+    change = _make_reading_fault(active, lambda: int(world.t_ns))
+    if fault.component == FAULT_TARGET_ENCODER:
         motor = world.plant.motors[fault.instance]
         motor.encoder_fault = change
         return lambda: setattr(motor, "encoder_fault", None)
@@ -68,7 +73,7 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     spec = world.hand.sensors
     names, table = (
         (spec.tendons, node.cell_faults)
-        if fault.component == CELL_TARGET
+        if fault.component == FAULT_TARGET_CELL
         else (spec.joints, node.joint_faults)
     )
     index = names.index(fault.instance)
@@ -76,7 +81,7 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     return lambda: table.pop(index, None) and None
 
 
-def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
+def _make_reading_fault(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[[float], float]:
     """Return a function that changes the readings of a sensor as a fault does.
 
     Args:
@@ -91,28 +96,28 @@ def _reading_change(active: ActiveFault, now_ns: Callable[[], int]) -> Callable[
     readings = list[float]()
     rng = random.Random(f"reading {fault.seed} {fault.text}")
 
-    def read_wrong(value: float) -> float:
+    def apply_reading_fault(value: float) -> float:
         if not readings:
             readings.append(value)
         if fault.kind == "old":
             return _delayed_reading(active, readings, value, now_ns())
         if fault.kind == "stuck":
-            changed_reading = readings[0]
+            faulty_reading = readings[0]
         elif fault.kind == "offset":
-            changed_reading = value + fault.size
+            faulty_reading = value + fault.size
         elif fault.kind == "drift":
-            changed_reading = value + fault.size * (now_ns() - start_ns) * 1e-9
+            faulty_reading = value + fault.size * (now_ns() - start_ns) * 1e-9
         elif fault.kind == "scale":
-            changed_reading = readings[0] + fault.size * (value - readings[0])
+            faulty_reading = readings[0] + fault.size * (value - readings[0])
         elif fault.kind == "noise":
-            changed_reading = value + rng.gauss(0.0, fault.size)
+            faulty_reading = value + rng.gauss(0.0, fault.size)
         else:
-            changed_reading = math.copysign(OUTSIDE_RANGE_N, fault.size)
-        if changed_reading != value:
+            faulty_reading = math.copysign(OUT_OF_RANGE_TENSION_N, fault.size)
+        if faulty_reading != value:
             active.count_effect(now_ns())
-        return changed_reading
+        return faulty_reading
 
-    return read_wrong
+    return apply_reading_fault
 
 
 def _delayed_reading(
@@ -123,7 +128,7 @@ def _delayed_reading(
     While fewer samples exist, return the present reading.
     """
     past_readings.append(value)
-    # The list contains the first reading twice, because ``_reading_change`` has already stored this
+    # The list contains the first reading twice, because ``_make_reading_fault`` has already stored this
     # reading.
     if len(past_readings) <= int(active.fault.size) + 1:
         return value
@@ -136,7 +141,7 @@ def _start_muted_sensor(world: Any, active: ActiveFault) -> UndoFunction:
     """Suppress the frame in which the sensor node sends the reading of the faulty sensor."""
     node = world.sensor_node
     spec = world.hand.sensors
-    if active.fault.component == CELL_TARGET:
+    if active.fault.component == FAULT_TARGET_CELL:
         can_id = node.frame_index_of_cell(spec.tendons.index(active.fault.instance))
     else:
         can_id = (
@@ -152,7 +157,7 @@ def _start_snapped_tendon(world: Any, active: ActiveFault) -> UndoFunction:
     """Break a tendon."""
     tendon = _tendon_of_fault(world, active.fault)
     active.count_effect(world.t_ns)
-    mend_tendon: UndoFunction = tendon.snap()
+    mend_tendon: UndoFunction = tendon.break_tendon()
     return mend_tendon
 
 

@@ -21,7 +21,7 @@ class ActiveFault:
         effect_count: number of effects of the fault until now.
         first_ns: time of the fault's first effect [ns], or -1 if the fault has had no effect yet.
         delayed_frames: frames that the fault has stored, with their release times [ns].
-        batch_count: number of answers handled by the fault until now.
+        answer_count: number of answers handled by the fault until now.
     """
 
     fault: Fault
@@ -29,7 +29,7 @@ class ActiveFault:
     effect_count: int = 0
     first_ns: int = -1
     delayed_frames: list[tuple[int, Frame]] = field(default_factory=list)
-    batch_count: int = 0
+    answer_count: int = 0
 
     def count_effect(self, t_ns: int) -> None:
         """Count an effect of the fault."""
@@ -111,7 +111,7 @@ def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> li
     return sent_frames
 
 
-def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _add_conflicting_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send a second frame with the same identifier but with another payload, as a second node would."""
     sent_frames = []
     for frame in frames:
@@ -184,8 +184,8 @@ def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fr
 
     The number n is the size of the fault.
     """
-    active.batch_count += 1
-    if active.batch_count % max(2, int(active.fault.size)):
+    active.answer_count += 1
+    if active.answer_count % max(2, int(active.fault.size)):
         active.count_effect(t_ns)
         return []
     return frames
@@ -204,27 +204,27 @@ def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
 
     While the node has sent fewer answers, send the present frames.
     """
-    active.batch_count += 1
+    active.answer_count += 1
     # The release time of these frames is NEVER_NS plus the number of the answer. So ``released_frames``
     # never releases them.
-    active.delayed_frames += [(NEVER_NS + active.batch_count, frame) for frame in frames]
-    replayed_call = active.batch_count - int(active.fault.size)
-    if replayed_call <= 0:
+    active.delayed_frames += [(NEVER_NS + active.answer_count, frame) for frame in frames]
+    replayed_number = active.answer_count - int(active.fault.size)
+    if replayed_number <= 0:
         return frames
     active.count_effect(t_ns)
     old_frames = [
-        frame for number, frame in active.delayed_frames if number == NEVER_NS + replayed_call
+        frame for number, frame in active.delayed_frames if number == NEVER_NS + replayed_number
     ]
     active.delayed_frames = [
         (number, frame)
         for number, frame in active.delayed_frames
-        if number > NEVER_NS + replayed_call
+        if number > NEVER_NS + replayed_number
     ]
     return [frame._replace(t_ns=t_ns) for frame in old_frames]
 
 
 FRAME_CHANGE_BY_FAULT_KIND = {
-    "drop": _drop_frames, "delay": _delay_frames, "duplicate": _duplicate_frames, "twin": _send_twin_frames,
+    "drop": _drop_frames, "delay": _delay_frames, "duplicate": _duplicate_frames, "twin": _add_conflicting_frames,
     "reorder": _reorder_frames, "corrupt": _corrupt_frames,
     "shorten": _shorten_frames, "extend": _extend_frames, "slow": _slow_frames, "off": _remove_all_frames,
     "replay": _replay_frames,

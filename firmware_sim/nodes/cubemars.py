@@ -23,7 +23,7 @@ import math
 from firmware_sim.bus.frame import Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
-from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import MitRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.plant.motor import Motor
 
@@ -50,7 +50,7 @@ SUPPLY_V = 48.0
 """Supply voltage of the motors [V]."""
 STALL_FACTOR = 2.0
 """Assumed stall torque divided by the torque at full scale."""
-DEFAULT_TYPE = "ak80-9"
+DEFAULT_MOTOR_TYPE = "ak80-9"
 """Motor model if the hand file gives none."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
@@ -81,7 +81,7 @@ class FeedbackError(enum.IntEnum):
     OVER_VOLTAGE = 3
     UNDER_VOLTAGE = 4
     ENCODER = 5
-    IMBALANCE = 6
+    PHASE_IMBALANCE = 6
 
 
 class CubemarsNode:
@@ -119,8 +119,8 @@ class CubemarsNode:
         self._id = spec.node_id
         self._direction = spec.direction
         self.ids = frozenset((spec.node_id,))
-        self._ranges = FrameRanges(
-            *FULL_SCALE_BY_MOTOR_TYPE[str(spec.options.get("motor_type", DEFAULT_TYPE))]
+        self._ranges = MitRanges(
+            *FULL_SCALE_BY_MOTOR_TYPE[str(spec.options.get("motor_type", DEFAULT_MOTOR_TYPE))]
         )
         motor.servo.limit = min(spec.torque_peak, self._ranges.torque)
         self._thermal_ns = -1
@@ -272,7 +272,7 @@ def _force_command(node: CubemarsNode, frame: Frame) -> None:
 CUBEMARS_SPEC = ProtocolSpec(
     CubemarsNode,
     range(1, 0x100),
-    shaft_of_motor(DEFAULT_TYPE),
+    shaft_of_motor(DEFAULT_MOTOR_TYPE),
     _host_frame,
     _corrupt_command,
     force_command=_force_command,

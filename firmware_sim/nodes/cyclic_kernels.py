@@ -15,7 +15,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE_FLAG
 from firmware_sim.bus.frame_records import FRAME_DTYPE
-from firmware_sim.compiled import compiled, kernel_helper, rows_at
+from firmware_sim.compiled import array_at, compiled, kernel_helper
 from firmware_sim.nodes import sensor_node
 from firmware_sim.nodes.cia402.kernels import (
     CONTROL_WORD,
@@ -56,7 +56,7 @@ from firmware_sim.nodes.sensor_node import (
     CHANNELS_PER_FRAME,
     JOINT_OFFSET,
     SensorStruct,
-    drift_at,
+    bias_drift_deviation,
     encode,
     has_joint_reading,
     payload_size,
@@ -346,7 +346,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     for i in range(channels):
         true[i] = cells[cell_order[i]]
     at = noise_bounds[0]
-    drift = drift_at(node, t_ns)
+    drift = bias_drift_deviation(node, t_ns)
     read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
     at += 2 * channels
     encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
@@ -612,22 +612,24 @@ def answer(
         frames: frames of the host.
         answer_frames: array for the answers, filled by the kernel.
         at: address and length of each other array of ``_answer``, in the order of
-            ``tick_exchange.TickExchange``.
+            ``compiled_nodes.CompiledNodes``.
         t_ns: present time [ns].
         last_ns: largest delay of an answer after the start of the tick [ns].
         max_answers: largest possible number of answers to one frame.
     """
     _answer(
-        frames, answer_frames, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
+        frames, answer_frames, array_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, array_at(at[2], at[3], COUNT_DTYPE),
         max_answers,
-        rows_at(at[4], at[5], RECEIVER_DTYPE), rows_at(at[6], at[7], MIT_DTYPE), rows_at(at[8], at[9], ODRIVE_DTYPE),
-        rows_at(at[10], at[11], CIA402_DTYPE), rows_at(at[12], at[13], RECEIVER_DTYPE),
-        rows_at(at[14], at[15], SENSOR_DTYPE),
-        rows_at(at[16], at[17], COUNT_DTYPE), rows_at(at[18], at[19], COUNT_DTYPE), rows_at(at[20], at[21], REAL_DTYPE),
-        rows_at(at[22], at[23], REAL_DTYPE), rows_at(at[24], at[25], COUNT_DTYPE),
-        rows_at(at[26], at[27], TENDON_DTYPE),
-        rows_at(at[28], at[29], COUNT_DTYPE), rows_at(at[30], at[31], REAL_DTYPE), rows_at(at[32], at[33], ROTOR_DTYPE),
-        rows_at(at[34], at[35], REAL_DTYPE), rows_at(at[36], at[37], REAL_DTYPE), rows_at(at[38], at[39], REAL_DTYPE),
+        array_at(at[4], at[5], RECEIVER_DTYPE), array_at(at[6], at[7], MIT_DTYPE), array_at(at[8], at[9], ODRIVE_DTYPE),
+        array_at(at[10], at[11], CIA402_DTYPE), array_at(at[12], at[13], RECEIVER_DTYPE),
+        array_at(at[14], at[15], SENSOR_DTYPE),
+        array_at(at[16], at[17], COUNT_DTYPE), array_at(at[18], at[19], COUNT_DTYPE),
+        array_at(at[20], at[21], REAL_DTYPE),
+        array_at(at[22], at[23], REAL_DTYPE), array_at(at[24], at[25], COUNT_DTYPE),
+        array_at(at[26], at[27], TENDON_DTYPE), array_at(at[28], at[29], COUNT_DTYPE),
+        array_at(at[30], at[31], REAL_DTYPE), array_at(at[32], at[33], ROTOR_DTYPE),
+        array_at(at[34], at[35], REAL_DTYPE), array_at(at[36], at[37], REAL_DTYPE),
+        array_at(at[38], at[39], REAL_DTYPE),
     )  # fmt: skip
 
 
@@ -700,7 +702,7 @@ def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: in
 
 
 @compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", FRAME_DTYPE, "counts")
-def send_due(
+def send_due_frames(
     drives: Any,
     mit: Any,
     odrive: Any,
@@ -759,7 +761,7 @@ def send_due(
 
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, FRAME_DTYPE)
-def merge(host_frames: Any, other_frames: Any, merged_frames: Any) -> None:
+def merge_sorted_frames(host_frames: Any, other_frames: Any, merged_frames: Any) -> None:
     """Write the frames of two arrays into ``merged_frames``, sorted by time.
 
     Frames with equal times keep their order.

@@ -19,7 +19,7 @@ PERIOD_NS = 1_000_000
 """Period of the setpoint generators and position loops [ns]."""
 VELOCITY_BANDWIDTH = 200.0
 """Assumed bandwidth of the velocity loop of drives without a documented gain [1/s]."""
-INTEGRAL_GAIN_RATE = 20.0
+INTEGRAL_GAIN_RATIO = 20.0
 """Integral gain divided by velocity gain, for drives without a documented gain [1/s].
 
 The value is an assumption.
@@ -53,7 +53,7 @@ def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
     These assumed gains follow from an inertia [kg m2] and a position gain [1/s].
     """
     velocity = VELOCITY_BANDWIDTH * inertia
-    return LoopGains(position, velocity, INTEGRAL_GAIN_RATE * velocity)
+    return LoopGains(position, velocity, INTEGRAL_GAIN_RATIO * velocity)
 
 
 class MotionSetpoint:
@@ -67,9 +67,9 @@ class MotionSetpoint:
 
     def __init__(self, position: float = 0.0, velocity: float = 0.0) -> None:
         """Start the setpoint at a position [rad] with a velocity [rad/s]."""
-        self.set_immediately(position, velocity)
+        self.jump_to(position, velocity)
 
-    def set_immediately(self, position: float, velocity: float = 0.0) -> None:
+    def jump_to(self, position: float, velocity: float = 0.0) -> None:
         """Set the setpoint at once, without a ramp."""
         self.position = position
         self.velocity = velocity
@@ -134,7 +134,7 @@ class MotionSetpoint:
             abs(remaining_distance) <= min(min_speed, speed) * step_s
             and abs(self.velocity) <= 2.0 * min_speed
         ):
-            self.set_immediately(target)
+            self.jump_to(target)
             return True
         self.ramp(
             math.copysign(

@@ -147,7 +147,7 @@ def read_cells(
 
 
 @kernel_helper
-def drift_at(node: Any, t_ns: int) -> float:
+def bias_drift_deviation(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the change of the load-cell bias since the last sample [N].
 
     Store the time of the sample.
@@ -329,7 +329,7 @@ class SensorNode:
 
     def _sample_load_cells(self, t_ns: int) -> Any:
         """Sample the load cells and return their readings [N]."""
-        drift = drift_at(self, t_ns)
+        drift = bias_drift_deviation(self, t_ns)
         normal = self.noise.take(2 * len(self.bias))
         read_cells(self._tensions(), self.bias, normal, drift, self.tension_noise, self._values)
         return _readings_with_faults(self._values, self.cell_faults)

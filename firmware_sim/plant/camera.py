@@ -16,7 +16,7 @@ from firmware_sim.scene.scene import Scene
 AZIMUTH_DEG = 200.0
 ELEVATION_DEG = -38.0
 """Direction of view: from the front onto the side of the hand [deg]."""
-FILL_FRACTION = 0.95
+PICTURE_FILL_FRACTION = 0.95
 """Radius of the hand as a fraction of the largest radius that fits into the picture."""
 LINK_COLOURS = (
     (0.23, 0.44, 0.71),
@@ -26,7 +26,7 @@ LINK_COLOURS = (
     (0.75, 0.64, 0.20),
 )
 """Colours of the digits, in turn: red, green, blue from 0 to 1."""
-PLAIN_COLOURS = {"object": (0.85, 0.83, 0.77), "table": (0.55, 0.60, 0.65)}
+COLOUR_BY_BODY = {"object": (0.85, 0.83, 0.77), "table": (0.55, 0.60, 0.65)}
 """Colours of object and table."""
 PALM_COLOUR = (0.36, 0.40, 0.44)
 SKY_COLOUR = (0.87, 0.91, 0.94)
@@ -159,7 +159,7 @@ def _paint(model: Any, digits: list[str]) -> None:
     """Set the colours of links, palm, object and table in the model."""
     for geom in range(model.ngeom):
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom]) or ""
-        colour = PLAIN_COLOURS.get(body, PALM_COLOUR)
+        colour = COLOUR_BY_BODY.get(body, PALM_COLOUR)
         for number, digit in enumerate(digits):
             if body.startswith(f"{digit}_"):
                 colour = LINK_COLOURS[number % len(LINK_COLOURS)]
@@ -189,7 +189,7 @@ def _view_of_hand(model: Any, data: Any, aspect_ratio: float) -> Any:
         half_angle = np.arctan(aspect_ratio * np.tan(half_angle))
     view = mujoco.MjvCamera()
     view.lookat[:] = centre
-    view.distance = FILL_FRACTION * radius / np.sin(half_angle)
+    view.distance = PICTURE_FILL_FRACTION * radius / np.sin(half_angle)
     view.azimuth = AZIMUTH_DEG
     view.elevation = ELEVATION_DEG
     return view

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import call_c_function, compiled, kernel_helper, rows_at
+from firmware_sim.compiled import array_at, call_c_function, compiled, kernel_helper
 from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
@@ -29,31 +29,31 @@ At this speed of the spool, the tendon moves at 0.25 mm/s.
 """
 ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 """Resolution of the encoder [rad]: 14 bits for one turn of the spool. Source: MODEL, section 4."""
-DIVERGED_RAD_S = 1e5
+DIVERGENCE_SPEED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
-STRAIGHT_OFFSET = 10
+PRISMATIC_FLAG_INDEX = 10
 """Index of a number of each pulley.
 
-The number is 1 at a prismatic joint. See ``tendon.STRAIGHT_OFFSET``.
+The number is 1 at a prismatic joint. See ``tendon.PRISMATIC_FLAG_INDEX``.
 """
-PULLEY_NUMBER_COUNT = 11
-"""Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
+PARAMETERS_PER_PULLEY = 11
+"""Count of numbers that each pulley has in ``arms``, see ``tendon.PARAMETERS_PER_PULLEY``."""
 
-DRIVETRAIN_ARGUMENTS = (TendonStruct, "counts", "vector", RotorStruct)
+DRIVETRAIN_ARGUMENT_TYPES = (TendonStruct, "counts", "vector", RotorStruct)
 """Types of the kernel arguments: tendons, joint index of each pulley, numbers of each pulley, rotors."""
 
 
 @kernel_helper
 def _moment_arm_at(arms: Any, i: int, q: float) -> float:
     """Return the moment arm [m] of pulley i at the joint angle q [rad]."""
-    at = PULLEY_NUMBER_COUNT * i
+    at = PARAMETERS_PER_PULLEY * i
     if arms[at + 1] == 0.0:
         return float(arms[at])
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     arm = 0.0
     power = 1.0
-    for k in range(4, STRAIGHT_OFFSET):
+    for k in range(4, PRISMATIC_FLAG_INDEX):
         arm += arms[at + k] * power
         power *= angle
     return float(arm)
@@ -62,13 +62,13 @@ def _moment_arm_at(arms: Any, i: int, q: float) -> float:
 @kernel_helper
 def _wrapped_tendon_length(arms: Any, i: int, q: float) -> float:
     """Return the tendon length [m] that pulley i takes up while the joint turns from 0 to the angle q [rad]."""
-    at = PULLEY_NUMBER_COUNT * i
+    at = PARAMETERS_PER_PULLEY * i
     if arms[at + 1] == 0.0:
         return float(arms[at] * q)
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     length = 0.0
     power = angle
-    for k in range(4, STRAIGHT_OFFSET):
+    for k in range(4, PRISMATIC_FLAG_INDEX):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # Beyond the limits of the joint angle, the moment arm is constant.
@@ -95,7 +95,7 @@ def _elastic_tension(tendon: Any, stretch: float) -> float:
 
 
 @kernel_helper
-def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
+def _friction_per_speed(tendon: Any, tension_loss: float, tension_angle: float) -> float:
     """Compute the friction force on a tendon divided by the speed of the tendon [N s/m].
 
     The kernel uses this quotient (the secant of the friction curve) instead of the derivative (the
@@ -144,7 +144,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     max_tension = tension
     for i in range(tendon.first, tendon.end):
         # At a prismatic joint, the tendon does not bend.
-        if arms[PULLEY_NUMBER_COUNT * i + STRAIGHT_OFFSET] == 0.0:
+        if arms[PARAMETERS_PER_PULLEY * i + PRISMATIC_FLAG_INDEX] == 0.0:
             angle += q[joints[i]]
         # The next lines compute the capstan equation. If the speed is positive, the tendon moves
         # towards the spool, and friction reduces the tension behind a pulley.
@@ -159,11 +159,11 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
         if tension - min_tension > max_tension - tension
         else max_tension - tension
     )
-    tendon.slope = tendon.damping + _secant(tendon, loss, tension * angle)
+    tendon.slope = tendon.damping + _friction_per_speed(tendon, loss, tension * angle)
 
 
 @kernel_helper
-def _apply_tendon(
+def _add_tendon_torques(
     tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any
 ) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
@@ -201,10 +201,10 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
-        speed += arms[PULLEY_NUMBER_COUNT * i] * dq[joints[i]]
+        speed += arms[PARAMETERS_PER_PULLEY * i] * dq[joints[i]]
     push = tendon.slope * speed
     for i in range(tendon.first, tendon.end):
-        torque[joints[i]] += arms[PULLEY_NUMBER_COUNT * i] * push
+        torque[joints[i]] += arms[PARAMETERS_PER_PULLEY * i] * push
 
 
 @kernel_helper
@@ -330,7 +330,7 @@ def integrate_motor(rotor: Any) -> None:
     rotor.heat += rotor.step * torque * torque
 
 
-@compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector")
+@compiled(*DRIVETRAIN_ARGUMENT_TYPES, "vector", "vector", "vector")
 def tensions(
     tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, tension: Any
 ) -> None:
@@ -339,7 +339,7 @@ def tensions(
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
+        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -349,7 +349,7 @@ def tensions(
         tension[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
 
 
-@compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector", "vector", "flag")
+@compiled(*DRIVETRAIN_ARGUMENT_TYPES, "vector", "vector", "vector", "vector", "flag")
 def step_drivetrain(
     tendons: Any,
     joints: Any,
@@ -363,12 +363,12 @@ def step_drivetrain(
 ) -> None:
     """Compute the part of a step that MuJoCo does not compute: tendons and rotors.
 
-    The kernel ``_steps`` describes the whole step.
+    The kernel ``_integrate_steps`` describes the whole step.
 
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
+        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -385,7 +385,7 @@ def step_drivetrain(
         tendon = tendons[i]
         # The two antagonistic tendons of a spool pair pull in opposite directions on one spool. The
         # loads of these two tendons therefore have opposite signs.
-        _apply_tendon(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
+        _add_tendon_torques(tendon, joints, arms, rotors[tendon.motor], q, dq, torque)
         _compensate_damping(tendon, joints, arms, dq, torque)
         damping[i] = tendon.slope
     for i in range(len(rotors)):
@@ -397,7 +397,7 @@ def step_drivetrain(
 
 
 @kernel_helper
-def _steps(
+def _integrate_steps(
     count: int, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
 ) -> int:  # fmt: skip
@@ -407,7 +407,7 @@ def _steps(
         count: number of steps.
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
+        arms: numbers of each pulley, see ``tendon.PARAMETERS_PER_PULLEY``.
         rotors: rotors of the motors.
         q: joint angles in the memory of MuJoCo [rad].
         dq: joint velocities in the memory of MuJoCo [rad/s].
@@ -429,7 +429,7 @@ def _steps(
         for speed in dq:
             speeds += speed
         # This condition is also true if the sum of the speeds is NaN.
-        if not abs(speeds) < DIVERGED_RAD_S:
+        if not abs(speeds) < DIVERGENCE_SPEED_RAD_S:
             return step_index
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # MuJoCo's function mj_step reads and writes the arrays q, dq, torque and damping in place.
@@ -450,19 +450,19 @@ def steps(count: int, at: Any) -> int:
 
     The arrays are given by their addresses.
 
-    The kernel ``_steps`` describes the step.
+    The kernel ``_integrate_steps`` describes the step.
 
     Args:
         count: number of steps.
-        at: address and length of each array of ``_steps`` in their order, then the last three
-            arguments of ``_steps``.
+        at: address and length of each array of ``_integrate_steps`` in their order, then the last three
+            arguments of ``_integrate_steps``.
 
     Returns:
         Number of completed steps.
     """
-    return _steps(
-        count, rows_at(at[0], at[1], TENDON_DTYPE), rows_at(at[2], at[3], COUNT_DTYPE),
-        rows_at(at[4], at[5], REAL_DTYPE),
-        rows_at(at[6], at[7], ROTOR_DTYPE), rows_at(at[8], at[9], REAL_DTYPE), rows_at(at[10], at[11], REAL_DTYPE),
-        rows_at(at[12], at[13], REAL_DTYPE), rows_at(at[14], at[15], REAL_DTYPE), at[16], at[17], at[18],
+    return _integrate_steps(
+        count, array_at(at[0], at[1], TENDON_DTYPE), array_at(at[2], at[3], COUNT_DTYPE),
+        array_at(at[4], at[5], REAL_DTYPE),
+        array_at(at[6], at[7], ROTOR_DTYPE), array_at(at[8], at[9], REAL_DTYPE), array_at(at[10], at[11], REAL_DTYPE),
+        array_at(at[12], at[13], REAL_DTYPE), array_at(at[14], at[15], REAL_DTYPE), at[16], at[17], at[18],
     )  # fmt: skip

@@ -18,18 +18,18 @@ STEP_S = 0.5e-3
 HAND_FRICTION = 0.5
 """Sliding friction coefficient of links and palm in scenes without an object."""
 
-OBJECT_BIT = 1
+OBJECT_COLLISION_BIT = 1
 """Collision category of the object.
 
 Two shapes collide if the category of one is in the affinity of the other.
 """
-FINGER_BIT = 2
+FINGER_COLLISION_BIT = 2
 """Collision category of the digits that close from the same side as the first digit."""
-OPPOSED_DIGIT_BIT = 4
+OPPOSED_DIGIT_COLLISION_BIT = 4
 """Collision category of the digits that close against the first digit."""
-PALM_BIT = 8
+PALM_COLLISION_BIT = 8
 """Collision category of the palm."""
-TABLE_BIT = 16
+TABLE_COLLISION_BIT = 16
 """Collision category of the table."""
 PALM_DEPTH = 0.02
 """Depth of the palm box [m].
@@ -46,7 +46,7 @@ VISUAL_GROUP = 2
 """MuJoCo group of the meshes. Viewers show the groups 0 to 2."""
 HIDDEN_GROUP = 3
 """MuJoCo group of the shapes that meshes replace in pictures. Viewers do not show this group."""
-MIN_SOLVER_FACTOR = 1e-9
+ZERO_FACTOR_TOLERANCE = 1e-9
 """Largest factor of a joint in a loopback tendon that counts as 0."""
 COUPLING_STIFFNESS = 'solref="0.004 1" solimp="0.99 0.999 0.001"'
 """Stiffness of the constraint that keeps the length of a loopback tendon.
@@ -68,7 +68,7 @@ _OPTIONS = f"""
     <geom condim="4" solref="0.004 1" solimp="0.95 0.99 0.001" friction="{{friction}} 0.005 0.0001"/>
     <joint type="hinge" solreflimit="0.002 1" solimplimit="0.99 0.9999 0.001"/>
     <default class="palm">
-      <geom contype="{{palm_category}}" conaffinity="{OBJECT_BIT}"/>
+      <geom contype="{{palm_category}}" conaffinity="{OBJECT_COLLISION_BIT}"/>
     </default>
   </default>
 """
@@ -96,15 +96,17 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     options = _OPTIONS.format(
         gravity=_numbers_text(hand.gravity),
         friction=friction,
-        palm_category=PALM_BIT if scene.palm_contact else 0,
+        palm_category=PALM_COLLISION_BIT if scene.palm_contact else 0,
     )
     opposed = dict(zip((digit.name for digit in hand.digits), opposed_digits(hand), strict=True))
     scene_bodies = (_object_element(scene.grasp_object) if scene.grasp_object else "") + (
         _table_element(scene.grasp_object, scene.support) if scene.grasp_object else ""
     )
     tendons = "".join(_tendon_element(tendon) for tendon in hand.all_tendons)
-    loopbacks = {
-        name: text for digit in hand.digits for name, text in _loopback_texts(hand, digit).items()
+    loopback_by_name = {
+        name: text
+        for digit in hand.digits
+        for name, text in _loopback_elements(hand, digit).items()
     }
     sensors = "".join(_contact_sensor(hand, digit) for digit in hand.digits)
     if scene.load:
@@ -112,7 +114,7 @@ def model_text(hand: Hand, scene: Scene, meshes: bool = False) -> str:
     model_start = f'<mujoco model="{hand.name}">{options}{_mesh_assets(mesh_by_link)}'
     return (
         f"{model_start}<worldbody>\n{_palm_element(hand, '', opposed, mesh_by_link)}\n{scene_bodies}</worldbody>\n"
-        f"<tendon>{tendons}{''.join(loopbacks.values())}</tendon>\n{_equality_element(loopbacks)}"
+        f"<tendon>{tendons}{''.join(loopback_by_name.values())}</tendon>\n{_equality_element(loopback_by_name)}"
         f"<sensor>{sensors}</sensor>\n</mujoco>"
     )
 
@@ -301,7 +303,7 @@ def _digit_element(
     )
     closing_tag = "</frame>"
     near_palm = touches_palm(hand, digit)
-    carries_digits = bool(hand.digits_on_carrier(digit.name))
+    is_carrier = bool(hand.digits_on_carrier(digit.name))
     last_link = len(digit.length) - 1
     for i, turn in enumerate(digit.joint_rpy_deg):
         offset = f"{digit.length[i - 1] if i else 0.0} 0 0"
@@ -309,15 +311,15 @@ def _digit_element(
             f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_numbers_text(turn)}">'
         )
         bits = (
-            _carrier_bits()
-            if carries_digits
-            else _digit_contact_bits(is_digit_opposed[digit.name], near_palm[i])
+            _carrier_collision_bits()
+            if is_carrier
+            else _digit_collision_bits(is_digit_opposed[digit.name], near_palm[i])
         )
         # A link that carries other digits ends at the face of the box on which these digits are
         # mounted.
         length = (
             max(digit.length[i] - digit.radius, 0.0)
-            if carries_digits and i == last_link
+            if is_carrier and i == last_link
             else digit.length[i]
         )
         mesh = meshes_by_link.get(f"{digit.name}_link{i + 1}")
@@ -326,33 +328,33 @@ def _digit_element(
         closing_tag = "</body>" + closing_tag
     return (
         opening_tag
-        + (
-            _palm_element(hand, digit.name, is_digit_opposed, meshes_by_link)
-            if carries_digits
-            else ""
-        )
+        + (_palm_element(hand, digit.name, is_digit_opposed, meshes_by_link) if is_carrier else "")
         + closing_tag
     )
 
 
-def _digit_contact_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
+def _digit_collision_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
     """Return the collision category and the collision affinity of a link.
 
     All links of a digit touch the object and the opposed digits. Only links whose hinges are not
     close to the palm can touch the palm.
     """
     category, opposite_category = (
-        (OPPOSED_DIGIT_BIT, FINGER_BIT) if is_opposed else (FINGER_BIT, OPPOSED_DIGIT_BIT)
+        (OPPOSED_DIGIT_COLLISION_BIT, FINGER_COLLISION_BIT)
+        if is_opposed
+        else (FINGER_COLLISION_BIT, OPPOSED_DIGIT_COLLISION_BIT)
     )
-    return category, OBJECT_BIT | opposite_category | (0 if near_palm else PALM_BIT)
+    return category, OBJECT_COLLISION_BIT | opposite_category | (
+        0 if near_palm else PALM_COLLISION_BIT
+    )
 
 
-def _carrier_bits() -> tuple[int, int]:
+def _carrier_collision_bits() -> tuple[int, int]:
     """Return the collision category and the collision affinity of the links of a digit that carries other digits.
 
     These links have the same category and affinity as the palm.
     """
-    return PALM_BIT, OBJECT_BIT
+    return PALM_COLLISION_BIT, OBJECT_COLLISION_BIT
 
 
 def _joint_element(digit: Digit, i: int) -> str:
@@ -394,7 +396,7 @@ def _tendon_element(tendon: TendonSpec) -> str:
     return f'<fixed name="{tendon.name}" damping="{tendon.damping}">{joints}</fixed>'
 
 
-def _loopback_texts(hand: Hand, digit: Digit) -> dict[str, str]:
+def _loopback_elements(hand: Hand, digit: Digit) -> dict[str, str]:
     """Build the loopback tendons of a digit with spool pairs.
 
     They make the joints obey the coupling matrix B of the digit.
@@ -417,20 +419,20 @@ def _loopback_texts(hand: Hand, digit: Digit) -> dict[str, str]:
         joints = "".join(
             f'<joint joint="{joint}" coef="{factor}"/>'
             for joint, factor in zip(digit.joints, row, strict=True)
-            if abs(factor) > MIN_SOLVER_FACTOR
+            if abs(factor) > ZERO_FACTOR_TOLERANCE
         )
         name = f"{digit.name}_loopback{i + 1}"
         tendons[name] = f'<fixed name="{name}">{joints}</fixed>'
     return tendons
 
 
-def _equality_element(loopback_texts: Iterable[str]) -> str:
+def _equality_element(loopback_names: Iterable[str]) -> str:
     """Build the constraints that keep the lengths of the loopback tendons constant.
 
     Without such tendons, the text is empty.
     """
     constraints = "".join(
-        f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopback_texts
+        f'<tendon tendon1="{name}" {COUPLING_STIFFNESS}/>' for name in loopback_names
     )
     return f"<equality>{constraints}</equality>\n" if constraints else ""
 
@@ -472,7 +474,7 @@ def _object_element(grasp_object: GraspObject) -> str:
     return (
         f'<body name="object" pos="{_numbers_text(grasp_object.position)}"><freejoint name="object"/>'
         f'<geom name="object" type="{grasp_object.shape}" size="{_numbers_text(size)}" mass="{grasp_object.mass}"'
-        f' contype="{OBJECT_BIT}" conaffinity="{TABLE_BIT}"/></body>\n'
+        f' contype="{OBJECT_COLLISION_BIT}" conaffinity="{TABLE_COLLISION_BIT}"/></body>\n'
     )
 
 
@@ -484,7 +486,7 @@ def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> s
     size = _numbers_text(TABLE_HALF_EXTENTS)
     return (
         f'<body name="table" mocap="true" pos="{x} {y} {z}"><geom name="table" type="box" size="{size}"'
-        f' contype="{TABLE_BIT}" conaffinity="{OBJECT_BIT}"/></body>\n'
+        f' contype="{TABLE_COLLISION_BIT}" conaffinity="{OBJECT_COLLISION_BIT}"/></body>\n'
     )
 
 

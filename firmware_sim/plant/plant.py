@@ -18,7 +18,7 @@ from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.plant.tendon import TendonRouting
 from firmware_sim.scene import support_table as support_kernels
 from firmware_sim.scene.scene import Scene, SinkingTable
-from firmware_sim.scene.scene_stages import StageSequence
+from firmware_sim.scene.stage_sequence import StageSequence
 from firmware_sim.scene.support_table import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
@@ -51,7 +51,7 @@ class Plant:
             joint angles [rad], joint velocities [rad/s], and an array into which tensions are
             written [N].
         steps: number of completed steps.
-        part_ns: completed part of the time step in progress [ns].
+        step_progress_ns: completed part of the time step in progress [ns].
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Plant:
         self.hand = hand
         self.scene = scene
         self.steps = 0
-        self.part_ns = 0
+        self.step_progress_ns = 0
         try:
             self.engine = RigidBodyEngine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
@@ -114,7 +114,7 @@ class Plant:
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
         self.table = self._build_table(scene.support, is_compiled) if scene.support else None
-        self.contact_forces = self.engine.forces_on(
+        self.contact_forces = self.engine.make_force_reader(
             "contact", [digit.name for digit in hand.digits]
         )
         self.load = scene.load
@@ -197,7 +197,7 @@ class Plant:
                 self.tendons[self._antagonist[i]][0].extra_length -= wound_length
 
     @property
-    def can_table_sink(self) -> bool:
+    def has_sinking_table(self) -> bool:
         """Return True if the scene has a table that sinks after the object has been grasped."""
         support = self.scene.support
         return support is not None and support.drop_when == "grasped"
@@ -205,7 +205,7 @@ class Plant:
     @property
     def t_ns(self) -> int:
         """Return the time since power-up [ns]."""
-        return self.steps * STEP_NS + self.part_ns
+        return self.steps * STEP_NS + self.step_progress_ns
 
     def step(self) -> None:
         """Advance the plant by one time step. The method ``advance`` describes the step."""
@@ -224,21 +224,21 @@ class Plant:
                 time step.
         """
         while count > 0:
-            block = 1 if self.part_ns else min(count, self._steps_until_table_update())
+            block = 1 if self.step_progress_ns else min(count, self._steps_until_table_update())
             self._run_steps(block)
             count -= block
             # The table and the load change only between two steps, never within a step.
             if (
                 self.table
                 and self.steps % TABLE_UPDATE_STEPS == 0
-                and self._can_table_act(self.table)
+                and self._is_table_active(self.table)
             ):
                 self._update_table(self.table)
             if self.load:
                 force = self.load.force_at(self.steps * STEP_S)
                 self.engine.push_object([force * component for component in self.load.direction])
 
-    def advance_part(self, duration_ns: int) -> None:
+    def advance_within_step(self, duration_ns: int) -> None:
         """Advance the plant by a part of the next time step.
 
         Args:
@@ -249,7 +249,7 @@ class Plant:
                 time step.
         """
         self._run_step_of_duration(duration_ns)
-        self.part_ns += duration_ns
+        self.step_progress_ns += duration_ns
 
     def _run_step_of_duration(self, duration_ns: int) -> None:
         """Run one step with another duration [ns]."""
@@ -277,10 +277,10 @@ class Plant:
         """
         if self.load:
             return 1
-        table_active = self.table and self._can_table_act(self.table)
-        return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if table_active else 1 << 30
+        is_table_active = self.table and self._is_table_active(self.table)
+        return TABLE_UPDATE_STEPS - self.steps % TABLE_UPDATE_STEPS if is_table_active else 1 << 30
 
-    def _can_table_act(self, table: SupportTable) -> bool:
+    def _is_table_active(self, table: SupportTable) -> bool:
         """Return True if the table still moves, or if the scene has stages."""
         return bool(self.stages) or not table.settled
 
@@ -289,11 +289,11 @@ class Plant:
 
         If no motor has a fault, a single call of the kernel runs all steps.
         """
-        if self.part_ns:
+        if self.step_progress_ns:
             # The rest of a divided step is completed first, so that later steps start at multiples
             # of STEP_NS.
-            self._run_step_of_duration(STEP_NS - self.part_ns)
-            self.part_ns = 0
+            self._run_step_of_duration(STEP_NS - self.step_progress_ns)
+            self.step_progress_ns = 0
             self.steps += 1
             return
         if self._addresses is not None:
@@ -321,7 +321,7 @@ class Plant:
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
         if (
-            not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
+            not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGENCE_SPEED_RAD_S
         ):  # this condition is also true if the sum of the speeds is NaN
             raise self._divergence_error()
         if faulty_motors:

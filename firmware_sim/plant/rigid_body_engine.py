@@ -45,7 +45,7 @@ class RigidBodyEngine:
         data = self._data
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
-        self.native = _native_step(model, data)
+        self.native = _mj_step_addresses(model, data)
         # These arrays refer to MuJoCo's own memory. They are valid as long as the data object
         # exists.
         self.q: Any = data.qpos[:n]
@@ -78,7 +78,7 @@ class RigidBodyEngine:
         """Return the speed of the centre of the object [m/s]. If there is no object, return 0."""
         return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
 
-    def forces_on(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
+    def make_force_reader(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the contact forces on the digits [N].
 
         Args:
@@ -105,7 +105,7 @@ class RigidBodyEngine:
     def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
         """Return the index in ``sensed`` at which the force of each digit begins.
 
-        The forces in ``sensed`` have the opposite sign. See ``forces_on``.
+        The forces in ``sensed`` have the opposite sign. See ``make_force_reader``.
         """
         return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
@@ -196,7 +196,7 @@ class RigidBodyEngine:
         self._model.opt.gravity[:] = gravity
 
 
-def _native_step(model: Any, data: Any) -> tuple[int, int, int] | None:
+def _mj_step_addresses(model: Any, data: Any) -> tuple[int, int, int] | None:
     """Return the addresses of MuJoCo's function ``mj_step``, of the model, and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.

@@ -10,21 +10,21 @@ from firmware_sim.compiled import structure_array
 from firmware_sim.hand_description import ARM_COEFFICIENT_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
-STRAIGHT_OFFSET = 4 + ARM_COEFFICIENT_COUNT
+PRISMATIC_FLAG_INDEX = 4 + ARM_COEFFICIENT_COUNT
 """Index of the number of a pulley that is 1 at a prismatic joint, where the tendon does not bend."""
-PULLEY_NUMBER_COUNT = STRAIGHT_OFFSET + 1
+PARAMETERS_PER_PULLEY = PRISMATIC_FLAG_INDEX + 1
 """Count of numbers of a pulley.
 
 They are the mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients. The
-last is at ``STRAIGHT_OFFSET``.
+last is at ``PRISMATIC_FLAG_INDEX``.
 """
 
 
-def _pulley_numbers(spec: TendonSpec, joint: str) -> tuple[float, ...]:
-    """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY_NUMBER_COUNT``."""
+def _pulley_parameters(spec: TendonSpec, joint: str) -> tuple[float, ...]:
+    """Return the numbers that describe a tendon's pulley at a joint, see ``PARAMETERS_PER_PULLEY``."""
     if joint not in spec.curves:
-        straight_flag = float(joint in spec.straight_joints)
-        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 2), straight_flag)
+        prismatic_flag = float(joint in spec.straight_joints)
+        return (spec.arms[joint], *(0.0,) * (PARAMETERS_PER_PULLEY - 2), prismatic_flag)
     curve = spec.curves[joint]
     return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.coefficients, 0.0)
 
@@ -80,7 +80,7 @@ class Tendon:
         self.friction = spec.friction
         self.wrap = spec.wrap
 
-    def snap(self) -> Callable[[], None]:
+    def break_tendon(self) -> Callable[[], None]:
         """Break the tendon, which then carries no tension.
 
         Returns:
@@ -91,10 +91,10 @@ class Tendon:
         self.damping = 0.0
         self.knee_stretch = math.inf
 
-        def mend() -> None:
+        def restore_stiffness() -> None:
             self.stiffness, self.damping, self.knee_stretch = stiffness_before
 
-        return mend
+        return restore_stiffness
 
 
 class TendonRow(TendonStruct, Tendon):
@@ -109,7 +109,7 @@ class TendonRouting:
         rows: array with a row for each tendon, for compiled kernels. Without compiled kernels, the
             attribute is the list ``tendons``.
         joints: joint index of each pulley, tendon by tendon, as an array or a list.
-        arms: ``PULLEY_NUMBER_COUNT`` numbers of each pulley, as an array or a list.
+        arms: ``PARAMETERS_PER_PULLEY`` numbers of each pulley, as an array or a list.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class TendonRouting:
             # At a joint with a moment arm of 0, the tendon passes through the joint's axis. So
             # there is no pulley at this joint.
             passed_joints = [name for name, arm in spec.arms.items() if arm]
-            path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed_joints]
+            path += [(joints.index(name), _pulley_parameters(spec, name)) for name in passed_joints]
             tendon.end = len(path)
         self.rows: Any = structure_array(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]

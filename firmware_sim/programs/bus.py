@@ -4,7 +4,7 @@ import select
 
 from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command_line import CommandParser, until_signal
+from firmware_sim.command_line import CommandParser, stop_on_signal
 from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 
@@ -31,7 +31,7 @@ def run(words: list[str]) -> None:
     timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, is_node_side=False)
     port = open_port(f"local:{args.name}", 0, timed_port)
     is_running = [True]
-    until_signal(is_running.clear)
+    stop_on_signal(is_running.clear)
     print(f"firmware_sim: ready bus=local:{printable_text(args.name)}", flush=True)
     try:
         while is_running:

@@ -8,7 +8,7 @@ from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.bus_server import BusServer
-from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
 from firmware_sim.faults.fault_socket import FaultSocket, is_socket_served
@@ -32,7 +32,11 @@ from firmware_sim.nodes.odrive.motion_modes import MOTION_ENDPOINTS
 from firmware_sim.nodes.protocol_spec import SimulatedNode
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable_text
-from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
+from firmware_sim.programs.drive_types import (
+    MIT_PROTOCOL_BY_MOTOR_TYPE,
+    ROBSTRIDE_MOTOR_TYPES,
+    drive_spec,
+)
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.socket_paths import faults_path
 
@@ -75,7 +79,7 @@ class SimulatedDriveBench:
         motors: rotors of the drives, in the order of the drive descriptions.
         nodes: simulated nodes of the drives, in the order of the drive descriptions.
         slip_ns: total delay behind the wall clock that the simulation will never make up [ns].
-        part_ns: completed part of the time step in progress [ns].
+        step_progress_ns: completed part of the time step in progress [ns].
         faults: faults injected while the bench runs.
     """
 
@@ -90,9 +94,9 @@ class SimulatedDriveBench:
         """
         self.t_ns = origin_ns
         self.slip_ns = 0
-        self.foreign = 0
+        self.foreign_frame_count = 0
         specs = motor_specs_with_fault(specs, fault)
-        self.part_ns = 0
+        self.step_progress_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[SimulatedNode] = [
@@ -113,7 +117,7 @@ class SimulatedDriveBench:
             answer_frames = [self.faults.exchange(node, frame, self.t_ns) for node in self.nodes]
         else:
             answer_frames = [node.receive(frame, self.t_ns) for node in self.nodes]
-        self.foreign += all(answer is None for answer in answer_frames)
+        self.foreign_frame_count += all(answer is None for answer in answer_frames)
         return [
             reply._replace(bus=frame.bus, t_ns=self.t_ns)
             for answer in answer_frames
@@ -122,9 +126,9 @@ class SimulatedDriveBench:
 
     def advance(self, t_ns: int) -> None:
         """Advance the drives towards the time ``t_ns``, by whole time steps."""
-        while self.t_ns - self.part_ns + STEP_NS <= t_ns:
-            self._turn(STEP_NS - self.part_ns)
-            self.part_ns = 0
+        while self.t_ns - self.step_progress_ns + STEP_NS <= t_ns:
+            self._advance_shafts(STEP_NS - self.step_progress_ns)
+            self.step_progress_ns = 0
             for node in self.nodes:
                 if self.t_ns >= node.wake_ns:
                     frames = [
@@ -145,12 +149,12 @@ class SimulatedDriveBench:
         divided step.
         """
         self.advance(t_ns)
-        rest_ns = t_ns - self.t_ns
-        if rest_ns > 0:
-            self._turn(rest_ns)
-            self.part_ns += rest_ns
+        remaining_ns = t_ns - self.t_ns
+        if remaining_ns > 0:
+            self._advance_shafts(remaining_ns)
+            self.step_progress_ns += remaining_ns
 
-    def _turn(self, duration_ns: int) -> None:
+    def _advance_shafts(self, duration_ns: int) -> None:
         """Advance every shaft by a duration [ns]: a step or a part of a step."""
         self.t_ns += duration_ns
         for motor in self.motors:
@@ -178,8 +182,9 @@ def _argument_parser() -> CommandParser:
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
     add("--fd", action="store_true",
         help="MIT motors set to CAN FD (1/5 Mbit/s); they answer in the format of the request")  # fmt: skip
-    add("--motor-type", metavar="TYPE", help=f"type of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars; "
-        f"of RobStride motors: {', '.join(ROBSTRIDE_TYPES)} (rs05)")  # fmt: skip
+    add("--motor-type", metavar="TYPE",
+        help=f"type of MIT motors: {', '.join(MIT_PROTOCOL_BY_MOTOR_TYPE)} (dm4310); an ak is cubemars; "
+        f"of RobStride motors: {', '.join(ROBSTRIDE_MOTOR_TYPES)} (rs05)")  # fmt: skip
     add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
     add("--uncalibrated", action="store_true",
         help="ODrives that refuse closed loop until they were calibrated")  # fmt: skip
@@ -243,9 +248,11 @@ def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
         SimulatorError: an argument is not valid for a drive.
     """
     options = _behaviour_options(args)
-    if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
+    if args.fd and (
+        args.protocol != "mit" or MIT_PROTOCOL_BY_MOTOR_TYPE.get(args.motor_type) == "cubemars"
+    ):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
-    if args.motor_type and args.protocol not in (*MIT_TYPES.values(), "robstride"):
+    if args.motor_type and args.protocol not in (*MIT_PROTOCOL_BY_MOTOR_TYPE.values(), "robstride"):
         raise SimulatorError("--motor-type: only for drive mit and drive robstride")
     if args.inertia is not None and not 0.0 < args.inertia <= 100.0:
         raise SimulatorError(f"--inertia {args.inertia}: expected more than 0, at most 100")
@@ -283,7 +290,7 @@ def run(words: list[str]) -> None:
         def stop() -> None:
             server.running = False
 
-        until_signal(stop)
+        stop_on_signal(stop)
         print(
             f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable_text(args.bus)}",
             flush=True,

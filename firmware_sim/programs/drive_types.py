@@ -11,14 +11,14 @@ from firmware_sim.nodes.protocol_spec import ShaftSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
 from firmware_sim.nodes.robstride.node import FULL_SCALE_BY_MOTOR_TYPE
 
-MIT_TYPES = {
+MIT_PROTOCOL_BY_MOTOR_TYPE = {
     **dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"),
     **dict.fromkeys(cubemars.FULL_SCALE_BY_MOTOR_TYPE, "cubemars"),
 }
 """Motor types that speak MIT mode, each with the name of the protocol in handctl."""
 ROBSTRIDE_PROTOCOLS = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
-ROBSTRIDE_TYPES = tuple(FULL_SCALE_BY_MOTOR_TYPE)
+ROBSTRIDE_MOTOR_TYPES = tuple(FULL_SCALE_BY_MOTOR_TYPE)
 """Names of the RobStride motor models."""
 FRICTION_FRACTION = 2e-3
 """Coulomb friction of a shaft, as a fraction of the motor's peak torque."""
@@ -40,7 +40,7 @@ def drive_spec(
         protocol: key of ``nodes.PROTOCOL_SPECS``. If the protocol is ``mit`` and the motor type is
             one of CubeMars, the drive uses the protocol cubemars.
         node_id: node number of the drive.
-        motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``, empty for the
+        motor_type: motor type of the protocol, such as a key of ``MIT_PROTOCOL_BY_MOTOR_TYPE``, empty for the
             default of the protocol.
         fd: True for an MIT motor that has been set to CAN FD.
         inertia: inertia of the shaft [kg m2], or None for the default inertia of the motor type.
@@ -51,7 +51,7 @@ def drive_spec(
         SimulatorError: the node number or the motor type is not valid for the protocol.
     """
     _check_type(protocol, motor_type)
-    protocol = MIT_TYPES.get(motor_type, protocol)
+    protocol = MIT_PROTOCOL_BY_MOTOR_TYPE.get(motor_type, protocol)
     protocol_spec = PROTOCOL_SPECS[protocol]
     if node_id not in protocol_spec.numbers:
         raise SimulatorError(
@@ -75,8 +75,12 @@ def _check_type(protocol: str, motor_type: str) -> None:
     Raises:
         SimulatorError: the motor type does not exist, or speaks another protocol.
     """
-    types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE_PROTOCOLS else tuple(MIT_TYPES)
-    if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
+    types = (
+        ROBSTRIDE_MOTOR_TYPES
+        if protocol in ROBSTRIDE_PROTOCOLS
+        else tuple(MIT_PROTOCOL_BY_MOTOR_TYPE)
+    )
+    if motor_type and MIT_PROTOCOL_BY_MOTOR_TYPE.get(motor_type, protocol) != protocol != "mit":
         raise SimulatorError(f"--motor-type {motor_type}: {protocol} has no such motor")
     if motor_type and motor_type not in types:
         raise SimulatorError(f"--motor-type {motor_type}: expected one of {', '.join(types)}")
@@ -85,14 +89,14 @@ def _check_type(protocol: str, motor_type: str) -> None:
 def _shaft_of_type(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
     """Build the description of the shaft of a motor type."""
     if protocol == "odrive":
-        return odrive_bench.shaft_of_firmware(firmware)
+        return odrive_bench.shaft_of_odrive(firmware)
     if protocol in ROBSTRIDE_PROTOCOLS and motor_type:
         shaft = robstride_bench.shaft_of_robstride_motor(motor_type)
         return shaft._replace(options=PROTOCOL_SPECS[protocol].shaft.options | shaft.options)
     if protocol == "cubemars":
-        return cubemars.shaft_of_motor(motor_type or cubemars.DEFAULT_TYPE)
+        return cubemars.shaft_of_motor(motor_type or cubemars.DEFAULT_MOTOR_TYPE)
     if protocol == "mit":
-        kind = motor_type or mit_bench.DEFAULT_TYPE
+        kind = motor_type or mit_bench.DEFAULT_MOTOR_TYPE
         return (
             mit_bench.shaft_of_mit_motor(kind, fd=True)
             if fd

@@ -11,7 +11,7 @@ from typing import Any
 from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_local_bus, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
 from firmware_sim.bus_server import BusServer
-from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
 from firmware_sim.faults.fault_socket import FaultSocket
 from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
@@ -176,7 +176,7 @@ def _serve_hand(
     def stop() -> None:
         server.running = False
 
-    until_signal(stop)
+    stop_on_signal(stop)
     gc.collect()
     gc.freeze()  # from now on, garbage collection ignores the modules that have been loaded so far
     print(ready_line, flush=True)

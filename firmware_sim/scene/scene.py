@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.hand_description import SimulatorError
-from firmware_sim.scene.scene_stages import SceneStage, read_stage
+from firmware_sim.scene.stage_sequence import SceneStage, read_stage
 
 OBJECT_SHAPES = ("cylinder", "sphere", "box")
 """Possible shapes of an object."""

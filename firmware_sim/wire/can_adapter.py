@@ -23,15 +23,15 @@ class AdapterClass(NamedTuple):
     Attributes:
         send_period_ns: period of the times at which frames can leave the host [ns], or 0 if they do
             not wait.
-        receive_ns: period of the times at which received frames can reach the host [ns], or 0 if
+        receive_period_ns: period of the times at which received frames can reach the host [ns], or 0 if
             they do not wait.
-        frame_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
+        frame_duration_ns: duration of a frame on a serial bus inside the adapter, in either direction [ns].
         text: description of the class, with examples of adapters.
     """
 
     send_period_ns: int
-    receive_ns: int
-    frame_ns: int
+    receive_period_ns: int
+    frame_duration_ns: int
     text: str
 
 
@@ -80,7 +80,7 @@ class AdapterLatency:
         """
         adapter = self._adapter
         start_ns = self._next_period_start(t_ns, adapter.send_period_ns)
-        self._sent_ns = max(start_ns, self._sent_ns) + adapter.frame_ns
+        self._sent_ns = max(start_ns, self._sent_ns) + adapter.frame_duration_ns
         return self._sent_ns
 
     def receive(self, t_ns: int) -> int:
@@ -89,8 +89,8 @@ class AdapterLatency:
         ``t_ns`` is the time when the controller receives the frame.
         """
         adapter = self._adapter
-        start_ns = self._next_period_start(t_ns, adapter.receive_ns)
-        self._received_ns = max(start_ns, self._received_ns) + adapter.frame_ns
+        start_ns = self._next_period_start(t_ns, adapter.receive_period_ns)
+        self._received_ns = max(start_ns, self._received_ns) + adapter.frame_duration_ns
         return self._received_ns
 
     def _next_period_start(self, t_ns: int, period_ns: int) -> int:

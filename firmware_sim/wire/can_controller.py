@@ -55,7 +55,7 @@ TX_PASSIVE = 0x20
 """Bit of data[1]: transmit errors reached the passive level."""
 ERROR_ACTIVE = 0x40
 """Bit of data[1]: the controller is error-active again."""
-LOC_ACK = 0x19
+ACK_SLOT_ERROR = 0x19
 """Value of data[3]: the error is in the acknowledge slot."""
 
 
@@ -251,7 +251,7 @@ class CanController:
         for i, value in (extra_bytes or {}).items():
             data[i] = value
         if error_class & CAN_ERR_ACK:
-            data[3] = LOC_ACK
+            data[3] = ACK_SLOT_ERROR
         data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
         data[7] = self.rx_errors
         self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | error_class, bytes(data)), t_ns)

@@ -34,25 +34,25 @@ class BitRates:
         nominal: bit rate of the arbitration and of classical frames [bit/s].
         data: bit rate in the data phase of FD frames with bit-rate switch [bit/s], 0 for a
             bus without CAN FD.
-        actual: True to count the actual stuff bits of each frame. False to count the largest
+        counts_actual_stuffing: True to count the actual stuff bits of each frame. False to count the largest
             possible number of stuff bits for the length of the frame.
     """
 
     nominal: int
     data: int = 0
-    actual: bool = False
+    counts_actual_stuffing: bool = False
 
-    def bits_ns(self, count: int) -> int:
+    def duration_of_bits_ns(self, count: int) -> int:
         """Return the duration of a number of nominal bits [ns]."""
         return round(count * 1e9 / self.nominal)
 
-    def frame_ns(self, frame: Frame) -> int:
+    def frame_duration_ns(self, frame: Frame) -> int:
         """Return the time for which a frame occupies the wire [ns], including the interframe space."""
-        content = bytes(frame.data) if self.actual else bytes(len(frame.data))
+        content = bytes(frame.data) if self.counts_actual_stuffing else bytes(len(frame.data))
         # If the actual stuff bits are not counted, zeros replace the content, so that the cache key
         # depends only on the length.
         nominal_bits, data_bits = _frame_bits(
-            frame.can_id, content, frame.flags & (FDF | BRS), self.actual
+            frame.can_id, content, frame.flags & (FDF | BRS), self.counts_actual_stuffing
         )
         return round(
             nominal_bits * 1e9 / self.nominal + data_bits * 1e9 / (self.data or self.nominal)

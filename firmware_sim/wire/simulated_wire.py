@@ -104,7 +104,7 @@ class SimulatedWire:
             if other_controller is not controller
         ]
 
-    def next_ns(self) -> int:
+    def next_event_ns(self) -> int:
         """Return the time of the next event on the wire [ns]. Return NEVER_NS if none exists."""
         due_ns = self._end_ns if self._end_ns != NEVER_NS else self._start_ns()
         return min(due_ns, self._restart_ns()) if self._restarts else due_ns
@@ -166,11 +166,11 @@ class SimulatedWire:
         are_identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
         self._intact = are_identical and self._acknowledged and not self._is_next_frame_disturbed()
-        frame_duration_ns = max(map(self.rate.frame_ns, frames))
+        frame_duration_ns = max(map(self.rate.frame_duration_ns, frames))
         if not self._intact:
             # After an error, an error flag replaces the rest of the frame. The error flag is longer
             # if several controllers send it.
-            frame_duration_ns += self.rate.bits_ns(
+            frame_duration_ns += self.rate.duration_of_bits_ns(
                 (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - END_OF_FRAME_BITS
             )
         self.busy_ns += frame_duration_ns
@@ -236,13 +236,15 @@ class SimulatedWire:
             )(t_ns)
             self._suspend_transmission(controller, t_ns)
             if not controller.is_on_bus and self.options.restart_ms >= 0.0:
-                wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)
+                wait_ns = round(self.options.restart_ms * 1e6) + self.rate.duration_of_bits_ns(
+                    RECOVERY_BITS
+                )
                 self._restarts.append((t_ns + wait_ns, controller))
 
     def _suspend_transmission(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
         if controller.state == CanErrorState.PASSIVE:
-            controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
+            controller.retry_ns = t_ns + self.rate.duration_of_bits_ns(SUSPEND_BITS)
 
     def _restart_controllers(self, t_ns: int) -> None:
         """Restart the controllers whose restart delay after bus-off has passed."""

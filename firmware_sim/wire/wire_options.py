@@ -30,7 +30,7 @@ class WireSpec:
 
     Attributes:
         options: options of the wires.
-        actual: True to count the actual stuff bits of each frame.
+        counts_actual_stuffing: True to count the actual stuff bits of each frame.
         bitrate: nominal bit rate that replaces the rate in the hand file [bit/s], 0 to keep
             the rate in the hand file.
         data_bitrate: data bit rate that replaces the rate in the hand file [bit/s], 0 to keep
@@ -39,7 +39,7 @@ class WireSpec:
     """
 
     options: WireOptions = field(default_factory=WireOptions)
-    actual: bool = False
+    counts_actual_stuffing: bool = False
     bitrate: int = 0
     data_bitrate: int = 0
     adapter: str = NO_LATENCY_CLASS
@@ -60,7 +60,9 @@ class WireSpec:
             bitrate: nominal bit rate in the hand file [bit/s].
             data_bitrate: bit rate of the data phase in the hand file [bit/s].
         """
-        return BitRates(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
+        return BitRates(
+            self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.counts_actual_stuffing
+        )
 
 
 def parse_wire_options(words: Sequence[str]) -> WireSpec:
@@ -75,59 +77,59 @@ def parse_wire_options(words: Sequence[str]) -> WireSpec:
     return spec
 
 
-def _updated_spec(spec: WireSpec, option_word: str) -> WireSpec:
+def _updated_spec(spec: WireSpec, option_text: str) -> WireSpec:
     """Return a copy of a specification with one value changed by a word."""
-    key, _, text = option_word.partition("=")
+    key, _, text = option_text.partition("=")
     if key not in WIRE_OPTION_KEYS:
         raise SimulatorError(
-            f"--wire {option_word}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10"
+            f"--wire {option_text}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10"
         )
     if key == "stuffing":
         if text not in ("worst", "actual"):
             raise SimulatorError(
-                f"--wire {option_word}: expected stuffing=worst or stuffing=actual"
+                f"--wire {option_text}: expected stuffing=worst or stuffing=actual"
             )
-        return replace(spec, actual=text == "actual")
+        return replace(spec, counts_actual_stuffing=text == "actual")
     if key == "adapter":
         if text not in ADAPTER_CLASSES:
             raise SimulatorError(
-                f"--wire {option_word}: expected one of {', '.join(ADAPTER_CLASSES)}"
+                f"--wire {option_text}: expected one of {', '.join(ADAPTER_CLASSES)}"
             )
         return replace(spec, adapter=text)
     if key == "error_rate":
         return replace(
             spec,
-            options=replace(spec.options, error_rate=_number_in_range(option_word, text, 0.0, 1.0)),
+            options=replace(spec.options, error_rate=_number_in_range(option_text, text, 0.0, 1.0)),
         )
     if key == "restart_ms":
         return replace(
             spec,
-            options=replace(spec.options, restart_ms=_number_in_range(option_word, text, 0.0, 1e6)),
+            options=replace(spec.options, restart_ms=_number_in_range(option_text, text, 0.0, 1e6)),
         )
     if key == "queue":
         return replace(
             spec,
             options=replace(
-                spec.options, queue=int(_number_in_range(option_word, text, 1, 100_000))
+                spec.options, queue=int(_number_in_range(option_text, text, 1, 100_000))
             ),
         )
     if key == "seed":
         return replace(
             spec,
             options=replace(
-                spec.options, seed=int(_number_in_range(option_word, text, 0, 1 << 32))
+                spec.options, seed=int(_number_in_range(option_text, text, 0, 1 << 32))
             ),
         )
-    rate = int(_number_in_range(option_word, text, 1_000, _MAX_BITRATE))
+    rate = int(_number_in_range(option_text, text, 1_000, _MAX_BITRATE))
     return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
 
 
-def _number_in_range(option_word: str, text: str, low: float, high: float) -> float:
+def _number_in_range(option_text: str, text: str, low: float, high: float) -> float:
     """Parse a number that must lie in a given range."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
     if not low <= value <= high:
-        raise SimulatorError(f"--wire {option_word}: expected a number from {low:g} to {high:g}")
+        raise SimulatorError(f"--wire {option_text}: expected a number from {low:g} to {high:g}")
     return value

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
+from firmware_sim.nodes.mit.codec import MitRanges, decode_command
 from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.monitor.safety_thresholds import servo_resolutions
@@ -220,7 +220,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
 def test_a_position_command_makes_the_predicted_torque() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP_N_M_PER_RAD)
     with begin_to_and_fro(hand) as run:
-        model, ranges = run.controller.model, FrameRanges(12.5, 50.0, 0.8)
+        model, ranges = run.controller.model, MitRanges(12.5, 50.0, 0.8)
         sent = 0
         for _ in range(400):
             out = run.run_tick()

@@ -145,7 +145,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(
 ) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    ranges = firmware.FrameRanges(*MOTOR_RANGES)
+    ranges = firmware.MitRanges(*MOTOR_RANGES)
     motion = (
         firmware.from_code(position_code, 12.5, 16),
         firmware.from_code(velocity_code, 50.0, 12),
@@ -164,7 +164,7 @@ def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
     decoded_frame = firmware.decode_command(
-        COMMAND_TABLE.pack(torque), firmware.FrameRanges(*MOTOR_RANGES)
+        COMMAND_TABLE.pack(torque), firmware.MitRanges(*MOTOR_RANGES)
     )
     assert (decoded_frame.kp, decoded_frame.kd) == (0.0, 0.0)
     assert decoded_frame.torque == pytest.approx(torque, abs=TORQUE_MAX_N_M / 4095 + 1e-12)

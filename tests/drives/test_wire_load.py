@@ -84,7 +84,7 @@ def test_an_overloaded_wire_is_full_and_replies_come_late(tmp_path: Path) -> Non
         bench.tick(DriveTarget.POLL)
     assert bench.simulated_hand.wired
     assert bench.simulated_hand.wired.wires[0].load(0, 400 * 1_000_000) > 0.9
-    assert bench.simulated_hand.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, (
+    assert bench.simulated_hand.wired.wires[0].next_event_ns() < bench.k * 1_000_000 + 200_000, (
         "frames wait"
     )
 

@@ -46,7 +46,7 @@ from handctl.session.simulate import SimulatedRun
 from tests.hand.hand_on_wrist import mount_on_wrist
 
 RATE_HZ = 500.0
-SAMPLED_FAULTS = ("N08", "H13")
+SAMPLED_FAULT_IDS = ("N08", "H13")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def campaign_report():
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, is_quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
-        row_ids=SAMPLED_FAULTS,
+        row_ids=SAMPLED_FAULT_IDS,
     )  # fmt: skip
 
 
@@ -84,7 +84,7 @@ def test_every_scenario_takes_effect_and_is_answered_in_time(campaign_report):
         (result.scenario, result.problem) for result in campaign_report.all_results if not result.ok
     ]
     assert failed_results == []
-    assert {result.id for result in campaign_report.all_results} == set(SAMPLED_FAULTS)
+    assert {result.id for result in campaign_report.all_results} == set(SAMPLED_FAULT_IDS)
     assert all(result.effects for result in campaign_report.all_results)
 
 
@@ -126,7 +126,7 @@ def alarms_of_run(last_phase, *event_texts):
     out = SimpleNamespace(mode=HandMode.ACTIVE, phase=last_phase, events=events)
 
     @contextlib.contextmanager
-    def simulate_one_phase(hand, rate_hz, seed, perturb):
+    def fake_homed_run(hand, rate_hz, seed, perturb):
         simulation = SimulatedRun(
             None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure="")
         )
@@ -140,7 +140,7 @@ def alarms_of_run(last_phase, *event_texts):
         yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "homed_run", simulate_one_phase)
+        patch.setattr(campaign, "homed_run", fake_homed_run)
         return campaign.run_fault_free(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
 
 
@@ -212,12 +212,12 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.run_tick()
-        todo = [
+        scenarios = [
             FaultScenario(row, row.fault, GRASP_STAGE) for row in (row_without_reaction, slow_row)
         ]
         run_in_branches(
             simulation,
-            todo,
+            scenarios,
             2,
             lambda simulation, scenario: run_scenario(simulation, scenario, "mit"),
             results.append,
@@ -276,10 +276,12 @@ def test_silent_joint_encoders_are_detected(joint):
     Three missing frames in a row cause no fault: neither N06 (encoder drift or slip) nor T08 (a
     tendon left its pulley).
     """
-    every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
+    joint_decimation = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
     for frames, detected_fault in ((3, ""), (4, f"N02b {joint}")):
-        fault = f"mute joint={joint} for={5 * every * frames}ms"
-        row = MatrixRow("N02", fault, SafetyAction.RELAX, 4 * every, accepted_faults=("N02",))
+        fault = f"mute joint={joint} for={5 * joint_decimation * frames}ms"
+        row = MatrixRow(
+            "N02", fault, SafetyAction.RELAX, 4 * joint_decimation, accepted_faults=("N02",)
+        )
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
             advance_to_stage(simulation, ARMING_STAGE)
             advance_to_stage(simulation, FREE_STAGE)
@@ -301,14 +303,14 @@ def results_of_hand(
     with homed_run(hand, rate, seed) as simulation:
         for stage, rows in faults_by_stage.items():
             advance_to_stage(simulation, stage)
-            todo = [
+            scenarios = [
                 scenario
                 for scenario in scenarios_of_hand(hand, protocol, 1e3 / rate)
                 if scenario.stage == stage and scenario.row.fault.startswith(rows)
             ]
             run_in_branches(
                 simulation,
-                todo,
+                scenarios,
                 1,
                 lambda simulation, case: run_scenario(simulation, case, protocol),
                 results.append,

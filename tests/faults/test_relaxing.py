@@ -32,7 +32,7 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(3)
 HANDS_AND_PROTOCOLS = [
     (hand, protocol) for hand in ("jamia", "jamia11") for protocol in VERIFIABLE_PROTOCOLS
 ]
-SAMPLED_CASES = [
+RELAXING_CASES = [
     (*hand_and_protocol, seed)
     for i, hand_and_protocol in enumerate(HANDS_AND_PROTOCOLS)
     for seed in SIMULATOR_SEEDS
@@ -49,7 +49,7 @@ COMMAND_DELAY_S = 0.06
 """Longest time between a command and its execution by a motor with the fault of a delay [s]."""
 COMMAND_ROUNDING_N = 0.05
 """Largest increase of a commanded tendon force because a command has only twelve bits for the torque [N]."""
-BOUND_MARGIN_N = 3.0
+TENSION_BOUND_MARGIN_N = 3.0
 """Margin that is added to the computed tension bound [N].
 
 The bound neglects capstan friction and contacts.
@@ -64,7 +64,7 @@ class TrueTendonState(NamedTuple):
     speed: np.ndarray
 
 
-def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
+def true_tendon_state(simulation: SimulatedRun) -> TrueTendonState:
     peer: Any = simulation.simulated_hand
     spool = simulation.controller.model.space.spool
     motors = [
@@ -79,7 +79,7 @@ def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
 
 
 def tension_bound(
-    simulation: SimulatedRun, decision_instant: TrueTendonState, motor_force: np.ndarray
+    simulation: SimulatedRun, initial_state: TrueTendonState, motor_force: np.ndarray
 ) -> np.ndarray:
     """Return an upper bound of each tension (N,) [N].
 
@@ -90,16 +90,16 @@ def tension_bound(
     """
     space = simulation.controller.model.space
     largest = np.maximum(motor_force, 0.0)
-    gained = np.abs(decision_instant.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
-        decision_instant.tension < 10.0
+    max_speed = np.abs(initial_state.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
+        initial_state.tension < 10.0
     )
     stretch = (
-        largest - decision_instant.tension
-    ) ** 2 + space.stiffness * space.motor_mass * gained**2
-    return np.maximum(largest + np.sqrt(stretch), decision_instant.tension) + BOUND_MARGIN_N
+        largest - initial_state.tension
+    ) ** 2 + space.stiffness * space.motor_mass * max_speed**2
+    return np.maximum(largest + np.sqrt(stretch), initial_state.tension) + TENSION_BOUND_MARGIN_N
 
 
-@pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED_CASES)
+@pytest.mark.parametrize(("hand_name", "protocol", "seed"), RELAXING_CASES)
 def test_relaxing_raises_no_command_and_no_tension(
     hand_name: str, protocol: str, seed: int
 ) -> None:
@@ -129,21 +129,21 @@ def test_relaxing_raises_no_command_and_no_tension(
 def check_relaxing(
     simulation: SimulatedRun, stop_tick: int, window_ticks: int, fault_command: str
 ) -> None:
-    recent: list[TrueTendonState] = [observe_instant(simulation)]
+    recent: list[TrueTendonState] = [true_tendon_state(simulation)]
     # A drive with a delay may still execute a command from before the stop. The largest command
     # therefore includes these commands.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == HandMode.ACTIVE:
         simulation.run_tick(requests=(STOP_REQUEST,) if simulation.k == stop_tick else ())
-        recent.append(observe_instant(simulation))
+        recent.append(true_tendon_state(simulation))
         commanded.append(simulation.state.view("asked").copy())
-    decision_state = recent[-2]
+    state_at_decision = recent[-2]
     force_before = np.nanmax(
         [*(sample.force for sample in recent[-window_ticks:]), *commanded[-window_ticks - 1 : -1]],
         axis=0,
     )
     last_command = simulation.state.view("asked").copy()
-    peak = decision_state.tension
+    peak = state_at_decision.tension
     force = force_before
     for _ in range(2000):
         mode = simulation.state.mode
@@ -155,7 +155,7 @@ def check_relaxing(
             is_command_rising = command > np.maximum(last_command, 0.0)
             assert not is_command_rising.any(), f"{fault_command}: {command} after {last_command}"
         last_command = command
-        now = observe_instant(simulation)
+        now = true_tendon_state(simulation)
         peak = np.maximum(peak, now.tension)
         force = np.maximum(force, now.force)
     # A faulty drive may make more force than commanded. Even then, the force must not exceed the
@@ -163,9 +163,9 @@ def check_relaxing(
     assert (force <= np.maximum(force_before, 0.0) + COMMAND_ROUNDING_N).all(), (
         f"{fault_command}: {force} after {force_before}"
     )
-    bound = tension_bound(simulation, decision_state, force_before)
+    bound = tension_bound(simulation, state_at_decision, force_before)
     assert (peak <= bound).all(), (
-        f"{fault_command}: {peak} N, at most {bound} N are explained, from {decision_state}"
+        f"{fault_command}: {peak} N, at most {bound} N are explained, from {state_at_decision}"
     )
     assert simulation.state.mode == HandMode.DONE
     assert not math.isnan(float(peak.max()))
@@ -199,8 +199,8 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
         assert latched_ids & {"T04b", "T03", "T01"}
         if "T04b" in latched_ids:
             table, model = simulation.state.tendon, simulation.controller.model
-            explained = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
-            assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
+            force_limit = np.maximum(table[s.TENSION], model.relaxed_tensions) + model.space.coulomb
+            assert (simulation.state.view("asked") <= force_limit + SETPOINT_MARGIN_N).all()
         if fault_command.startswith("cross"):
             peak = 0.0
             while simulation.run_tick().mode != HandMode.DONE:

@@ -21,7 +21,7 @@ class ManualClock:
     def now_ns(self) -> int:
         return self.t_ns
 
-    def ticks_sent(self) -> int:
+    def sent_tick_count(self) -> int:
         return self.sent
 
     def publish_answered_ticks(self, ticks: int) -> None:

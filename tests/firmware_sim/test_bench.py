@@ -95,7 +95,7 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
     assert bench.motors[0].servo.kd == 0.0
 
 
-def bench_and_speed_at(
+def run_at_torque(
     protocol: str, torque: float, motor_type: str = "", inertia: float | None = None
 ) -> tuple[SimulatedDriveBench, float]:
     """Command a torque [N m] for five seconds.
@@ -120,25 +120,25 @@ def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
     """Reproduce a defect: 1 N m drove a DM4310 motor to 76 rad/s, although its speed without load is 21 rad/s."""
     shaft = mit_bench.shaft_of_mit_motor(motor_type)
     for sign in (1.0, -1.0):
-        _, speed = bench_and_speed_at("mit", sign * 0.1 * shaft.peak, motor_type, inertia)
+        _, speed = run_at_torque("mit", sign * 0.1 * shaft.peak, motor_type, inertia)
         assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
 
 
 def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
-    _, speed = bench_and_speed_at("mit", 1.0)
+    _, speed = run_at_torque("mit", 1.0)
     assert speed == pytest.approx(200.0 / 60.0 * math.tau, rel=0.01)
 
 
 @pytest.mark.parametrize("motor_type", sorted(cubemars.FULL_SCALE_BY_MOTOR_TYPE))
 def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(motor_type: str) -> None:
     shaft = cubemars.shaft_of_motor(motor_type)
-    _, speed = bench_and_speed_at("mit", 0.1 * shaft.peak, motor_type)
+    _, speed = run_at_torque("mit", 0.1 * shaft.peak, motor_type)
     assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
 
 
 def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
     """A DM4310 motor accepts commands up to 10 N m, but its peak torque is 7 N m."""
-    bench, _ = bench_and_speed_at("mit", 10.0, inertia=100.0)
+    bench, _ = run_at_torque("mit", 10.0, inertia=100.0)
     assert bench.motors[0].torque == pytest.approx(7.0, rel=0.01)
 
 
@@ -266,24 +266,24 @@ def test_an_odrive_calibrates() -> None:
     spec = drive_spec("odrive", 3)
     bench = SimulatedDriveBench([replace(spec, options={**spec.options, "uncalibrated": True})])
 
-    def beat() -> tuple[int, int]:
+    def read_heartbeat() -> tuple[int, int]:
         bench.advance(bench.t_ns + 200 * NS_PER_MS)
-        beats = [
+        heartbeats = [
             frame for frame in bench.take_unsolicited_frames() if frame.can_id == 3 << 5 | 0x01
         ]
-        return beats[-1].data[4], beats[-1].data[5]
+        return heartbeats[-1].data[4], heartbeats[-1].data[5]
 
     send_to_odrive(bench, CLOSED_LOOP_MESSAGE)
-    assert beat() == (1, 14), "the error is a missing calibration"
+    assert read_heartbeat() == (1, 14), "the error is a missing calibration"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
-    assert beat() == (3, 1), "the calibration runs"
+    assert read_heartbeat() == (3, 1), "the calibration runs"
     send_to_odrive(bench, IDLE_MESSAGE)
-    assert beat() == (1, 2), "the calibration was cancelled"
+    assert read_heartbeat() == (1, 2), "the calibration was cancelled"
     send_to_odrive(bench, (0x07, struct.pack("<I", 3)))
     bench.advance(bench.t_ns + 4_000 * NS_PER_MS)
-    assert beat() == (1, 0)
+    assert read_heartbeat() == (1, 0)
     send_to_odrive(bench, CLOSED_LOOP_MESSAGE)
-    assert beat() == (8, 0)
+    assert read_heartbeat() == (8, 0)
 
 
 def test_an_odrive_keeps_what_reboot_saves() -> None:
@@ -403,11 +403,11 @@ def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
 def test_a_damiao_motor_moves_with_a_limited_torque() -> None:
     bench = bench_in_mode(4)
     bench.receive(Frame(0x302, struct.pack("<fHH", 3.0, 1000, 500)))
-    strongest = 0.0
+    max_torque = 0.0
     for _ in range(200):
         bench.advance(bench.t_ns + 2 * NS_PER_MS)
-        strongest = max(strongest, abs(bench.motors[0].torque))
-    assert strongest == pytest.approx(0.05 * 7.0, rel=0.02)
+        max_torque = max(max_torque, abs(bench.motors[0].torque))
+    assert max_torque == pytest.approx(0.05 * 7.0, rel=0.02)
 
 
 @pytest.mark.parametrize("control_mode", [1, 2, 3, 4])

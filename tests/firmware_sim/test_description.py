@@ -29,7 +29,7 @@ from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_h
 from handctl.hand.hand_loading import load_hand as described
 
 
-def write_edited_jamia(tmp_path: Path, original_text: str, replacement_text: str) -> str:
+def write_edited_hand(tmp_path: Path, original_text: str, replacement_text: str) -> str:
     """Copy the hand file of jamia, replace the first occurrence of a text, and return the path."""
     text = described("jamia").to_toml()
     assert original_text in text
@@ -82,7 +82,7 @@ def test_incomplete_hands_are_refused_in_one_line(
     original_text: str, replacement_text: str, expected_message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SimulatorError, match=expected_message) as caught:
-        LockstepHand(write_edited_jamia(tmp_path, original_text, replacement_text))
+        LockstepHand(write_edited_hand(tmp_path, original_text, replacement_text))
     assert "\n" not in str(caught.value)
 
 
@@ -91,7 +91,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
     This motor replies on the second bus, and ignores frames on the first bus.
     """
-    first_file = write_edited_jamia(
+    first_file = write_edited_hand(
         tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]'
     )
     text = Path(first_file).read_text()

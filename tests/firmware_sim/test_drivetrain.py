@@ -17,14 +17,14 @@ from firmware_sim.simulated_world import SimulatedWorld
 from firmware_sim.truth_file import TruthWriter, read_truth, truth_columns
 
 
-def closing_hand(hand_name: str, with_mj_step: bool = True, with_kernel: bool = True) -> Plant:
+def closing_hand(hand_name: str, uses_mj_step: bool = True, is_compiled: bool = True) -> Plant:
     """Build a simulated hand that closes on a cylinder.
 
     At the start, the tendons are slack. The tendons become taut while the hand closes. Each motor
     follows a torque, a position, or a moving position.
     """
-    plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=with_kernel)
-    if not with_mj_step:
+    plant = Plant(load_hand(hand_name), load_scene("cylinder"), seed=3, is_compiled=is_compiled)
+    if not uses_mj_step:
         plant._addresses = None
     for i, motor in enumerate(plant.motors.values()):
         motor.servo.limit, motor.servo.torque, motor.omega = 0.8, 0.05 + 0.02 * i, 3.0 * (-1) ** i
@@ -34,7 +34,7 @@ def closing_hand(hand_name: str, with_mj_step: bool = True, with_kernel: bool = 
     return plant
 
 
-def exact_state_texts(plant: Plant) -> list[str]:
+def state_as_hex(plant: Plant) -> list[str]:
     """Return all numbers that describe the motion as texts, exact to the last bit."""
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
@@ -59,8 +59,8 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     """
     block, single = closing_hand(hand), closing_hand(hand)
     bindings, plain_closing_hand = (
-        closing_hand(hand, with_mj_step=False),
-        closing_hand(hand, with_kernel=False),
+        closing_hand(hand, uses_mj_step=False),
+        closing_hand(hand, is_compiled=False),
     )
     block.advance(401)
     for _ in range(401):
@@ -69,7 +69,7 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
     assert max(block.tensions()) > 5.0, "tendons were under tension"
     for plant in (single, bindings, plain_closing_hand):
         assert plant.steps == block.steps == 401
-        assert exact_state_texts(plant) == exact_state_texts(block)
+        assert state_as_hex(plant) == state_as_hex(block)
 
 
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
@@ -93,7 +93,7 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
             for data in (b"\xff" * 7 + b"\xfc", bytes.fromhex("9fff7ff0ff0337ff")):
                 answers += world.receive(Frame(1, data))
             answers += world.receive(Frame(0x080, bytes((k,))))
-        answers_and_states.append((answers, exact_state_texts(world.plant)))
+        answers_and_states.append((answers, state_as_hex(world.plant)))
     assert answers_and_states[0] == answers_and_states[1]
 
 
@@ -128,7 +128,7 @@ def test_the_world_steps_in_blocks_between_events() -> None:
         near_result.advance(k * 1_000_000)
     near_result.advance(250_250_000)
     assert far_result.t_ns == near_result.t_ns == 250_000_000
-    assert exact_state_texts(far_result.plant) == exact_state_texts(near_result.plant)
+    assert state_as_hex(far_result.plant) == state_as_hex(near_result.plant)
     assert [node.wake_ns for bus in far_result.nodes for node in bus] == [
         node.wake_ns for bus in near_result.nodes for node in bus
     ]
@@ -146,7 +146,7 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
     for k in range(400):
         undivided.step()
         for part_ns in (100_000, 250_000):
-            divided.advance_part(part_ns)
+            divided.advance_within_step(part_ns)
         assert divided.t_ns == k * STEP_NS + 350_000
         divided.step()
     assert divided.t_ns == undivided.t_ns == 400 * STEP_NS

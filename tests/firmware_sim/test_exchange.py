@@ -15,7 +15,7 @@ import pytest
 
 from firmware_sim import compiled
 from firmware_sim.bus.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
-from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
+from firmware_sim.bus.frame_records import FRAME_DTYPE, frames_to_records, records_to_frames
 from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.nodes import cyclic_kernels
 from firmware_sim.truth_file import read_truth
@@ -202,22 +202,27 @@ def test_the_kernel_answers_as_the_nodes_do(
     protocols: tuple[str, ...], bus_count: int, seed: int, tmp_path: Path
 ) -> None:
     hand = hand_file(tmp_path, protocols, bus_count)
-    rigs = [
+    simulated_hands = [
         LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")
     ]
-    rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
+    simulated_hands[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
     for k, frames in enumerate(frames_of_ticks(protocols, 400, seed, bus_count)):
-        answers, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
+        answers, nodes = (rig.step(k * TICK_NS, frames) for rig in simulated_hands)
         assert answers == nodes, f"tick {k}"
         count += len(answers)
-    for rig in rigs:
+    for rig in simulated_hands:
         rig.close()
     assert count > 400 * 3
     truth_of_kernel, truth_of_nodes = (read_truth(tmp_path / name) for name in ("kernel", "nodes"))
     assert np.array_equal(truth_of_kernel.values, truth_of_nodes.values)
-    assert rigs[0].world.foreign == rigs[1].world.foreign
-    assert rigs[0].world.malformed_frame_count == rigs[1].world.malformed_frame_count
+    assert (
+        simulated_hands[0].world.foreign_frame_count == simulated_hands[1].world.foreign_frame_count
+    )
+    assert (
+        simulated_hands[0].world.malformed_frame_count
+        == simulated_hands[1].world.malformed_frame_count
+    )
     if not seed:
         assert truth_of_kernel.column("tension/index_tendon").max() > 10.0, (
             "the drives follow their torques"
@@ -242,26 +247,26 @@ def test_records_are_frames() -> None:
         Frame(0x123, b"abc", FDF, 1, 5),
         Frame(0x1FFFFFFF | EXTENDED_FLAG, bytes(range(64)), FDF | BRS, 0, -1),
     ]
-    records = to_records(frames)
+    records = frames_to_records(frames)
     assert records.dtype == FRAME_DTYPE
     assert FRAME_DTYPE.itemsize == 80
     assert records["length"].tolist() == [3, 64]
     assert records[0]["data"].tolist() == [*b"abc", *bytes(61)]
-    assert to_frames(records) == frames
-    assert to_frames(to_records([])) == []
+    assert records_to_frames(records) == frames
+    assert records_to_frames(frames_to_records([])) == []
 
 
 def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
-    rigs = [LockstepHand("jamia", seed=1), LockstepHand("jamia", seed=1)]
+    simulated_hands = [LockstepHand("jamia", seed=1), LockstepHand("jamia", seed=1)]
     frames = [Frame(0x080, b"\0"), *[Frame(node, bytes(8), BRS | FDF) for node in (1, 2, 3, 4)]]
-    readonly_records = np.frombuffer(to_records(frames).tobytes(), FRAME_DTYPE)
+    readonly_records = np.frombuffer(frames_to_records(frames).tobytes(), FRAME_DTYPE)
     for k in range(3):
-        answers = rigs[0].exchange(k * TICK_NS, readonly_records)
+        answers = simulated_hands[0].exchange(k * TICK_NS, readonly_records)
         assert answers.dtype == FRAME_DTYPE
-        assert to_frames(answers) == rigs[1].step(k * TICK_NS, frames)
+        assert records_to_frames(answers) == simulated_hands[1].step(k * TICK_NS, frames)
         assert all(not row["data"][row["length"] :].any() for row in answers)
         assert np.all(np.diff(answers["t_ns"]) >= 0)
-    assert len(rigs[0].exchange(3 * TICK_NS, to_records([]))) == 0
+    assert len(simulated_hands[0].exchange(3 * TICK_NS, frames_to_records([]))) == 0
 
 
 def test_memory_grows_for_every_answer() -> None:
@@ -280,7 +285,7 @@ def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
         TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))]
     )
     assert [answer.can_id for answer in answers] == [0x12] * 3
-    assert rig.world.foreign == 1
+    assert rig.world.foreign_frame_count == 1
 
 
 def test_a_wrong_bus_is_refused() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.faults.fault_text import (
-    DRIVE_KINDS,
+    DRIVE_ONLY_FAULTS,
     FAULT_KINDS,
-    TWO_MOTOR_KINDS,
+    TWO_MOTOR_FAULTS,
     instances_of_component,
     parse_fault,
 )
@@ -24,7 +24,7 @@ SYNC_ID = 0x080
 REFRESH_FRAME = Frame(0x7FF, bytes((1, 0, 0xCC, 0)))
 
 
-def make_rig(seed=0):
+def make_hand(seed=0):
     return LockstepHand("jamia", seed=seed, homed=True)
 
 
@@ -81,7 +81,7 @@ def second_motor_text(fault_kind: str, index: int) -> str:
 
     If the fault acts on a single motor, the option is empty.
     """
-    return f" with={JAMIA_HAND.motors[index].name}" if fault_kind in TWO_MOTOR_KINDS else ""
+    return f" with={JAMIA_HAND.motors[index].name}" if fault_kind in TWO_MOTOR_FAULTS else ""
 
 
 FIRST_INSTANCES = [
@@ -100,7 +100,7 @@ LAST_INSTANCES = [
 
 @pytest.mark.parametrize("fault_text", FIRST_INSTANCES)
 def test_every_fault_has_an_effect_and_ends(fault_text):
-    run = make_rig()
+    run = make_hand()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
     run.world.plant.motors["index_motor"].servo.limit = 0.8
     answers_of_ticks(run, 5)
@@ -114,9 +114,9 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
     assert state["state"] == "over"
     assert state["felt"] > 0, "the disturbance had an effect"
     assert 14_000_000 <= state["first_ns"] <= 54_000_000
-    felt_before = state["felt"]
+    effects_before = state["felt"]
     answers_of_ticks(run, 10)
-    assert run.fault_states()[0]["felt"] == felt_before
+    assert run.fault_states()[0]["felt"] == effects_before
 
 
 @pytest.mark.parametrize("fault_text", LAST_INSTANCES)
@@ -125,7 +125,7 @@ def test_no_size_of_any_fault_ends_the_simulator(fault_text):
 
     Each fault acts on the last motor, tendon or node of the hand that can have this fault.
     """
-    run = make_rig()
+    run = make_hand()
     for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
         with contextlib.suppress(SimulatorError):
             run.inject(f"{fault_text} size={size} for=6ms seed={i}")
@@ -133,7 +133,7 @@ def test_no_size_of_any_fault_ends_the_simulator(fault_text):
     assert 1 <= len(run.fault_states()) < 7
 
 
-@pytest.mark.parametrize("fault_kind", DRIVE_KINDS)
+@pytest.mark.parametrize("fault_kind", DRIVE_ONLY_FAULTS)
 def test_the_sensor_node_is_no_drive(fault_kind):
     with pytest.raises(SimulatorError, match="no node 'sensors'; expected one of index_motor"):
         parse_fault(f"{fault_kind} node=sensors", JAMIA_HAND)
@@ -142,7 +142,7 @@ def test_the_sensor_node_is_no_drive(fault_kind):
 def test_equal_seeds_lose_equal_frames():
     runs = []
     for seed in (1, 1, 2):
-        run = make_rig()
+        run = make_hand()
         run.inject(f"drop node=sensors p=0.3 seed={seed}")
         runs.append([len(answers) for answers in answers_of_ticks(run, 200)])
     assert runs[0] == runs[1] != runs[2]
@@ -151,11 +151,11 @@ def test_equal_seeds_lose_equal_frames():
 
 
 def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
-    run = make_rig()
+    run = make_hand()
     run.inject("delay node=sensors size=5")
     answers = answers_of_ticks(run, 10, ())
     assert [len(a) for a in answers[:3]] == [0, 0, 1]
-    run = make_rig()
+    run = make_hand()
     run.inject("reorder node=sensors")
     counters = [
         frame.data[0] & 0xF
@@ -167,7 +167,7 @@ def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
 
 
 def test_a_broken_tendon_is_slack_until_it_is_mended():
-    run = make_rig()
+    run = make_hand()
     motor = run.world.plant.motors["index_motor"]
     motor.servo.torque, motor.servo.limit = 0.15, 0.8
     answers_of_ticks(run, 150)
@@ -193,10 +193,10 @@ def test_blocks_of_steps_end_at_every_event():
     """
 
     def run(step_ns):
-        hand_rig = make_rig()
-        world = hand_rig.world
+        simulated_hand = make_hand()
+        world = simulated_hand.world
         for text in FAULT_TEXTS:
-            hand_rig.inject(text.replace("can0", JAMIA_HAND.buses[0]))
+            simulated_hand.inject(text.replace("can0", JAMIA_HAND.buses[0]))
         frames = []
         for k in range(60):
             for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
@@ -208,7 +208,7 @@ def test_blocks_of_steps_end_at_every_event():
             ]
         state = [
             {key: value for key, value in fault.items() if key != "state"}
-            for fault in hand_rig.fault_states()
+            for fault in simulated_hand.fault_states()
         ]
         return frames, state, [motor.theta.hex() for motor in world.plant.motors.values()]
 

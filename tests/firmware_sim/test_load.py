@@ -27,7 +27,7 @@ direction = {direction}
 start_s = {start}
 rate_N_per_s = 10.0
 """
-TABLE_TEXT = '[support]\ndrop_when = "never"'
+TABLE_SECTION = '[support]\ndrop_when = "never"'
 
 
 def write_scene(
@@ -35,12 +35,12 @@ def write_scene(
     position_x_m: float = 0.0195,
     load_direction: str = "[0, 0, 2]",
     load_start: float = 0.1,
-    support_text: str = "",
+    support_section: str = "",
 ) -> str:
     path = scene_folder / "loaded.toml"
     path.write_text(
         LOAD_SCENE.format(
-            x=position_x_m, direction=load_direction, start=load_start, support=support_text
+            x=position_x_m, direction=load_direction, start=load_start, support=support_section
         )
     )
     return str(path)
@@ -60,7 +60,7 @@ def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None
     truth = tmp_path / "truth"
     rig = LockstepHand(
         "jamia",
-        scene=write_scene(tmp_path, support_text=TABLE_TEXT),
+        scene=write_scene(tmp_path, support_section=TABLE_SECTION),
         truth_path=str(truth),
         homed=True,
     )
@@ -79,7 +79,7 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
     hand = load_hand("jamia")
     plant = Plant(
         hand,
-        load_scene(write_scene(tmp_path, load_start=100.0, support_text=TABLE_TEXT)),
+        load_scene(write_scene(tmp_path, load_start=100.0, support_section=TABLE_SECTION)),
         homed=True,
     )
     assert plant.measured_grip_forces() == [0.0] * 5

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from firmware_sim.compiled import machine_code
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.mit.codec import (
-    FrameRanges,
+    MitRanges,
     decode_command,
     encode_feedback,
     from_code,
     to_code,
 )
 
-FRAME_RANGES = FrameRanges(12.5, 50.0, 0.8)
+MIT_RANGES = MitRanges(12.5, 50.0, 0.8)
 
 
 def packed_bits(*values_and_widths: tuple[int, int]) -> bytes:
@@ -32,7 +32,7 @@ def packed_bits(*values_and_widths: tuple[int, int]) -> bytes:
 
 
 def test_the_command_of_zeros_that_every_client_sends() -> None:
-    command = decode_command(bytes.fromhex("7fff7ff0000007ff"), FRAME_RANGES)
+    command = decode_command(bytes.fromhex("7fff7ff0000007ff"), MIT_RANGES)
     assert command.kp == 0.0
     assert command.kd == 0.0
     # No torque code stands for exactly 0 N m. The nearest code stands for half a step less than 0 N
@@ -44,17 +44,17 @@ def test_the_command_of_zeros_that_every_client_sends() -> None:
 
 def test_each_field_lies_where_the_fact_sheet_says() -> None:
     data = packed_bits((0xFFFF, 16), (0, 12), (0xFFF, 12), (0, 12), (0xFFF, 12))
-    command = decode_command(data, FRAME_RANGES)
+    command = decode_command(data, MIT_RANGES)
     assert command == pytest.approx((12.5, -50.0, 500.0, 0.0, 0.8))
     data = packed_bits((0, 16), (0xFFF, 12), (0, 12), (0xFFF, 12), (0, 12))
-    assert decode_command(data, FRAME_RANGES) == pytest.approx((-12.5, 50.0, 0.0, 5.0, -0.8))
+    assert decode_command(data, MIT_RANGES) == pytest.approx((-12.5, 50.0, 0.0, 5.0, -0.8))
 
 
 @given(st.tuples(*[st.integers(0, 4095)] * 4), st.integers(0, 65535))
 def test_a_command_is_read_exactly(command_codes: tuple[int, int, int, int], position: int) -> None:
     v, kp, kd, torque = command_codes
     command = decode_command(
-        packed_bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), FRAME_RANGES
+        packed_bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), MIT_RANGES
     )
     exact_value = (
         Fraction(position) * 25 / 65535 - Fraction(25, 2),
@@ -67,9 +67,9 @@ def test_a_command_is_read_exactly(command_codes: tuple[int, int, int, int], pos
 
 
 def test_feedback_byte_by_byte() -> None:
-    data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), FRAME_RANGES, (25.9, 300.0))
+    data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), MIT_RANGES, (25.9, 300.0))
     assert data == bytes([0xD3, 0xFF, 0xFF, 0x00, 0x0F, 0xFF, 25, 255])
-    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), FRAME_RANGES, (-3.0, 0.0)) == bytes.fromhex(
+    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), MIT_RANGES, (-3.0, 0.0)) == bytes.fromhex(
         "147fff7ff7ff0000"
     )
 
@@ -100,15 +100,15 @@ def test_compiled_kernels_equal_python(
     In this test, these functions run as Python code, unless another test has compiled them.
     """
     kernels, signed = machine_code(mit_codec), state_word - (state_word >> 63 << 64)
-    feedback = (first_byte, *motion_values, *FRAME_RANGES, temperature_degC, temperature_degC)
-    word_of_python = mit_codec.write_feedback(*feedback)
+    feedback = (first_byte, *motion_values, *MIT_RANGES, temperature_degC, temperature_degC)
+    python_word = mit_codec.write_feedback(*feedback)
     assert (
         kernels.write_feedback(*feedback)
         == kernels.write_feedback.py_func(*feedback)
-        == word_of_python
+        == python_word
     )
-    assert kernels.read_command(signed, *FRAME_RANGES) == kernels.read_command.py_func(
-        signed, *FRAME_RANGES
+    assert kernels.read_command(signed, *MIT_RANGES) == kernels.read_command.py_func(
+        signed, *MIT_RANGES
     )
 
 

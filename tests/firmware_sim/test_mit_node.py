@@ -230,7 +230,7 @@ def test_a_motor_answers_only_at_its_new_identifier() -> None:
 
     assert answered(MOTOR_ID) == [MOTOR_ID + 0x10]
     assert answered(MOTOR_ID + 0x40) == []
-    assert world.foreign == 1
+    assert world.foreign_frame_count == 1
     assert answered(0x7FF, struct.pack("<HBBI", MOTOR_ID, 0x55, 8, MOTOR_ID + 0x40)) == [
         MOTOR_ID + 0x10
     ]

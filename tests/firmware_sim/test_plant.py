@@ -19,7 +19,7 @@ from handctl.hand.hand_loading import hand_content, hand_from_content
 JAMIA_HAND = load_hand("jamia")
 
 
-def free_hand(
+def plant_without_object(
     parameter_factors: dict[str, float] | None = None, hand: Hand = JAMIA_HAND, homed: bool = True
 ) -> Plant:
     plant = Plant(
@@ -50,7 +50,7 @@ def pull_tendons(plant: Plant, torque: float, duration_s: float, ramp_s: float =
 
 
 def test_the_springs_hold_the_free_hand_open() -> None:
-    plant = free_hand()
+    plant = plant_without_object()
     pull_tendons(plant, 0.0, 0.3)
     assert np.abs(plant.engine.q).max() < math.radians(0.5)
     assert max(plant.tensions()) < 0.5
@@ -64,7 +64,7 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
     Gravity has no effect, because it is parallel to the hinges.
     """
-    plant = free_hand({"friction": 0.0})
+    plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, tension * 0.005, 2.0)
     assert plant.tensions() == pytest.approx([tension] * 4, rel=1e-3)
     angle = 0.003 * tension / 0.03 - 0.6
@@ -73,14 +73,14 @@ def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
 
 def test_excursion_and_stretch_add_up() -> None:
     """At rest and without friction, the travel of the spool is r_a theta = sum r q + f/k."""
-    plant = free_hand({"friction": 0.0})
+    plant = plant_without_object({"friction": 0.0})
     pull_tendons(plant, 14.0 * 0.005, 2.0)
     index = plant.motors["index_motor"].theta
     assert 0.005 * index == pytest.approx(0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6)
 
 
 def test_friction_makes_the_far_joints_lag() -> None:
-    plant = free_hand()
+    plant = plant_without_object()
     for k in range(600):
         for motor in plant.motors.values():
             motor.servo.torque = 0.09 * k / 600
@@ -90,7 +90,7 @@ def test_friction_makes_the_far_joints_lag() -> None:
 
 
 def test_a_slack_tendon_makes_no_force() -> None:
-    plant = free_hand(homed=False)
+    plant = plant_without_object(homed=False)
     thetas_before = [motor.theta for motor in plant.motors.values()]
     assert all(-0.6 <= theta <= -0.2 for theta in thetas_before), (
         "a slack of 1 to 3 mm on a spool of 5 mm radius"
@@ -109,7 +109,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
     Here k is the tendon stiffness, and r the spool radius.
     """
-    plant = free_hand({"friction": 0.0}, lock_joints())
+    plant = plant_without_object({"friction": 0.0}, lock_joints())
     pull_tendons(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
     pull_tendons(plant, 0.75, 2.0)
@@ -125,7 +125,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
     """The frequency of the oscillation is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
-    plant = free_hand({"friction": 0.0, "damping": 0.1}, lock_joints())
+    plant = plant_without_object({"friction": 0.0, "damping": 0.1}, lock_joints())
     pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
     motor.omega += 0.5
@@ -139,7 +139,7 @@ def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
 
 
 def test_joint_stops_limit_the_angles() -> None:
-    plant = free_hand()
+    plant = plant_without_object()
     pull_tendons(plant, 0.55, 1.0)
     angles_deg = np.degrees(plant.engine.q)
     assert angles_deg.max() < 102.0
@@ -158,7 +158,7 @@ def test_forward_kinematics_of_the_links() -> None:
 
     All digits move in planes of constant z.
     """
-    plant = free_hand()
+    plant = plant_without_object()
     q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
     plant.engine.set_joints(q, [0.0] * 11)
     places = link_frames(plant)
@@ -180,7 +180,7 @@ def test_the_thumb_alone_is_opposed() -> None:
 def test_eleven_motors_move_joints_one_by_one() -> None:
     """In the hand jamia11, the first tendon of a finger moves only the first joint of this finger."""
     hand = load_hand("jamia11")
-    plant = free_hand({"friction": 0.0}, hand)
+    plant = plant_without_object({"friction": 0.0}, hand)
     motors = [motor.name for motor in hand.motors]
     first_tendon = hand.tendons[0]
     assert list(first_tendon.arms) == ["index_j1"]
@@ -198,7 +198,7 @@ def test_eleven_motors_move_joints_one_by_one() -> None:
 
 
 def test_a_diverging_plant_is_an_error() -> None:
-    plant = free_hand({"spring": 1e6})
+    plant = plant_without_object({"spring": 1e6})
     with pytest.raises(SimulatorError, match="diverged"):
         pull_tendons(plant, 0.3, 0.5)
 
@@ -218,7 +218,7 @@ def closing_hand(
             f'timestep="{STEP_S}"', f'timestep="{step_s}"'
         ),
     )
-    plant, rows = free_hand(), []
+    plant, rows = plant_without_object(), []
     for i in range(round(0.8 / step_s)):
         for motor in plant.motors.values():
             motor.servo.torque = 0.06 * min(1.0, i * step_s / 0.4)
@@ -295,14 +295,14 @@ def test_coupled_joints_of_spool_pairs_keep_their_coupling(
     deviate by at most 1.4 deg.
     """
     hand = hand_with_coupled_fingers(joint_coupling, tmp_path / "coupled.toml")
-    plant = free_hand(hand=hand)
+    plant = plant_without_object(hand=hand)
     joints = [joint for digit in hand.digits for joint in digit.joints]
     fingers = [[joints.index(f"{name}_j{i}") for i in (1, 2, 3)] for name in COUPLED_FINGERS]
-    projection_off_coupling = np.eye(3) - np.array(joint_coupling) @ np.linalg.pinv(joint_coupling)
+    uncoupled_projection = np.eye(3) - np.array(joint_coupling) @ np.linalg.pinv(joint_coupling)
     deviations = []
     for _ in range(15):
         pull_tendons(plant, 0.1, 0.04, ramp_s=0.2)
         angles = np.degrees(np.array(plant.engine.q)[fingers])
-        deviations.append(np.abs(angles @ projection_off_coupling).max())
+        deviations.append(np.abs(angles @ uncoupled_projection).max())
     assert angles[:, 1].min() > 60.0, "the fingers closed"
     assert max(deviations) < 4.0

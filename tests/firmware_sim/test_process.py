@@ -23,7 +23,7 @@ from firmware_sim.truth_file import read_truth
 
 ENABLE_PAYLOAD = bytes.fromhex("fffffffffffffffc")
 READY_TIMEOUT_S = 60.0
-StartFunction = Callable[..., "subprocess.Popen[str]"]
+StartSimulator = Callable[..., "subprocess.Popen[str]"]
 
 
 @pytest.fixture
@@ -33,11 +33,11 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def start_simulator(run_folder: Path) -> Iterator[StartFunction]:
+def start_simulator(run_folder: Path) -> Iterator[StartSimulator]:
     """Yield a function that starts ``python -m firmware_sim`` and waits for its ready line."""
     processes = []
 
-    def launch(*simulator_options: str) -> "subprocess.Popen[str]":
+    def launch_simulator(*simulator_options: str) -> "subprocess.Popen[str]":
         process = subprocess.Popen(
             [sys.executable, "-m", "firmware_sim", *simulator_options],
             stdout=subprocess.PIPE,
@@ -50,7 +50,7 @@ def start_simulator(run_folder: Path) -> Iterator[StartFunction]:
         assert process.stdout.readline().startswith("firmware_sim: ready"), process.communicate()[1]
         return process
 
-    yield launch
+    yield launch_simulator
     for process in processes:
         process.kill()
         process.communicate()
@@ -103,7 +103,7 @@ def reply_to(bus_socket: socket.socket, can_id: int, data: bytes, flags: int = 0
 
 @pytest.mark.parametrize("signal_number", [signal.SIGTERM, signal.SIGINT])
 def test_signals_end_the_simulator_with_complete_truth(
-    start_simulator: StartFunction, run_folder: Path, signal_number: signal.Signals
+    start_simulator: StartSimulator, run_folder: Path, signal_number: signal.Signals
 ) -> None:
     process = start_simulator(
         "--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4"
@@ -133,7 +133,7 @@ def test_signals_end_the_simulator_with_complete_truth(
 
 
 def test_slowed_time_slows_the_plant_and_its_clock(
-    start_simulator: StartFunction, run_folder: Path
+    start_simulator: StartSimulator, run_folder: Path
 ) -> None:
     process = start_simulator("--hand", "jamia", "--bus", "local:slow", "--time-scale", "0.05")
     start_time_ns = time.monotonic_ns()
@@ -147,7 +147,7 @@ def test_slowed_time_slows_the_plant_and_its_clock(
 
 
 def test_a_hub_alone_and_a_simulator_that_joins_it(
-    start_simulator: StartFunction, run_folder: Path
+    start_simulator: StartSimulator, run_folder: Path
 ) -> None:
     hub = start_simulator("bus", "shared")
     hand = start_simulator("--hand", "jamia", "--bus", "main=join:shared")
@@ -163,7 +163,7 @@ def test_a_hub_alone_and_a_simulator_that_joins_it(
 
 
 def test_a_second_simulator_on_the_same_bus_is_refused(
-    start_simulator: StartFunction, run_folder: Path, capsys: pytest.CaptureFixture[str]
+    start_simulator: StartSimulator, run_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     start_simulator("bus", "taken")
     assert main(["--hand", "jamia", "--bus", "local:taken"]) == 2
@@ -293,7 +293,7 @@ def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in text
 
 
-def test_the_simulator_is_one_process(start_simulator: StartFunction) -> None:
+def test_the_simulator_is_one_process(start_simulator: StartSimulator) -> None:
     process = start_simulator("--hand", "jamia", "--bus", "local:alone")
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     if not children.exists():

@@ -70,7 +70,7 @@ def test_answers_of_a_tick_and_their_times() -> None:
     assert times[0] > 0
     assert times[-1] < TICK_NS
     assert rig.step(TICK_NS, [frame_tuple(0x123, b"hello")]) == []
-    assert rig.world.foreign == 1
+    assert rig.world.foreign_frame_count == 1
 
 
 def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
@@ -88,15 +88,15 @@ def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
 
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
-    answers_and_truths = []
+    run_results = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
         rig = LockstepHand("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
         answers = close_hand(rig, 30.0, 1.0)
         rig.close()
-        answers_and_truths.append((answers, (tmp_path / name).read_bytes()))
-    assert answers_and_truths[0] == answers_and_truths[1]
-    assert answers_and_truths[0][0] != answers_and_truths[2][0]
-    assert answers_and_truths[0][1] != answers_and_truths[2][1]
+        run_results.append((answers, (tmp_path / name).read_bytes()))
+    assert run_results[0] == run_results[1]
+    assert run_results[0][0] != run_results[2][0]
+    assert run_results[0][1] != run_results[2][1]
 
 
 def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:

@@ -12,14 +12,14 @@ import pytest
 
 from firmware_sim.bus.bus_ports import assign_buses, open_port
 from firmware_sim.bus.frame import FDF, Frame, pack_record
-from firmware_sim.bus.local_ports import HubPort, JoinedPort
-from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
+from firmware_sim.bus.local_ports import HubClientPort, HubPort
+from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_DELAY_NS, BusServer
 from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.realtime_priority import ORDINARY_PRIORITY_DURATION_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld
-from firmware_sim.simulation_pace import PaceCounter, rounded_down
+from firmware_sim.simulation_pace import PaceCounter, round_pace_down
 from tests.firmware_sim.manual_clock import ManualClock
 
 NS_PER_MS = 1_000_000
@@ -99,12 +99,12 @@ def test_a_frame_samples_the_plant_at_its_exact_time(bench: SimulatorServerBench
     """
     bench.turn(3.7, Frame(1, ENABLE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.7 * NS_PER_MS)
-    assert bench.world.plant.part_ns == round(0.2 * NS_PER_MS)
+    assert bench.world.plant.step_progress_ns == round(0.2 * NS_PER_MS)
     bench.turn(3.9, Frame(1, TORQUE_PAYLOAD))
     assert bench.world.t_ns == START_NS + round(3.9 * NS_PER_MS)
     bench.turn(4.6)
     assert bench.world.t_ns == START_NS + round(4.5 * NS_PER_MS)
-    assert (bench.world.plant.steps, bench.world.plant.part_ns) == (9, 0)
+    assert (bench.world.plant.steps, bench.world.plant.step_progress_ns) == (9, 0)
 
 
 def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(
@@ -128,7 +128,7 @@ def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: SimulatorServer
         bench.turn(30)
         assert bench.world.t_ns == START_NS + min(turn * MAX_CATCH_UP_NS, 30 * NS_PER_MS)
     assert bench.server.overruns == sum(
-        30 * NS_PER_MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8)
+        30 * NS_PER_MS - turn * MAX_CATCH_UP_NS > OVERRUN_DELAY_NS for turn in range(8)
     )
     assert bench.world.slip_ns == 0
 
@@ -155,7 +155,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
         [port],
         clock,
     )
-    controller = JoinedPort("t", 0)
+    controller = HubClientPort("t", 0)
     server.turn()
     answer = server._send_answers
 
@@ -208,7 +208,7 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
     for _ in range(10):
         priority.count_clock_slip()
     assert granted_priority.requests == 0, "no priority before the first frame of a host"
-    priority.note_host_frames()
+    priority.request_priority()
     assert granted_priority.active
     priority.count_clock_slip()
     assert granted_priority.active, "one slip does not restore the priority"
@@ -216,10 +216,10 @@ def test_priority_is_taken_for_a_host_and_given_back_after_slips() -> None:
         granted_priority.now_s += 0.2
         priority.count_clock_slip()
     assert not granted_priority.active
-    priority.note_host_frames()
+    priority.request_priority()
     assert not granted_priority.active, "no second request shortly after the slips"
     granted_priority.now_s += ORDINARY_PRIORITY_DURATION_S
-    priority.note_host_frames()
+    priority.request_priority()
     assert granted_priority.active
 
 
@@ -266,7 +266,7 @@ def test_slips_without_a_host_are_counted_but_not_reported(
     [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)],
 )
 def test_a_pace_is_rounded_down_to_one_digit(measured_pace: float, rounded_pace: float) -> None:
-    assert rounded_down(measured_pace) == rounded_pace
+    assert round_pace_down(measured_pace) == rounded_pace
 
 
 def test_a_late_simulation_skips_time_and_reports_it(
@@ -355,17 +355,17 @@ def test_buses_that_cannot_be_opened_are_refused(
 def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     owner = HubPort("shared", 3)
-    joined_port = JoinedPort("shared", 5)
+    hub_client_port = HubClientPort("shared", 5)
     owner.receive(owner.read_sockets())
     request, answer = Frame(1, ENABLE_PAYLOAD), Frame(0x11, bytes(range(48)), FDF)
     owner.send([request])
-    assert joined_port.receive(joined_port.read_sockets()) == [request._replace(bus=5)]
-    joined_port.send([answer])
+    assert hub_client_port.receive(hub_client_port.read_sockets()) == [request._replace(bus=5)]
+    hub_client_port.send([answer])
     assert owner.receive(owner.read_sockets()) == [answer._replace(bus=3)]
     owner.close()
     with pytest.raises(SimulatorError, match="hub has closed the connection"):
-        joined_port.receive(joined_port.read_sockets())
-    joined_port.close()
+        hub_client_port.receive(hub_client_port.read_sockets())
+    hub_client_port.close()
 
 
 def test_an_invalid_record_is_counted_and_ignored(

@@ -13,7 +13,7 @@ import pytest
 from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.scene.scene_stages import StageSequence, read_stage
+from firmware_sim.scene.stage_sequence import StageSequence, read_stage
 
 UPRIGHT_GRAVITY_M_S2 = (0.0, 0.0, -9.81)
 SIDEWAYS_STAGE = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}

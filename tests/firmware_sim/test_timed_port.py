@@ -206,12 +206,12 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
     timed_bus.clock.t_ns += 10 * NS_PER_MS
     timed_bus.port.receive([])
     assert len(other_bus.drain()) <= 1
-    assert timed_bus.port.wire.next_ns() > timed_bus.clock.t_ns
+    assert timed_bus.port.wire.next_event_ns() > timed_bus.clock.t_ns
     other_bus.close()
 
 
 @pytest.mark.parametrize(
-    "wire_word",
+    "option_text",
     [
         "speed=1",
         "queue=0",
@@ -222,9 +222,9 @@ def test_a_disconnected_client_loses_its_queue(timed_bus: TimedBus) -> None:
         "restart_ms=-1",
     ],
 )
-def test_invalid_wire_words_are_refused(wire_word: str) -> None:
-    with pytest.raises(SimulatorError, match=f"--wire {wire_word}"):
-        timed_port_maker([wire_word], [DEFAULT_BITRATES], lambda: 0)
+def test_invalid_wire_words_are_refused(option_text: str) -> None:
+    with pytest.raises(SimulatorError, match=f"--wire {option_text}"):
+        timed_port_maker([option_text], [DEFAULT_BITRATES], lambda: 0)
 
 
 def test_only_a_served_bus_can_have_a_wire() -> None:

@@ -17,7 +17,7 @@ from handctl.drives.frame_time import frame_time_s
 NOMINAL_BIT_S, DATA_BIT_S = 1_000_000, 5_000_000
 WORST_CASE_RATES, ACTUAL_RATES = (
     BitRates(NOMINAL_BIT_S, DATA_BIT_S),
-    BitRates(NOMINAL_BIT_S, DATA_BIT_S, actual=True),
+    BitRates(NOMINAL_BIT_S, DATA_BIT_S, counts_actual_stuffing=True),
 )
 FRAME_STRATEGY = st.builds(
     lambda can_id, data, fd: Frame(can_id, data, FDF | BRS) if fd else Frame(can_id, data[:8]),
@@ -60,8 +60,12 @@ def add_controllers(wire: SimulatedWire, controller_count: int) -> list[BusMembe
 @given(FRAME_STRATEGY)
 def test_both_packages_compute_the_same_maximum_frame_time(frame: Frame) -> None:
     expected = frame_time_s(len(frame.data), bool(frame.flags & FDF), NOMINAL_BIT_S, DATA_BIT_S)
-    assert WORST_CASE_RATES.frame_ns(frame) == pytest.approx(expected * 1e9, abs=2)
-    assert 0.7 * expected * 1e9 < ACTUAL_RATES.frame_ns(frame) <= WORST_CASE_RATES.frame_ns(frame)
+    assert WORST_CASE_RATES.frame_duration_ns(frame) == pytest.approx(expected * 1e9, abs=2)
+    assert (
+        0.7 * expected * 1e9
+        < ACTUAL_RATES.frame_duration_ns(frame)
+        <= WORST_CASE_RATES.frame_duration_ns(frame)
+    )
 
 
 def test_a_frame_whose_bits_were_counted_by_hand() -> None:
@@ -71,16 +75,17 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
     """
     zero_bit_count = 1 + 11 + 3 + 4 + 15
     assert (
-        ACTUAL_RATES.frame_ns(Frame(0, b"")) == (zero_bit_count + zero_bit_count // 5 + 13) * 1000
+        ACTUAL_RATES.frame_duration_ns(Frame(0, b""))
+        == (zero_bit_count + zero_bit_count // 5 + 13) * 1000
     )
-    assert ACTUAL_RATES.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
+    assert ACTUAL_RATES.frame_duration_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
         "at most six stuff bits"
     )
 
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
     assert (
-        WORST_CASE_RATES.frame_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
+        WORST_CASE_RATES.frame_duration_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
         == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
     )
 
@@ -118,9 +123,9 @@ def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
     for frame in frames:
         rng.choice(senders).controller.queue_frame(frame, 0)
     wire.advance(10**9)
-    assert wire.busy_ns == sum(map(ACTUAL_RATES.frame_ns, frames))
+    assert wire.busy_ns == sum(map(ACTUAL_RATES.frame_duration_ns, frames))
     assert wire.frames == len(frames)
-    assert wire.next_ns() == NEVER_NS
+    assert wire.next_event_ns() == NEVER_NS
 
 
 def test_a_full_queue_refuses_and_reports() -> None:
@@ -139,21 +144,21 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
     wire = SimulatedWire(WORST_CASE_RATES)
-    lonely_member = BusMember(wire)
-    lonely_member.controller.queue_frame(Frame(1, bytes(8)), 0)
+    only_member = BusMember(wire)
+    only_member.controller.queue_frame(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
     assert wire.frames == 0
-    assert lonely_member.controller.tx_errors == 128
-    assert lonely_member.controller.state == CanErrorState.PASSIVE
-    assert lonely_member.error_class_bits == [0x20, 0x24, 0x24], (
+    assert only_member.controller.tx_errors == 128
+    assert only_member.controller.state == CanErrorState.PASSIVE
+    assert only_member.error_class_bits == [0x20, 0x24, 0x24], (
         "missing acknowledge, then with warning, then with passive"
     )
-    assert [frame.data[1] for frame in lonely_member.errors] == [0, 0x08, 0x20]
+    assert [frame.data[1] for frame in only_member.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other_bus_member = BusMember(wire)
     wire.advance(2 * 10**9)
     assert other_bus_member.ids == [1]
-    assert lonely_member.controller.tx_errors == 127
+    assert only_member.controller.tx_errors == 127
 
 
 def destroy_frames(wire: SimulatedWire, sender: CanController, frame_count: int, t_ns: int) -> None:
@@ -188,7 +193,7 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
     destroy_frames(wire, sender.controller, 32, 0)
     wire.advance(10**10)
     assert sender.controller.state == CanErrorState.BUS_OFF
-    assert wire.next_ns() == NEVER_NS
+    assert wire.next_event_ns() == NEVER_NS
     receiver.controller.queue_frame(Frame(1, b""), 10**10)
     wire.advance(10**10 + 10**8)
     assert receiver.controller.state == CanErrorState.PASSIVE, "the receiver gets no acknowledge"
@@ -252,8 +257,8 @@ def test_an_adapter_delays_by_at_most_a_usb_frame(adapter_class: str, seed: int)
     adapter, latency = ADAPTER_CLASSES[adapter_class], AdapterLatency(adapter_class, seed)
     sent = [latency.send(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     received = [latency.receive(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
-    for delays, period in ((sent, adapter.send_period_ns), (received, adapter.receive_ns)):
-        assert 0 <= min(delays) <= max(delays) <= period * 1.001 + adapter.frame_ns
+    for delays, period in ((sent, adapter.send_period_ns), (received, adapter.receive_period_ns)):
+        assert 0 <= min(delays) <= max(delays) <= period * 1.001 + adapter.frame_duration_ns
     if adapter_class == "none":
         assert set(sent + received) == {0}
 

@@ -54,7 +54,7 @@ class SharedClockPair:
     def answer(self) -> None:
         """Let the simulator report that it has reached the present time and has replied to all frames."""
         self.simulator.publish_reached_time(self.simulator.now_ns())
-        self.simulator.publish_answered_ticks(self.simulator.ticks_sent())
+        self.simulator.publish_answered_ticks(self.simulator.sent_tick_count())
 
 
 @pytest.fixture
@@ -173,7 +173,7 @@ def test_a_simulator_behind_its_time_is_waited_for(clock_pair) -> None:
     until = clock_pair.now + 10 * NS_PER_MS
 
     def behind() -> None:
-        clock_pair.simulator.publish_answered_ticks(clock_pair.simulator.ticks_sent())
+        clock_pair.simulator.publish_answered_ticks(clock_pair.simulator.sent_tick_count())
         clock_pair.simulator.publish_reached_time(
             reached_ns if clock_pair.now < until else clock_pair.simulator.now_ns()
         )

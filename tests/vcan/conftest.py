@@ -66,12 +66,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
     if REPORTS_FILE or not item.path.is_relative_to(GUEST_TESTS_FOLDER):
         return None
     if _reports_key not in item.session.stash:
-        inner = [
+        guest_items = [
             guest_item
             for guest_item in item.session.items
             if guest_item.path.is_relative_to(GUEST_TESTS_FOLDER)
         ]
-        item.session.stash[_reports_key] = _run_in_guests(inner)
+        item.session.stash[_reports_key] = _run_in_guests(guest_items)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for report in item.session.stash[_reports_key][item.nodeid]:
         item.ihook.pytest_runtest_logreport(report=_report_unless_required(report))
@@ -155,8 +155,13 @@ def _make_report(
 
 
 def _report_unless_required(report: pytest.TestReport) -> pytest.TestReport:
-    waits = "HANDCTL_NIGHTLY" in str(report.longrepr)
-    if VCAN_IS_REQUIRED and report.skipped and not waits and not hasattr(report, "wasxfail"):
+    is_nightly_only = "HANDCTL_NIGHTLY" in str(report.longrepr)
+    if (
+        VCAN_IS_REQUIRED
+        and report.skipped
+        and not is_nightly_only
+        and not hasattr(report, "wasxfail")
+    ):
         report.outcome = "failed"
         report.longrepr = f"HANDCTL_REQUIRE_VCAN=1, but this test was skipped: {report.longrepr}"
     return report

@@ -85,7 +85,7 @@ CLIENT_PROGRAMS = {
 }
 
 
-def _install(environment: Path, program: ClientProgram) -> None:
+def _install_client(environment: Path, program: ClientProgram) -> None:
     """Make an environment, or skip the test if pip cannot install the client."""
     requirements = "\n".join((program.package, *program.requirements))
     ready = environment / READY_FILE
@@ -124,7 +124,7 @@ def client_python(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """Return the Python of an environment with a client."""
     name = str(request.node.callspec.params["name"])
     folder = Path(os.environ.get("HANDCTL_CLIENT_ENVIRONMENTS") or tmp_path) / name
-    _install(folder, CLIENT_PROGRAMS[name])
+    _install_client(folder, CLIENT_PROGRAMS[name])
     return folder / "bin" / "python"
 
 

@@ -42,7 +42,7 @@ def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end:
     monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
     status = uml_guest.run_with_vcan(
-        ["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append
+        ["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, print_line=output.append
     )
     assert uml_guest.vcan_access() == ("native", "")
     assert output[:2] == ["a b", str(Path.cwd())]
@@ -54,7 +54,7 @@ def test_output_and_status_are_returned() -> None:
     output: list[str] = []
     script = "seq 20000; echo $WORD; ip -brief link show vcan1; printf 'no line feed'; exit 7"
     status = uml_guest.run_with_vcan(
-        ["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append
+        ["bash", "-c", script], {"WORD": "a 'quoted' $word"}, print_line=output.append
     )
     assert status == 7
     assert output[:20000] == [str(n) for n in range(1, 20001)]
@@ -67,7 +67,7 @@ def test_output_and_status_are_returned() -> None:
 def test_a_crash_differs_from_an_exit() -> None:
     output: list[str] = []
     assert (
-        uml_guest.run_with_vcan(["bash", "-c", "kill -SEGV $$"], report_line=output.append)
+        uml_guest.run_with_vcan(["bash", "-c", "kill -SEGV $$"], print_line=output.append)
         == 128 + 11
     )
 
@@ -92,7 +92,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         monkeypatch.setattr(tempfile, "tempdir", folder)
         script = "echo started; sleep 1000"
         status = uml_guest.run_with_vcan(
-            ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line
+            ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, print_line=record_line
         )
         assert status == uml_guest.TIMED_OUT_STATUS
         assert output == ["started"]

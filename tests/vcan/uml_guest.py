@@ -68,7 +68,7 @@ def run_with_vcan(
     command: Sequence[str],
     extra_env: Mapping[str, str] | None = None,
     timeout_s: float = 300.0,
-    report_line: Callable[[str], None] = print,
+    print_line: Callable[[str], None] = print,
 ) -> int:
     """Run a command with the interfaces vcan0 and vcan1.
 
@@ -78,24 +78,24 @@ def run_with_vcan(
         command: program and its arguments.
         extra_env: environment variables in addition to those of this process.
         timeout_s: time after which the whole guest is killed [s].
-        report_line: function that is called with each line of the command's output.
+        print_line: function that is called with each line of the command's output.
 
     Returns: The exit status of the command. If the command has none, it is TIMED_OUT_STATUS,
         NO_EXIT_STATUS or NO_VCAN_STATUS.
     """
     kind, reason = vcan_access()
     if not kind:
-        report_line(f"no vcan: {reason}")
+        print_line(f"no vcan: {reason}")
         return NO_VCAN_STATUS
     job = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
     try:
         environment = {**_environment(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
         if kind == "native":
             (job / "run").write_text(_job_script(command, environment))
-            return _run_natively(job, timeout_s, report_line)
+            return _run_natively(job, timeout_s, print_line)
         environment |= {"TMPDIR": "/dev/shm", "HANDCTL_RUN_DIR": "/dev/shm/handctl"}
         (job / "run").write_text(_job_script(command, environment))
-        return _run_in_guest(job, timeout_s, report_line)
+        return _run_in_guest(job, timeout_s, print_line)
     finally:
         shutil.rmtree(job)
 
@@ -128,38 +128,38 @@ def _modules_folder() -> Path:
     return KERNEL_MODULES / version.stdout.strip()
 
 
-def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+def _run_natively(job: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
     process = _start_process([*_namespace_command(), "bash", str(job / "run")], _environment())
     try:
         for line in _read_lines(process, time.monotonic() + timeout_s):
-            report_line(line)
+            print_line(line)
         status = process.wait(timeout=10)
         # a shell reports a signal in the same way
         return status if status >= 0 else 128 - status
     except TimeoutError:
         return TIMED_OUT_STATUS
     finally:
-        _kill_group(process)
+        _kill_process_group(process)
 
 
-def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+def _run_in_guest(job: Path, timeout_s: float, print_line: Callable[[str], None]) -> int:
     with _pin_to_one_core():
         process = _start_process(
             _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
         )
     try:
         other_lines = _report_job(
-            _read_lines(process, time.monotonic() + timeout_s), job, report_line
+            _read_lines(process, time.monotonic() + timeout_s), job, print_line
         )
     except TimeoutError:
         return TIMED_OUT_STATUS
     finally:
-        _kill_group(process)
+        _kill_process_group(process)
     try:
         return int((job / "rc").read_text())
     except FileNotFoundError:
         for line in other_lines:
-            report_line(f"guest: {line}")
+            print_line(f"guest: {line}")
         return NO_EXIT_STATUS
 
 
@@ -246,7 +246,7 @@ def _start_process(command: list[str], environment: dict[str, str]) -> "subproce
     )
 
 
-def _kill_group(process: "subprocess.Popen[bytes]") -> None:
+def _kill_process_group(process: "subprocess.Popen[bytes]") -> None:
     """Kill every process of a run.
 
     User-mode Linux has one process on the host for each address space of the guest.
@@ -273,7 +273,7 @@ def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterat
             return
 
 
-def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
+def _report_job(lines: Iterator[str], job: Path, print_line: Callable[[str], None]) -> list[str]:
     """Report the lines that the command in a guest prints.
 
     Returns: The other lines of the guest's output, before and after the lines of the command. These
@@ -284,10 +284,10 @@ def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], No
     for line in lines:
         if line.endswith(f"end {job}"):
             if unfinished := line.removesuffix(f"end {job}"):
-                report_line(unfinished)
+                print_line(unfinished)
             return other_lines
         if started:
-            report_line(line)
+            print_line(line)
         elif line == f"begin {job}":
             started = True
         else:
@@ -307,7 +307,7 @@ def main() -> int:
     return run_with_vcan(
         arguments.command,
         timeout_s=arguments.timeout,
-        report_line=lambda line: print(line, flush=True),
+        print_line=lambda line: print(line, flush=True),
     )
 
 

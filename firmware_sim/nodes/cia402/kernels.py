@@ -35,7 +35,7 @@ Therefore kernels know the indices of these objects.
 (CONTROL_WORD, STATUS_WORD, MODE_SHOWN, POSITION, VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE, CURRENT,
  TORQUE_OFFSET, MASTER, HEARTBEAT_PERIOD_MS, MAX_SPEED) = range(len(CYCLIC_OBJECTS))  # fmt: skip
 """Indices of the values of ``CYCLIC_OBJECTS`` in the list of a dictionary's values."""
-OBJECT_CAPACITY = 192
+MAX_OBJECT_COUNT = 192
 """Maximum number of object values in the row of a drive."""
 SPEED_LIMIT_BAND = 0.1
 """Range of speed in which the torque falls to zero, as a fraction of the speed limit.
@@ -76,7 +76,7 @@ class Cia402Struct(ctypes.Structure):
         ),
         *((name, ctypes.c_int64) for name in ("motion_due_ns", "mode_bits")),
         ("power_stage", PowerStruct),
-        ("values", ctypes.c_int64 * OBJECT_CAPACITY),
+        ("values", ctypes.c_int64 * MAX_OBJECT_COUNT),
     ]
 
 

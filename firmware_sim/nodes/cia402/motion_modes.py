@@ -64,13 +64,13 @@ INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
 HOMING_METHODS = (INDEX_NEGATIVE, INDEX_POSITIVE, 35, 37)
 """All homing methods of the drive."""
-WINDOW_SWITCHED_OFF = 0xFFFFFFFF
+FOLLOWING_ERROR_WINDOW_OFF = 0xFFFFFFFF
 """Value of the following error window that switches the supervision off."""
 POSITION_GAIN = 20.0
 """Assumed gain of the position controller [1/s]."""
 
 
-def check_write(object_index: int, value: int) -> None:
+def check_object_value(object_index: int, value: int) -> None:
     """Check a value before it is written to an object.
 
     Raises:
@@ -121,9 +121,7 @@ class MotionModes:
         self._attained = self._homing = self._acknowledged = False
         self._rest_s = 0.0
         self._bits = 0
-        self._demand.set_immediately(
-            self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0
-        )
+        self._demand.jump_to(self._position(), self._velocity() if mode == CYCLIC_VELOCITY else 0.0)
         self._target = self._demand.position
         node.objects[0x607A, 0] = round(self._target)
         node.motion_due_ns = max(1, t_ns)
@@ -190,14 +188,14 @@ class MotionModes:
                 else math.ceil(raw_position / turn)
             )
             self._target += index_turn * turn - raw_position
-        self._demand.set_immediately(self._position())
+        self._demand.jump_to(self._position())
 
     def _finish_homing(self) -> None:
         """Finish homing: shift the zero until the present position has the value of 0x607C."""
         node = self._node
         home = node.objects[0x607C, 0]
         node.offset += (home - self._position()) / node.counts * TURN_RAD
-        self._demand.set_immediately(home)
+        self._demand.jump_to(home)
         self._target = float(home)
         self._attained = True
 
@@ -221,7 +219,7 @@ class MotionModes:
     def _generate_demand(self, step_s: float) -> None:
         """Compute the next demand of the active mode."""
         if self._mode == CYCLIC_VELOCITY:
-            self._demand.set_immediately(
+            self._demand.jump_to(
                 self._position(), self._speed_from_object(0x60FF) + self._speed_from_object(0x60B1)
             )
         elif self._mode == CYCLIC_POSITION:
@@ -269,7 +267,7 @@ class MotionModes:
         step_fraction = step_s / self._rest_s if self._rest_s > step_s else 1.0
         self._rest_s = max(0.0, self._rest_s - step_s)
         change = step_fraction * (self._target - self._demand.position)
-        self._demand.set_immediately(
+        self._demand.jump_to(
             self._demand.position + change, change / step_s + self._speed_from_object(0x60B1)
         )
 
@@ -287,7 +285,11 @@ class MotionModes:
         error = self._demand.position - self._position()
         node.objects[0x60F4, 0] = round(error)
         window = node.objects[0x6065, 0]
-        if self._mode == CYCLIC_VELOCITY or window == WINDOW_SWITCHED_OFF or abs(error) <= window:
+        if (
+            self._mode == CYCLIC_VELOCITY
+            or window == FOLLOWING_ERROR_WINDOW_OFF
+            or abs(error) <= window
+        ):
             self._late_ns = t_ns
             self._bits &= ~FOLLOWING_ERROR_BIT
         else:
@@ -340,7 +342,7 @@ class MotionModes:
             * (self._demand.position / node.counts * TURN_RAD - node.offset)
             / node.gear
         )
-        self._position_at_spool.set_immediately(angle, self._demand.velocity * scale)
+        self._position_at_spool.jump_to(angle, self._demand.velocity * scale)
         speed = objects[0x6080, 0] * TURN_RAD / 60.0 / node.gear
         if abs(self._position_at_spool.velocity) > speed:
             self._bits |= INTERNAL_LIMIT_BIT

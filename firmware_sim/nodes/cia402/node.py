@@ -42,7 +42,7 @@ from firmware_sim.nodes.cia402.kernels import (
     update_measured_objects,
     watchdog_expired,
 )
-from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_object_value
 from firmware_sim.nodes.cia402.object_dictionary import (
     ABORT_UNKNOWN_COMMAND,
     ABORT_WRONG_STATE,
@@ -73,7 +73,7 @@ MOTOR_OVERHEATED_ERROR = 0x4310
 """Emergency code: over-temperature of the motor."""
 STOPPED_WHILE_ENABLED_ERROR = 0x8100
 """Emergency code: the node left operational while enabled."""
-RPDO_SHORT = 0x8210
+PDO_LENGTH_ERROR = 0x8210
 """Emergency code: an RPDO is too short."""
 OVERHEATING_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
@@ -349,7 +349,7 @@ class Cia402Node:
                 raise SdoAbort(ABORT_WRONG_STATE)
             self.pdos.write(key, value_bytes)
         else:
-            check_write(key[0], int.from_bytes(value_bytes, "little", signed=True))
+            check_object_value(key[0], int.from_bytes(value_bytes, "little", signed=True))
             self.objects.write(key, value_bytes)
         if key[0] < 0x2000:
             self._update_derived_values()
@@ -361,9 +361,9 @@ class Cia402Node:
             self.watchdog_fed_ns = -1
         elif key == (0x1017, 0):
             self.heartbeat_ns = -1
-        self._apply_object(key)
+        self._apply_object_value(key)
 
-    def _apply_object(self, key: tuple[int, int]) -> None:
+    def _apply_object_value(self, key: tuple[int, int]) -> None:
         """Apply the new value of an object that a host has written."""
         if key == (0x6040, 0):
             self._apply_control_word(self.objects[key])
@@ -402,9 +402,9 @@ class Cia402Node:
         keys = self.pdos.unpack(can_id, payload)
         if keys is None:
             self.malformed_frame_count += 1
-            self._send_emergency(RPDO_SHORT)
+            self._send_emergency(PDO_LENGTH_ERROR)
         for key in keys or ():
-            self._apply_object(key)
+            self._apply_object_value(key)
         return True
 
     def _synchronise(self) -> bool:
@@ -416,7 +416,7 @@ class Cia402Node:
         if self.nmt != OPERATIONAL_STATE:
             return False
         for key in self.pdos.synchronise():
-            self._apply_object(key)
+            self._apply_object_value(key)
         self._update_measured_objects()
         self.syncs += 1
         self._unsolicited += self.pdos.frames_on_sync(self.syncs)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, OBJECT_CAPACITY
+from firmware_sim.nodes.cia402.kernels import CYCLIC_OBJECTS, MAX_OBJECT_COUNT
 
 EDS_PATH = Path(__file__).with_name("cia402.eds")
 """Path of the EDS file of the simulated drive."""
@@ -88,7 +88,7 @@ class ObjectDictionary:
 
         Args:
             node_id: node number. The default identifiers depend on this number.
-            object_memory: memory for ``kernels.OBJECT_CAPACITY`` values. If None, a list is
+            object_memory: memory for ``kernels.MAX_OBJECT_COUNT`` values. If None, a list is
                 allocated.
         """
         parser = configparser.ConfigParser(interpolation=None)
@@ -101,7 +101,7 @@ class ObjectDictionary:
         self._indices_of: dict[ObjectKey, int] = {
             key: position for position, key in enumerate(CYCLIC_OBJECTS)
         }
-        self.values: Any = [0] * OBJECT_CAPACITY if object_memory is None else object_memory
+        self.values: Any = [0] * MAX_OBJECT_COUNT if object_memory is None else object_memory
         for name in parser.sections():
             if not parser.has_option(name, "DataType"):
                 continue

@@ -34,7 +34,7 @@ PDO_DISABLED_BIT = 1 << 31
 """Bit in the identifier object of a TPDO: the TPDO is off."""
 NEWTON_UNIT = 0x0021_0000
 """Number of the unit newton in object 0x6131. Source: CiA 303-2."""
-FACTORY_UNIT = 0x00FD_0000
+MANUFACTURER_UNIT = 0x00FD_0000
 """Number of the maker's unit in object 0x6131, until a host sets another unit."""
 TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
@@ -53,21 +53,21 @@ OVERLOAD_RATIO = 1.03125
 
 Source: WIKA MH-4-CAN, 3.125 % beyond the range.
 """
-FLOAT_VALUE_INDEX = 0x6130
+FLOAT_PROCESS_VALUE = 0x6130
 """Index of the process value as a float."""
-INT16_VALUE_INDEX = 0x7130
+INT16_PROCESS_VALUE = 0x7130
 """Index of the process value with 16 bits."""
-INT32_VALUE_INDEX = 0x9130
+INT32_PROCESS_VALUE = 0x9130
 """Index of the process value with 32 bits."""
-_OVERLOAD_VALUES = {INT16_VALUE_INDEX: -(1 << 15), INT32_VALUE_INDEX: -(1 << 31)}
+_OVERLOAD_VALUES = {INT16_PROCESS_VALUE: -(1 << 15), INT32_PROCESS_VALUE: -(1 << 31)}
 """Integer process values that report an overload.
 
 In an overload, the process value as a float is NaN. Source: WIKA MH-4-CAN.
 """
 _MAPPABLE_SIZES_BYTES = {
-    FLOAT_VALUE_INDEX: 4,
-    INT16_VALUE_INDEX: 2,
-    INT32_VALUE_INDEX: 4,
+    FLOAT_PROCESS_VALUE: 4,
+    INT16_PROCESS_VALUE: 2,
+    INT32_PROCESS_VALUE: 4,
     0x6150: 1,
 }
 """Sizes of the objects that can be mapped [bytes]."""
@@ -100,7 +100,7 @@ class AmplifierObjects:
         self._add_object((0x1018, 4), 4, serial, is_fixed=True)
         for i in range(TPDO_COUNT):
             mapped_objects = [
-                INT32_VALUE_INDEX << 16 | c << 8 | 32
+                INT32_PROCESS_VALUE << 16 | c << 8 | 32
                 for c in (2 * i + 1, 2 * i + 2)
                 if c <= channels
             ]
@@ -116,7 +116,7 @@ class AmplifierObjects:
                 )
         self._add_object((0x6131, 0), 1, channels, is_fixed=True)
         for channel in range(1, channels + 1):
-            self._add_object((0x6131, channel), 4, FACTORY_UNIT)
+            self._add_object((0x6131, channel), 4, MANUFACTURER_UNIT)
             self._add_object((0x6132, channel), 1, 2)
 
     def _add_object(
@@ -211,7 +211,7 @@ class AmplifierObjects:
         # that does not set the unit reads wrong tensions.
         unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
-        if index == FLOAT_VALUE_INDEX:
+        if index == FLOAT_PROCESS_VALUE:
             return struct.pack("<f", value)
         size = _MAPPABLE_SIZES_BYTES[index]
         count = _OVERLOAD_VALUES[index] if status else round(value * 10 ** self[0x6132, channel])

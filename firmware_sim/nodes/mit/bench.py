@@ -109,7 +109,7 @@ The no-load speed of these types is VMAX.
 
 The factor and this no-load speed are assumptions.
 """
-DEFAULT_TYPE = "dm4310"
+DEFAULT_MOTOR_TYPE = "dm4310"
 """Motor type if none is given."""
 INERTIA_PER_TORQUE = 2e-4
 """Inertia of a geared MIT motor at the output, divided by TMAX [kg m2/N m].
@@ -170,7 +170,7 @@ def _force_command(node: MitNode, frame: Frame) -> None:
 
 
 MIT_SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
+    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_MOTOR_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
     MitNodeRow,
     MIT_KIND, _force_command,
 )  # fmt: skip

@@ -42,7 +42,7 @@ THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""
 
 
-class FrameRanges(NamedTuple):
+class MitRanges(NamedTuple):
     """Symmetric ranges of the values in frames, from registers 21, 22 and 23.
 
     Attributes:
@@ -234,7 +234,7 @@ def schedule_wake(node: Any) -> None:
         node.wake_ns = min(node.wake_ns, node.watchdog_fed_ns + node.timeout_ns)
 
 
-def decode_command(data: bytes, ranges: FrameRanges) -> MitCommand:
+def decode_command(data: bytes, ranges: MitRanges) -> MitCommand:
     """Decode an MIT command of 8 bytes."""
     return MitCommand(*read_command(PAYLOAD_WORD_STRUCT.unpack(data)[0], *ranges))
 
@@ -243,7 +243,7 @@ def encode_feedback(
     state: int,
     node_id: int,
     motion: tuple[float, float, float],
-    ranges: FrameRanges,
+    ranges: MitRanges,
     temperatures: tuple[float, float],
 ) -> bytes:
     """Encode feedback into 8 bytes. The function ``write_feedback`` explains the layout."""

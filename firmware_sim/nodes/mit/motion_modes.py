@@ -90,7 +90,7 @@ class MotionModes:
         if not self._running:
             self._running = True
             self._updated_ns = t_ns
-            self._setpoint.set_immediately(self._node.motor.encoder(), self._node.motor.velocity)
+            self._setpoint.jump_to(self._node.motor.encoder(), self._node.motor.velocity)
             self._cascade.integral = 0.0
             self.due_ns = t_ns
         self.advance(t_ns)
@@ -122,7 +122,7 @@ class MotionModes:
                 self._setpoint.ramp(target, rise, deceleration, step_s)
         elif node.mode == reg.MODE_FORCE or rise == deceleration == math.inf:
             # In this mode, the controllers limit the speed, and the setpoint does not.
-            self._setpoint.set_immediately(self._target)
+            self._setpoint.jump_to(self._target)
         elif step_s:
             self._setpoint.trapezoid(self._target, speed, rise, deceleration, step_s)
         limit = min(1.0, self._fraction) * min(node.torque_peak, node.torque_range)

@@ -337,8 +337,8 @@ class MitNode:
         position = self.direction * self.motor.encoder() + self.offset
         self.registers.set_measured(reg.MOTOR_POSITION, position)
         self.registers.set_measured(reg.OUTPUT_POSITION, position)
-        self.registers.set_measured(reg.T_BOARD, self.thermal.mosfet)
-        self.registers.set_measured(reg.T_MOTOR, self.thermal.winding)
+        self.registers.set_measured(reg.BOARD_TEMPERATURE, self.thermal.mosfet)
+        self.registers.set_measured(reg.WINDING_TEMPERATURE, self.thermal.winding)
 
     def power_cycle(self) -> None:
         """Restart the motor, disabled and with the saved registers."""

@@ -38,9 +38,9 @@ TMAX = 23
 """Register: largest torque in frames [N m]."""
 VBUS = 60
 """Register: measured supply voltage [V]."""
-T_BOARD = 61
+BOARD_TEMPERATURE = 61
 """Register: measured temperature of the MOSFETs [degC]."""
-T_MOTOR = 62
+WINDING_TEMPERATURE = 62
 """Register: measured temperature of the winding [degC]."""
 MOTOR_POSITION = 80
 """Register: measured angle of the motor [rad]."""
@@ -165,6 +165,6 @@ def _factory_values(spec: MotorSpec) -> dict[int, float]:
         }
     )
     values.update({29: 32.0, 30: 0.8, 35: 9 if spec.options.get("fd") else 4, 36: 1})
-    values.update({VBUS: 24.0, T_BOARD: 25.0, T_MOTOR: 25.0})
+    values.update({VBUS: 24.0, BOARD_TEMPERATURE: 25.0, WINDING_TEMPERATURE: 25.0})
     values.update({MOTOR_POSITION: 0.0, OUTPUT_POSITION: 0.0})
     return values

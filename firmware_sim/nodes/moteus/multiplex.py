@@ -32,17 +32,17 @@ PADDING_SUBFRAME = b"\x50"
 """Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
 # Value of one integer step as int8, int16 and int32, for each kind of physical quantity.
-UNSCALED_STEPS = (1.0, 1.0, 1.0)
-POSITION_STEPS = (0.01, 0.0001, 0.00001)
-VELOCITY_STEPS = (0.1, 0.00025, 0.00001)
-TORQUE_STEPS = (0.5, 0.01, 0.001)
-TEMPERATURE_STEPS = (1.0, 0.1, 0.001)
-TIME_STEPS = (0.01, 0.001, 0.000001)
-CURRENT_STEPS = (1.0, 0.1, 0.001)
-VOLTAGE_STEPS = (0.5, 0.1, 0.001)
-POWER_STEPS = (10.0, 0.05, 0.0001)
-ACCELERATION_STEPS = (0.05, 0.001, 0.00001)
-FRACTION_STEPS = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
+UNSCALED_LSB = (1.0, 1.0, 1.0)
+POSITION_LSB = (0.01, 0.0001, 0.00001)
+VELOCITY_LSB = (0.1, 0.00025, 0.00001)
+TORQUE_LSB = (0.5, 0.01, 0.001)
+TEMPERATURE_LSB = (1.0, 0.1, 0.001)
+TIME_LSB = (0.01, 0.001, 0.000001)
+CURRENT_LSB = (1.0, 0.1, 0.001)
+VOLTAGE_LSB = (0.5, 0.1, 0.001)
+POWER_LSB = (10.0, 0.05, 0.0001)
+ACCELERATION_LSB = (0.05, 0.001, 0.00001)
+FRACTION_LSB = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class MalformedPayload(Exception):  # noqa: N818 - never leaves the node
@@ -98,22 +98,16 @@ def encode_varuint(value: int) -> bytes:
 
 
 def decode_register(
-    register_bytes: bytes, value_type: int, resolution_steps: tuple[float, float, float]
+    register_bytes: bytes, value_type: int, lsb_values: tuple[float, float, float]
 ) -> float:
     """Decode the bytes of a register value. The most negative integer means NaN."""
     (number,) = REGISTER_STRUCTS[value_type].unpack(register_bytes)
     if value_type == FLOAT:
         return float(number)
-    return (
-        math.nan
-        if number < -MAX_COUNTS[value_type]
-        else float(number * resolution_steps[value_type])
-    )
+    return math.nan if number < -MAX_COUNTS[value_type] else float(number * lsb_values[value_type])
 
 
-def encode_register(
-    value: float, value_type: int, resolution_steps: tuple[float, float, float]
-) -> bytes:
+def encode_register(value: float, value_type: int, lsb_values: tuple[float, float, float]) -> bytes:
     """Encode a register value, limited to the range of its type and truncated towards 0."""
     if value_type == FLOAT:
         return REGISTER_STRUCTS[FLOAT].pack(value)
@@ -121,7 +115,7 @@ def encode_register(
         return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
     # The quotient is rounded to float32, because the drive does the same. In float64, 0.00003 /
     # 1e-5 would be slightly less than 3.
-    count = struct.unpack("<f", struct.pack("<f", value / resolution_steps[value_type]))[0]
+    count = struct.unpack("<f", struct.pack("<f", value / lsb_values[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(
         int(max(-MAX_COUNTS[value_type], min(MAX_COUNTS[value_type], count)))
     )

@@ -42,7 +42,7 @@ LAST_MODE = 16
 """Largest number of a mode."""
 OVER_TEMPERATURE = 38
 """Fault code: the motor or the drive is too hot."""
-OUTSIDE_LIMIT_FAULT = 39
+POSITION_LIMIT_FAULT = 39
 """Fault code: the position is outside its limits at the start of position mode."""
 UNDER_VOLTAGE = 40
 """Fault code: the supply voltage is too low."""
@@ -221,25 +221,25 @@ class MoteusNode:
 
     def _write_register(self, register: int, value_type: int, register_bytes: bytes) -> int:
         """Write a register, and return an error number. The number 0 means no error."""
-        register = reg.SHADOW_REGISTERS.get(register, register)
+        register = reg.COMMAND_REGISTER_BY_ALIAS.get(register, register)
         if register == reg.MODE:
-            mode = mp.decode_register(register_bytes, value_type, mp.UNSCALED_STEPS)
+            mode = mp.decode_register(register_bytes, value_type, mp.UNSCALED_LSB)
             if mode not in COMMANDABLE_MODES:
                 return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
             self.command = dict(reg.REGISTER_DEFAULTS)
-        elif register in reg.COMMAND_REGISTER_STEPS:
+        elif register in reg.LSB_BY_COMMAND_REGISTER:
             self.command[register] = mp.decode_register(
-                register_bytes, value_type, reg.COMMAND_REGISTER_STEPS[register]
+                register_bytes, value_type, reg.LSB_BY_COMMAND_REGISTER[register]
             )
         elif register in (reg.SET_OUTPUT_NEAREST, reg.SET_OUTPUT_EXACT):
             self._set_position(
-                mp.decode_register(register_bytes, value_type, mp.POSITION_STEPS),
+                mp.decode_register(register_bytes, value_type, mp.POSITION_LSB),
                 register == reg.SET_OUTPUT_NEAREST,
             )
-        elif register == reg.RECAPTURE:
+        elif register == reg.RECAPTURE_POSITION:
             self._apply_mode(self.mode, self._t_ns)
-        elif register in reg.MEASURED_REGISTER_STEPS or register in INT32_ONLY_REGISTERS:
+        elif register in reg.LSB_BY_MEASURED_REGISTER or register in INT32_ONLY_REGISTERS:
             return reg.NOT_WRITEABLE_ERROR
         else:
             return reg.UNKNOWN_REGISTER_ERROR
@@ -260,7 +260,7 @@ class MoteusNode:
 
         Return None if the register is unknown or cannot have the type.
         """
-        register = reg.SHADOW_REGISTERS.get(register, register)
+        register = reg.COMMAND_REGISTER_BY_ALIAS.get(register, register)
         if register in INT32_ONLY_REGISTERS:
             return (
                 struct.pack("<I", self._integer_register(register))
@@ -268,12 +268,12 @@ class MoteusNode:
                 else None
             )
         if register == reg.MODE:
-            return mp.encode_register(self.mode, value_type, mp.UNSCALED_STEPS)
-        if register in reg.COMMAND_REGISTER_STEPS:
+            return mp.encode_register(self.mode, value_type, mp.UNSCALED_LSB)
+        if register in reg.LSB_BY_COMMAND_REGISTER:
             return mp.encode_register(
-                self.command[register], value_type, reg.COMMAND_REGISTER_STEPS[register]
+                self.command[register], value_type, reg.LSB_BY_COMMAND_REGISTER[register]
             )
-        steps = reg.MEASURED_REGISTER_STEPS.get(register)
+        steps = reg.LSB_BY_MEASURED_REGISTER.get(register)
         return (
             None
             if steps is None
@@ -375,7 +375,7 @@ class MoteusNode:
             self._enabling_ns = t_ns
         elif self.mode not in (ENABLING, CALIBRATING, CALIBRATED):
             self.mode = mode
-            self._follow_mode()
+            self._update_servo()
         self._schedule()
 
     def _stop(self) -> None:
@@ -390,7 +390,7 @@ class MoteusNode:
         """Return the present value of a configuration item."""
         return self.channel.items[name]
 
-    def _follow_mode(self) -> None:
+    def _update_servo(self) -> None:
         """Set the servo according to the present mode and the command registers."""
         command = self.command
         kp = self._configuration_item("servo.pid_position.kp") / TURN_RAD
@@ -527,10 +527,10 @@ class MoteusNode:
             and is_outside
             and not self.command[reg.IGNORE_POSITION_BOUNDS]
         ):
-            self.trip(OUTSIDE_LIMIT_FAULT)
+            self.trip(POSITION_LIMIT_FAULT)
             return
         self.mode = self._next_mode
-        self._follow_mode()
+        self._update_servo()
 
     def _enter_timeout_mode(self) -> None:
         """Enter the mode *timeout*.
@@ -543,7 +543,7 @@ class MoteusNode:
             self.motor.servo.release()
         else:
             self.command |= {reg.FEEDFORWARD: 0.0, reg.POSITION: math.nan, reg.VELOCITY: 0.0}
-            self._follow_mode()
+            self._update_servo()
         self.mode = TIMEOUT
         self.fault = 0
 

@@ -87,7 +87,7 @@ class TextChannel:
             case ["conf", "get", name]:
                 return self._configuration_text(name) if name in self.items else "ERR error reading"
             case ["conf", "set", name, value]:
-                return self._set_item(name, value)
+                return self._set_configuration_item(name, value)
             case ["conf", "write"]:
                 self.saved = dict(self.items)
             case ["conf", "load"]:
@@ -107,7 +107,7 @@ class TextChannel:
         value = self.items[name]
         return f"{int(value)}" if name in INTEGER_CONFIGURATION_ITEMS else f"{value:f}"
 
-    def _set_item(self, name: str, text: str) -> str:
+    def _set_configuration_item(self, name: str, text: str) -> str:
         """Set a configuration item and return the answer to the host."""
         try:
             value = float(text)

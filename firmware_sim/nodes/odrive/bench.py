@@ -27,7 +27,7 @@ FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {
 """Options that a hand file needs for each firmware version."""
 
 
-def shaft_of_firmware(firmware: str) -> ShaftSpec:
+def shaft_of_odrive(firmware: str) -> ShaftSpec:
     """Build the shaft of an ODrive with firmware 0.6 or 0.5."""
     limits = {"top_speed": TOP_SPEED, "stall_torque": 8.0}
     return ShaftSpec(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARE_OPTIONS[firmware], **limits)
@@ -60,7 +60,7 @@ def _force_command(node: OdriveNode, frame: Frame) -> None:
 
 
 ODRIVE_SPEC = ProtocolSpec(
-    OdriveNode, range(0x3F), shaft_of_firmware("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow,
+    OdriveNode, range(0x3F), shaft_of_odrive("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow,
     ODRIVE_KIND,
     _force_command,
 )  # fmt: skip

@@ -123,17 +123,17 @@ class MotionModes:
                 **dict(zip(_FIELDS_BY_MESSAGE[command], values, strict=True))
             )
 
-    def take(self, with_position: bool, position: float, velocity: float) -> None:
+    def take(self, has_position: bool, position: float, velocity: float) -> None:
         """Set the position input and the velocity input.
 
         Args:
-            with_position: True if the message contains a position, which begins a new trajectory.
+            has_position: True if the message contains a position, which begins a new trajectory.
             position: position input [turn].
             velocity: velocity input [turn/s].
         """
         self.input_position = position
         self.input_velocity = velocity
-        self.done = self.done and not with_position
+        self.done = self.done and not has_position
 
     def start(self, t_ns: int) -> None:
         """Enter the axis state closed loop.
@@ -144,7 +144,7 @@ class MotionModes:
         self.input_position = position_in_turns(node, node.motor.encoder())
         self.input_velocity = 0.0
         node.setpoint = self._torque = 0.0
-        self._setpoint.set_immediately(self.input_position)
+        self._setpoint.jump_to(self.input_position)
         self._cascade.integral = 0.0
         self.done = False
         self._updated_ns = t_ns
@@ -154,18 +154,18 @@ class MotionModes:
         node.motion_due_ns = 0 if is_plain_torque else max(1, t_ns)
         self.advance(t_ns)
 
-    def advance(self, t_ns: int, forces_update: bool = False) -> None:
+    def advance(self, t_ns: int, is_forced: bool = False) -> None:
         """Update the setpoint and the servo if the update is due.
 
         Args:
             t_ns: present time [ns].
-            forces_update: True to use new inputs at once, even if no update is due.
+            is_forced: True to use new inputs at once, even if no update is due.
         """
         node = self._node
         if (
             node.motion_due_ns == 0
             or node.state != CLOSED_LOOP
-            or (t_ns < node.motion_due_ns and not forces_update)
+            or (t_ns < node.motion_due_ns and not is_forced)
         ):
             return
         step_s = (t_ns - self._updated_ns) * 1e-9
@@ -193,7 +193,7 @@ class MotionModes:
         settings = self.settings
         mode = node.input_mode
         if mode == PASSTHROUGH_MODE:
-            setpoint.set_immediately(self.input_position, self.input_velocity)
+            setpoint.jump_to(self.input_position, self.input_velocity)
             self._torque = node.setpoint
         elif mode == VELOCITY_RAMP:
             rate = node.endpoint_float(VELOCITY_RAMP_RATE)
@@ -214,7 +214,7 @@ class MotionModes:
         node = self._node
         settings = self.settings
         scale = node.direction * TURN_RAD / node.gear
-        self._position_at_spool.set_immediately(
+        self._position_at_spool.jump_to(
             node.direction * (self._setpoint.position * TURN_RAD - node.offset) / node.gear,
             self._setpoint.velocity * scale,
         )

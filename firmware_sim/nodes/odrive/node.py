@@ -397,7 +397,7 @@ class OdriveNode:
             self.disarm(MISSING_INPUT_ERROR)
             return
         set_torque(self, self.motor.servo, torque, t_ns)
-        self.motion.advance(t_ns, forces_update=True)
+        self.motion.advance(t_ns, is_forced=True)
 
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
@@ -414,7 +414,7 @@ class OdriveNode:
             return
         self.motion.take(command == 0x0C, *values[:2])
         set_torque(self, self.motor.servo, values[2], t_ns)
-        self.motion.advance(t_ns, forces_update=True)
+        self.motion.advance(t_ns, is_forced=True)
 
     def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint.

@@ -6,7 +6,7 @@ The data of the free shaft are assumptions. Source of the ranges: docs/facts/rob
 from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.nodes.robstride.node import (
-    DEFAULT_TYPE,
+    DEFAULT_MOTOR_TYPE,
     FULL_SCALE_BY_MOTOR_TYPE,
     POSITION_RANGE,
     RobstrideNode,
@@ -52,7 +52,7 @@ def _force_command(node: RobstrideNode, frame: Frame) -> None:
 
 
 ROBSTRIDE_SPEC = ProtocolSpec(
-    RobstrideNode, range(1, 0x80), shaft_of_robstride_motor(DEFAULT_TYPE), _host_frame, _corrupt_command,
+    RobstrideNode, range(1, 0x80), shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE), _host_frame, _corrupt_command,
     _corrupt_reply,
     force_command=_force_command,
 )  # fmt: skip

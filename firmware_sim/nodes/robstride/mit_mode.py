@@ -31,11 +31,11 @@ import struct
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
-from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, FrameRanges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, MitRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench
 from firmware_sim.nodes.robstride.node import (
-    DEFAULT_TYPE,
+    DEFAULT_MOTOR_TYPE,
     FAULT_REPORT_BITS,
     REPORT_SHIFT,
     RUN_MODE,
@@ -76,7 +76,7 @@ class RobstrideMitNode(RobstrideNode):
         counts = int(spec.options.get("can_timeout", 0))
         self._saved[0x7028] = struct.pack("<I", counts)
         self.parameters = dict(self._saved)
-        self._ranges = FrameRanges(POSITION_RANGE, self._velocity, self._torque)
+        self._ranges = MitRanges(POSITION_RANGE, self._velocity, self._torque)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Execute and answer a frame.
@@ -217,7 +217,7 @@ def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
         node.follow_command(frame.data)
 
 
-_DEFAULT_SHAFT = bench.shaft_of_robstride_motor(DEFAULT_TYPE)
+_DEFAULT_SHAFT = bench.shaft_of_robstride_motor(DEFAULT_MOTOR_TYPE)
 ROBSTRIDE_MIT_SPEC = ProtocolSpec(
     RobstrideMitNode, range(1, 0x80),
     _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST}),

@@ -45,7 +45,7 @@ FULL_SCALE_BY_MOTOR_TYPE = {
     "rs05": (50.0, 5.5, 500.0, 5.0),
 }
 """Velocity [rad/s], torque [N m], kp [N m/rad] and kd [N m s/rad] at full scale, by motor model."""
-DEFAULT_TYPE = "rs05"
+DEFAULT_MOTOR_TYPE = "rs05"
 """Motor model if the hand file gives none."""
 POSITION_RANGE = 4.0 * math.pi
 """Largest position in frames, for all motor models [rad]."""
@@ -54,14 +54,14 @@ RUN_MODE = 2
 """Modes of the motor, as in the identifier of the feedback."""
 UNDER_VOLTAGE = 1 << 0
 OVER_CURRENT = 1 << 1
-HOT_FAULT = 1 << 2
+OVER_TEMPERATURE_FAULT = 1 << 2
 ENCODER_FAULT = 1 << 3
 OVERLOAD_FAULT = 1 << 4
 UNCALIBRATED_FAULT = 1 << 5
 """Bits of the faults in the identifier of the feedback."""
 FAULT_REPORT_BITS = {
-    UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT_FAULT: 1 << 0, ENCODER_FAULT: 1 << 9, OVERLOAD_FAULT: 1 << 14,
-    UNCALIBRATED_FAULT: 1 << 7,
+    UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, OVER_TEMPERATURE_FAULT: 1 << 0, ENCODER_FAULT: 1 << 9,
+    OVERLOAD_FAULT: 1 << 14, UNCALIBRATED_FAULT: 1 << 7,
 }  # fmt: skip
 """Bits of the faults in the fault report, by the bit of the fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
@@ -142,7 +142,7 @@ class RobstrideNode:
         self.malformed_frame_count = 0
         self.wake_ns = 0
         self.watchdog_fed_ns = 0
-        model = str(spec.options.get("motor_type", DEFAULT_TYPE))
+        model = str(spec.options.get("motor_type", DEFAULT_MOTOR_TYPE))
         self._velocity, self._torque, self._kp, self._kd = FULL_SCALE_BY_MOTOR_TYPE[model]
         self._direction = spec.direction
         self._peak = spec.torque_peak
@@ -384,8 +384,8 @@ class RobstrideNode:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
             self.motor.heat = 0.0
             self._thermal_ns = t_ns
-            if self.thermal.winding > OVERHEATING_C and not self.fault & HOT_FAULT:
-                self.trip(HOT_FAULT)
+            if self.thermal.winding > OVERHEATING_C and not self.fault & OVER_TEMPERATURE_FAULT:
+                self.trip(OVER_TEMPERATURE_FAULT)
         reports = [self._fault_report_frame(fault) for fault in self._reports]
         self._reports.clear()
         self._schedule()

@@ -114,7 +114,7 @@ class GraspEnv(HandEnv):
             ConfigError: the object is too large and touches the open hand.
         """
         engine = self.simulated_world.plant.engine
-        self._forces = engine.forces_on("contact", list(self.hand.digit_names))
+        self._forces = engine.make_force_reader("contact", list(self.hand.digit_names))
         self._height_m = engine.object_pose()[2]
         if max(np.abs(self._forces())) > FULL_REWARD_FORCE_N:
             scene = self.simulated_world.plant.scene.name

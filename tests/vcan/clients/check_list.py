@@ -19,21 +19,21 @@ class CheckList:
     def __init__(self) -> None:
         self.failed: list[str] = []
 
-    def check(self, check_name: str, has_passed: bool, seen_value: object = "") -> None:
+    def check(self, check_name: str, has_passed: bool, observed_value: object = "") -> None:
         """Report a check in one line.
 
         Args:
             check_name: the property that is checked.
             has_passed: True if the simulated drive has the property.
-            seen_value: the observed value, for a failed check.
+            observed_value: the observed value, for a failed check.
         """
         if has_passed:
             print(PASSED_WORD, check_name, flush=True)
         else:
             self.failed.append(check_name)
-            print(FAILED_WORD, check_name, f"({seen_value})", flush=True)
+            print(FAILED_WORD, check_name, f"({observed_value})", flush=True)
 
-    def check_until(
+    def check_eventually(
         self, check_name: str, read_value: Callable[[], object], expected_value: object
     ) -> None:
         """Report a check that passes as soon as a read value is the expected one.

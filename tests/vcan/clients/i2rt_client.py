@@ -73,13 +73,13 @@ def check_registers(checks: CheckList) -> None:
     checks.check("the repaired control mode is read back", modes == [3] * MOTOR_COUNT, modes)
 
 
-def open_chain(control_mode: str) -> Any:
+def open_motor_chain(control_mode: str) -> Any:
     return DMChainCanInterface(
         MOTORS, [0] * MOTOR_COUNT, [1] * MOTOR_COUNT, channel=CHANNEL, control_mode=control_mode
     )
 
 
-def close_chain(chain: Any) -> None:
+def close_motor_chain(chain: Any) -> None:
     """Stop the thread of a chain, disable its motors, and close its socket."""
     chain.running = False
     time.sleep(0.3)  # the thread ends after its present cycle
@@ -90,20 +90,20 @@ def close_chain(chain: Any) -> None:
 
 def check_velocity_mode(checks: CheckList) -> None:
     """Let a chain in velocity mode turn all motors. The Flow Base of i2rt uses this mode."""
-    chain = open_chain(ControlMode.VEL)
+    chain = open_motor_chain(ControlMode.VEL)
 
     def speeds() -> list[float]:
         states = chain.set_commands(np.zeros(MOTOR_COUNT), vel=np.full(MOTOR_COUNT, 3.0))
         return [state.vel for state in states]
 
-    checks.check_until(
+    checks.check_eventually(
         "four motors turn at 3 rad/s in velocity mode",
         speeds,
         lambda measured_speeds: all(abs(speed - 3.0) < 0.1 for speed in measured_speeds),
     )
     chain.set_commands(np.zeros(MOTOR_COUNT))
     time.sleep(0.5)
-    close_chain(chain)
+    close_motor_chain(chain)
 
 
 def check_mit_mode(checks: CheckList) -> None:
@@ -111,14 +111,14 @@ def check_mit_mode(checks: CheckList) -> None:
 
     The arm YAM of i2rt uses its motors in this mode.
     """
-    chain = open_chain(ControlMode.MIT)
+    chain = open_motor_chain(ControlMode.MIT)
     start = np.array([state.pos for state in chain.read_states()])
 
     def travel() -> Any:
         states = chain.set_commands(np.full(MOTOR_COUNT, TORQUE_N_M))
         return np.array([state.pos for state in states]) - start
 
-    checks.check_until(
+    checks.check_eventually(
         "four motors turn by a torque", travel, lambda travels: bool(np.all(travels > TRAVEL_RAD))
     )
     torques = [state.eff for state in chain.read_states()]
@@ -136,13 +136,13 @@ def check_mit_mode(checks: CheckList) -> None:
         )
         return np.array([state.pos for state in states]) - goal
 
-    checks.check_until(
+    checks.check_eventually(
         "they hold positions",
         errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
     )
     checks.check("the control loop has met no error", bool(chain.running))
-    close_chain(chain)
+    close_motor_chain(chain)
 
 
 def check_watchdog(checks: CheckList) -> None:
@@ -187,7 +187,7 @@ def check_watchdog(checks: CheckList) -> None:
 
     try:
         client.motor_off(motor)
-        checks.check_until(
+        checks.check_eventually(
             "the motor is disabled at the end", state, lambda text: "disabled" in text
         )
     finally:

@@ -30,7 +30,7 @@ def request_feedback(arm: Any) -> list[Any]:
     return list(arm.get_arm().get_motors())
 
 
-def open_arm(control_mode: Any) -> Any:
+def connect_arm(control_mode: Any) -> Any:
     """Open the bus, write the control mode, and enable the motors."""
     arm = openarm_can.OpenArm(CHANNEL, True)
     types = [openarm_can.MotorType.DM4310] * MOTOR_COUNT
@@ -42,10 +42,10 @@ def open_arm(control_mode: Any) -> Any:
     return arm
 
 
-def close_arm(arm: Any, checks: CheckList, mode_name: str) -> None:
+def disable_arm(arm: Any, checks: CheckList, mode_name: str) -> None:
     arm.disable_all()
     arm.recv_all(REPLY_TIMEOUT_US)
-    checks.check_until(
+    checks.check_eventually(
         f"three motors are disabled ({mode_name})",
         lambda: [motor.is_enabled() for motor in request_feedback(arm)],
         [False] * MOTOR_COUNT,
@@ -74,8 +74,8 @@ def check_registers(checks: CheckList) -> None:
 
 def check_mit_mode(checks: CheckList) -> None:
     """Turn the motors by a torque, and then hold positions."""
-    arm = open_arm(openarm_can.ControlMode.MIT)
-    checks.check_until(
+    arm = connect_arm(openarm_can.ControlMode.MIT)
+    checks.check_eventually(
         "three motors are enabled",
         lambda: [motor.is_enabled() for motor in request_feedback(arm)],
         [True] * MOTOR_COUNT,
@@ -92,43 +92,43 @@ def check_mit_mode(checks: CheckList) -> None:
         command(0.0, 0.0, start, TORQUE_N_M)
         return [motor.get_torque() for motor in arm.get_arm().get_motors()]
 
-    checks.check_until(
+    checks.check_eventually(
         "three motors report the commanded torque",
         torques,
         lambda measured_torques: all(
             abs(torque - TORQUE_N_M) < 0.01 for torque in measured_torques
         ),
     )
-    checks.check_until(
+    checks.check_eventually(
         "they turn by it",
         lambda: command(0.0, 0.0, start, TORQUE_N_M),
         lambda positions: all(a - b > TRAVEL_RAD for a, b in zip(positions, start, strict=True)),
     )
     goals = [motor.get_position() - TRAVEL_RAD for motor in request_feedback(arm)]
-    checks.check_until(
+    checks.check_eventually(
         "they hold positions",
         lambda: command(20.0, 1.0, goals, 0.0),
         lambda positions: all(abs(a - b) < 0.02 for a, b in zip(positions, goals, strict=True)),
     )
     checks.check("no reply has another identifier", not arm.get_unmatched_frames())
-    close_arm(arm, checks, "MIT")
+    disable_arm(arm, checks, "MIT")
 
 
 def check_velocity_mode(checks: CheckList) -> None:
     """Command a velocity in velocity mode."""
-    arm = open_arm(openarm_can.ControlMode.VEL)
+    arm = connect_arm(openarm_can.ControlMode.VEL)
 
     def speeds() -> list[float]:
         arm.get_arm().vel_control_all([openarm_can.VelParam(2.0)] * MOTOR_COUNT)
         arm.recv_all(REPLY_TIMEOUT_US)
         return [motor.get_velocity() for motor in arm.get_arm().get_motors()]
 
-    checks.check_until(
+    checks.check_eventually(
         "three motors turn at 2 rad/s",
         speeds,
         lambda measured_speeds: all(abs(speed - 2.0) < 0.1 for speed in measured_speeds),
     )
-    close_arm(arm, checks, "velocity")
+    disable_arm(arm, checks, "velocity")
 
 
 def main() -> None:

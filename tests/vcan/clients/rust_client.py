@@ -45,11 +45,11 @@ def command_rows(*columns: Any) -> Any:
     )
 
 
-def check_mode(
+def check_control_mode(
     checks: CheckList,
     robot: Any,
     control_mode: str,
-    use_arm: Callable[[CheckList, Any, Callable[[str], Any]], None],
+    check_motion: Callable[[CheckList, Any, Callable[[str], Any]], None],
 ) -> None:
     """Enable the motors in a control mode, use them, and disable them."""
     arm = robot["arm"]
@@ -65,10 +65,12 @@ def check_mode(
 
     robot.set_mode(control_mode)
     robot.enable()
-    checks.check_until(f"three motors are enabled ({control_mode})", lambda: states(True), all)
-    use_arm(checks, arm, read)
+    checks.check_eventually(f"three motors are enabled ({control_mode})", lambda: states(True), all)
+    check_motion(checks, arm, read)
     robot.disable()
-    checks.check_until(f"three motors are disabled ({control_mode})", lambda: states(False), all)
+    checks.check_eventually(
+        f"three motors are disabled ({control_mode})", lambda: states(False), all
+    )
 
 
 def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any]) -> None:
@@ -80,12 +82,12 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
         return read_feedback(quantity)
 
     # At the speed without load, the motor can no longer make this torque.
-    checks.check_until(
+    checks.check_eventually(
         "three motors report the commanded torque",
         lambda: command_torque_and_read("torques"),
         lambda torques: bool(np.allclose(torques, TORQUE_N_M, atol=0.01)),
     )
-    checks.check_until(
+    checks.check_eventually(
         "they turn by it",
         lambda: command_torque_and_read("positions") - start,
         lambda travels: bool(np.all(travels > TRAVEL_RAD)),
@@ -96,7 +98,7 @@ def use_mit_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], Any
         arm.mit_control(command_rows(20.0, 1.0, goals, 0.0, 0.0))
         return read_feedback("positions") - goals
 
-    checks.check_until(
+    checks.check_eventually(
         "they hold positions",
         errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
@@ -108,7 +110,7 @@ def use_velocity_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
         arm.vel_control(np.full(MOTOR_COUNT, 2.0))
         return read_feedback("velocities")
 
-    checks.check_until(
+    checks.check_eventually(
         "three motors turn at 2 rad/s",
         speeds,
         lambda measured_speeds: bool(np.all(np.abs(measured_speeds - 2.0) < 0.1)),
@@ -122,7 +124,7 @@ def use_position_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str]
         arm.pos_vel_control(command_rows(goals, 4.0))
         return read_feedback("positions") - goals
 
-    checks.check_until(
+    checks.check_eventually(
         "three motors reach positions",
         errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
@@ -136,7 +138,7 @@ def use_force_mode(checks: CheckList, arm: Any, read_feedback: Callable[[str], A
         arm.pos_force_control(command_rows(goals, 4.0, 0.05))
         return read_feedback("positions") - goals
 
-    checks.check_until(
+    checks.check_eventually(
         "three motors reach positions with little torque",
         errors,
         lambda angle_errors: bool(np.all(np.abs(angle_errors) < 0.02)),
@@ -147,10 +149,10 @@ def main() -> None:
     checks = CheckList()
     robot = make_robot()
     robot.connect()
-    check_mode(checks, robot, "mit", use_mit_mode)
-    check_mode(checks, robot, "vel", use_velocity_mode)
-    check_mode(checks, robot, "pos_vel", use_position_mode)
-    check_mode(checks, robot, "pos_force", use_force_mode)
+    check_control_mode(checks, robot, "mit", use_mit_mode)
+    check_control_mode(checks, robot, "vel", use_velocity_mode)
+    check_control_mode(checks, robot, "pos_vel", use_position_mode)
+    check_control_mode(checks, robot, "pos_force", use_force_mode)
     checks.end()
 
 

@@ -50,7 +50,7 @@ def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
 
 
-def set_link(link_state: str) -> None:
+def set_link_state(link_state: str) -> None:
     subprocess.run(["ip", "link", "set", "vcan0", link_state], check=True)
 
 
@@ -86,14 +86,14 @@ def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
 
 
 def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, other_bus: Bus) -> None:
-    set_link("down")
+    set_link_state("down")
     try:
         assert bus.send([Frame(1, b"", bus=BUS_INDEX)]) == 0
         assert bus.drain() == []
         kinds = {kind for kind, _, _ in bus.take_events()}
         assert kinds == {"enetdown"}
     finally:
-        set_link("up")
+        set_link_state("up")
     bus.drain()
     other_bus.drain()
     bus.take_events()

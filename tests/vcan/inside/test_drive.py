@@ -60,9 +60,9 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     ]
     files = ["--calibration", str(tmp_path / "c.toml"), "--log", str(tmp_path / "again.mcap")]
     command = [str(HANDCTL_COMMAND), "replay", "drive", str(GOLDEN_LOG), *words, *files, "--json"]
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr + ran.stdout
-    result = json.loads(ran.stdout)
+    process = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert process.returncode == 0, process.stderr + process.stdout
+    result = json.loads(process.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
     with RunLog(GOLDEN_LOG) as original_log, RunLog(tmp_path / "again.mcap") as replayed_log:
         apart, (recorded_tensions, repeated_tensions) = (

@@ -94,7 +94,7 @@ class FaultObserver:
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
 
 
-def run_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
+def run_tendon_pull(work_folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon, relax and disarm it.
 
     The observer causes faults while the hand pulls its tendons.
@@ -129,7 +129,7 @@ def run_until_done(
         observer.reset()
         set_interface_up("vcan0", True)
         try:
-            outcome, truth = run_pull(run_folder, observer)
+            outcome, truth = run_tendon_pull(run_folder, observer)
         except LogError as error:  # the recorder did not start in time
             failure = str(error)
             continue

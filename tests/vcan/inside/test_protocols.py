@@ -175,7 +175,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     protocols.
     """
     path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
-    outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
+    outcome, truth = run_tendon_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
     assert outcome.exit_code == ExitCode.DONE
@@ -186,7 +186,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
         )  # the limit is low, because the clocks of the guest jump
 
 
-def run_pull(
+def run_tendon_pull(
     hand_path: Path, bus_options: Sequence[str], work_folder: Path
 ) -> tuple[RunOutcome, TruthFile]:
     """Arm a hand, pull every tendon for a moment, relax and disarm it.

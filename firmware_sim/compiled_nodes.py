@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
+from firmware_sim.bus.frame_records import FRAME_DTYPE, frames_to_records, records_to_frames
 from firmware_sim.compiled import array_addresses, machine_code
 from firmware_sim.nodes import cyclic_kernels
 from firmware_sim.nodes.cia402.kernels import Cia402Struct
@@ -30,7 +30,7 @@ INITIAL_CAPACITY = 64
 """Initial capacity of the array for the answers of a tick [frames]."""
 
 
-class TickExchange:
+class CompiledNodes:
     """Object that computes the answers of the nodes in a tick.
 
     The states of these nodes are in array rows.
@@ -102,7 +102,7 @@ class TickExchange:
         is_sequential = world.faults.in_frames
         while True:
             if is_sequential:
-                for frame in to_frames(frames):
+                for frame in records_to_frames(frames):
                     answer_frames = self._append_frames(answer_frames, world.receive(frame))
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
@@ -113,7 +113,7 @@ class TickExchange:
             if progress[ANSWERS] + self._max_answers > len(answer_frames):
                 answer_frames = self._enlarge_buffer(answer_frames)
                 continue
-            (frame,) = to_frames(frames[at : at + 1])
+            (frame,) = records_to_frames(frames[at : at + 1])
             answer_frames = self._append_frames(answer_frames, world.receive(frame))
             progress[NEXT_FRAME] = at + 1
             self._drop_stale_table()
@@ -139,7 +139,7 @@ class TickExchange:
         frame_count = len(frames)
         while count + frame_count > len(answer_frames):
             answer_frames = self._enlarge_buffer(answer_frames)
-        answer_frames[count : count + frame_count] = to_records(frames)
+        answer_frames[count : count + frame_count] = frames_to_records(frames)
         self._progress[ANSWERS] = count + frame_count
         return answer_frames
 
@@ -217,7 +217,7 @@ class TickExchange:
     def wake_ns(self) -> int:
         """Return the stored value of the earliest wake time of drives in array rows [ns].
 
-        The last call of ``answer`` or ``send_due`` has stored this value.
+        The last call of ``answer`` or ``send_due_frames`` has stored this value.
         """
         return int(self._progress[WAKE_NS])
 
@@ -227,7 +227,7 @@ class TickExchange:
             self._build_table()
         return int(self._kernels.next_wake(self._drive_rows, *self._drive_structs))
 
-    def send_due(self, now_ns: int) -> bool:
+    def send_due_frames(self, now_ns: int) -> bool:
         """Send the unsolicited frames of drives that are due.
 
         Args:
@@ -245,7 +245,7 @@ class TickExchange:
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
         return bool(
-            self._kernels.send_due(
+            self._kernels.send_due_frames(
                 self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress
             )
         )
@@ -262,7 +262,7 @@ class TickExchange:
     def merge_frames(self, frames: Any, other_frames: Any) -> Any:
         """Return the frames of two arrays as one array, sorted by time."""
         merged_frames = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
-        self._kernels.merge(frames, other_frames, merged_frames)
+        self._kernels.merge_sorted_frames(frames, other_frames, merged_frames)
         return merged_frames
 
 

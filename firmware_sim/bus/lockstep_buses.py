@@ -10,7 +10,7 @@ from firmware_sim.wire.simulated_wire import SimulatedWire
 from firmware_sim.wire.wire_options import WireSpec
 
 
-class TimedLockstep:
+class LockstepBuses:
     """The buses of a hand in virtual time. Each bus is a simulated wire between host and nodes.
 
     Attributes:
@@ -69,7 +69,7 @@ class TimedLockstep:
         for frame in frames:
             self._hosts[frame.bus].queue_frame(frame, self._latencies[frame.bus].send(t_ns))
         while True:
-            event_time_ns = min([wire.next_ns() for wire in self.wires])
+            event_time_ns = min([wire.next_event_ns() for wire in self.wires])
             self._world.advance(min(event_time_ns, end_ns))
             # Nodes may just have queued frames for a time before at_ns. So each wire must determine
             # its next event again.
