@@ -4,7 +4,7 @@ import sys
 
 from firmware_sim.command_line import check_words
 from firmware_sim.hand_description import SimulatorError
-from firmware_sim.printing import one_line
+from firmware_sim.printing import one_line_message
 
 EXTRA_PACKAGES = ("mujoco",)
 """Import names of the packages that ``pip install handctl[sim]`` adds."""
@@ -43,7 +43,7 @@ def main(words: list[str]) -> int:
         )
         return 2
     except SimulatorError as error:
-        print(f"firmware_sim: {one_line(str(error))}", file=sys.stderr)
+        print(f"firmware_sim: {one_line_message(str(error))}", file=sys.stderr)
         return 2
     return 0
 

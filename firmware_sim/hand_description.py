@@ -185,7 +185,7 @@ class TendonSpec:
         pretension: tension at rest in both tendons of a spool pair [N], or 0 for a single tendon.
         winding_sign: 1 if a positive spool angle winds the tendon up, and -1 if it pays the tendon out.
         curves: moment arms that depend on the joint angle, by the name of the joint.
-        straight_joints: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
+        prismatic_joints: prismatic joints. For these, the entry in ``arms`` is the excursion per motion
             [m/m]. The tendon does not bend at these joints.
     """
 
@@ -202,7 +202,7 @@ class TendonSpec:
     pretension: float = 0.0
     winding_sign: int = 1
     curves: dict[str, ArmCurve] = field(default_factory=dict)
-    straight_joints: frozenset[str] = frozenset()
+    prismatic_joints: frozenset[str] = frozenset()
 
     @property
     def antagonist(self) -> "TendonSpec":
@@ -702,7 +702,7 @@ def _parse_tendon(
         name=tendon_section["name"],
         motor=tendon_section["motor"],
         arms=arm_sections | {joint: curve.mean for joint, curve in curves.items()},
-        straight_joints=frozenset(ratios),
+        prismatic_joints=frozenset(ratios),
         curves=curves,
         stiffness=tendon_section["stiffness_N_per_m"],
         damping=tendon_section["damping_N_s_per_m"],

@@ -141,10 +141,10 @@ class LockstepHand:
                 "foreign_frames": self.world.foreign_frame_count,
                 "malformed_frames": self.world.malformed_frame_count,
             }
-            self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
+            self._truth.close(counts | ({"wire_load": self._wire_loads()} if self.wired else {}))
             self._truth = None
 
-    def _loads(self) -> list[float]:
+    def _wire_loads(self) -> list[float]:
         """Return the load of each wire.
 
         The load is the fraction of the simulated time in which frames occupied the wire.

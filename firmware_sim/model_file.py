@@ -14,7 +14,7 @@ import numpy as np
 
 from firmware_sim.hand_description import SimulatorError
 from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
-from firmware_sim.printing import one_line
+from firmware_sim.printing import one_line_message
 
 ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
 """Tag of the first XML element of each format."""
@@ -227,7 +227,7 @@ def _first_line(mujoco_error: Exception) -> str:
     text = " ".join(str(mujoco_error).split()).removeprefix("Error: ")
     if "moving bodies" in text:
         text += "; expected a mass and an inertia for each link that moves"
-    return one_line(text)
+    return one_line_message(text)
 
 
 def _check_structure(model: Any, path: str) -> None:

@@ -22,7 +22,7 @@ def printable_text(text: str) -> str:
     )
 
 
-def one_line(text: str) -> str:
+def one_line_message(text: str) -> str:
     """Convert a text to a message that has a single line.
 
     A message starts with the problem and ends with the remedy. Therefore only the middle of a long

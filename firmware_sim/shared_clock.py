@@ -44,7 +44,7 @@ class SharedClock:
 
     The class ``bus_server.ServerClock`` describes the methods.
 
-    Before ``publish``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
+    Before ``create_file``, no controller shares the clock, and the time of the clock is CLOCK_MONOTONIC
     times the scale.
 
     Attributes:
@@ -63,7 +63,7 @@ class SharedClock:
             array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (INTEGER_COUNT - 2)])
         )
 
-    def publish(self, path: Path) -> None:
+    def create_file(self, path: Path) -> None:
         """Create the file of the clock, for sharing with a controller.
 
         Args:

@@ -171,7 +171,7 @@ class SimulatedWorld:
                 if row is None:
                     nodes[motor.name] = kind.node(*arguments)
                     continue
-                row.prepare(*arguments)
+                row.initialise(*arguments)
                 row.bus = self._bus_index(motor.bus)
                 nodes[motor.name] = row
                 self.row_of[id(row)] = (kind.node_kind, number)
@@ -204,7 +204,7 @@ class SimulatedWorld:
             return SensorNode(*arguments)
         memory = (SensorNodeRow * 1)()
         node: SensorNodeRow = memory[0]
-        node.prepare(*arguments)
+        node.initialise(*arguments)
         rows[SensorStruct] = structure_array(memory, SensorStruct)
         self.row_of[id(node)] = SENSOR_NODE_KIND, 0
         return node
@@ -242,15 +242,15 @@ class SimulatedWorld:
         bus = frame[3]
         faults = self.faults
         # a fault may also act on frames that are meant for other nodes
-        wire_faulty = faults.wire_faults_of
+        has_wire_fault = faults.wire_faults_of
         receivers = (
             self._nodes_of_bus[bus]
-            if wire_faulty
+            if has_wire_fault
             else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
         )
         for node, ids in receivers:
             replies = (
-                faults.exchange(node, frame, t_ns) if wire_faulty else node.receive(frame, t_ns)
+                faults.exchange(node, frame, t_ns) if has_wire_fault else node.receive(frame, t_ns)
             )
             if node.ids is not ids:
                 self.refresh_identifiers()

@@ -150,7 +150,7 @@ class BusHub:
         return self._closed_dropped + sum(link.dropped_record_count for link in self._links)
 
     @property
-    def clients(self) -> int:
+    def client_count(self) -> int:
         """Return the number of connected clients."""
         return len(self._links)
 
@@ -209,7 +209,7 @@ class BusHub:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
             while True:
                 link, _ = self._listener.accept()
-                if _is_foreign(link):
+                if _belongs_to_other_user(link):
                     link.close()
                     continue
                 self._links.append(HubConnection(link))
@@ -244,7 +244,7 @@ class BusHub:
                 self._path.unlink()
 
 
-def _is_foreign(client_socket: socket.socket) -> bool:
+def _belongs_to_other_user(client_socket: socket.socket) -> bool:
     """Return True if the process at the other end of a connection belongs to another user.
 
     Processes of root do not count as processes of another user.

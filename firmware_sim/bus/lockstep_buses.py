@@ -33,9 +33,11 @@ class LockstepBuses:
         self._arrived: list[Frame] = []
         self._received: list[Frame] = []
         self._latencies = [spec.latency(bus) for bus in range(len(self.wires))]
-        self._hosts = [wire.add(self._delivery_to_host(bus)) for bus, wire in enumerate(self.wires)]
+        self._hosts = [
+            wire.add_controller(self._delivery_to_host(bus)) for bus, wire in enumerate(self.wires)
+        ]
         for bus, wire in enumerate(self.wires):
-            wire.add(self._delivery_to_nodes(bus))
+            wire.add_controller(self._delivery_to_nodes(bus))
         self._nodes: dict[tuple[int, int], CanController] = {}
 
     def _delivery_to_host(self, bus: int) -> Callable[[Frame, int], None]:
@@ -113,7 +115,7 @@ class LockstepBuses:
         """
         key = frame.bus, frame.can_id
         if key not in self._nodes:
-            self._nodes[key] = self.wires[frame.bus].add()
+            self._nodes[key] = self.wires[frame.bus].add_controller()
         self.refused += not self._nodes[key].queue_frame(frame, frame.t_ns)
 
 

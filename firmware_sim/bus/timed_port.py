@@ -92,7 +92,7 @@ class TimedPort:
         self._unreadable = self._refused = 0
         self._at_ns = self._start_ns = now_ns()
         if is_node_side:
-            self.wire.add(self._receive_on_nodes)
+            self.wire.add_controller(self._receive_on_nodes)
 
     @property
     def lost_frame_count(self) -> int:
@@ -181,7 +181,7 @@ class TimedPort:
         received_records = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
-                self._clients[link] = self.wire.add(self._delivery_function(link))
+                self._clients[link] = self.wire.add_controller(self._delivery_function(link))
                 self._queues[link] = 0, -1
                 self._latencies[link] = self._latency(len(self._latencies))
         for link, records in received_records:
@@ -196,7 +196,7 @@ class TimedPort:
 
     def _remove_closed_clients(self) -> None:
         for link in [link for link in self._clients if link.closed]:
-            self.wire.remove(self._clients.pop(link))
+            self.wire.remove_controller(self._clients.pop(link))
             del self._queues[link], self._latencies[link]
         self._hub.remove_closed_clients()
 
@@ -229,7 +229,7 @@ class TimedPort:
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
             if controller is None:
-                controller = self._nodes[frame.can_id] = self.wire.add()
+                controller = self._nodes[frame.can_id] = self.wire.add_controller()
             self._refused += not controller.queue_frame(frame, self._at_ns)
 
     def close(self) -> None:
@@ -237,7 +237,7 @@ class TimedPort:
         self._hub.close()
 
 
-def timed_port_maker(
+def timed_port_factory(
     wire_words: Sequence[str] | None,
     bitrates: Sequence[tuple[int, int]],
     now_ns: Callable[[], int],

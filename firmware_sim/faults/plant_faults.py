@@ -142,7 +142,7 @@ def _start_muted_sensor(world: Any, active: ActiveFault) -> UndoFunction:
     node = world.sensor_node
     spec = world.hand.sensors
     if active.fault.component == FAULT_TARGET_CELL:
-        can_id = node.frame_index_of_cell(spec.tendons.index(active.fault.instance))
+        can_id = node.frame_id_of_cell(spec.tendons.index(active.fault.instance))
     else:
         can_id = (
             spec.base_id

@@ -23,7 +23,7 @@ import math
 from firmware_sim.bus.frame import Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
-from firmware_sim.nodes.mit.codec import MitRanges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import MitRanges, decode_command, value_to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.plant.motor import Motor
 
@@ -189,9 +189,9 @@ class CubemarsNode:
         motor = self.motor
         sign = self._direction
         ranges = self._ranges
-        position = to_code(sign * motor.encoder() + self.offset, ranges.position, 16)
-        velocity = to_code(sign * motor.velocity, ranges.velocity, 12)
-        torque = to_code(sign * motor.torque, ranges.torque, 12)
+        position = value_to_code(sign * motor.encoder() + self.offset, ranges.position, 16)
+        velocity = value_to_code(sign * motor.velocity, ranges.velocity, 12)
+        torque = value_to_code(sign * motor.torque, ranges.torque, 12)
         word = self._id & 0xFF
         for code, bits in ((position, 16), (velocity, 12), (torque, 12)):
             word = word << bits | code

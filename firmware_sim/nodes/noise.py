@@ -68,15 +68,15 @@ class NormalNoise:
 
     def _draw_block(self) -> Any:
         """Draw the next block of random numbers."""
-        uniform = self._uniform.random_sample(BLOCK_SIZE)
+        uniform_numbers = self._uniform.random_sample(BLOCK_SIZE)
         block = np.empty(BLOCK_SIZE)
         if isinstance(
             _normal_from_uniform, FunctionType
         ):  # If this kernel is not compiled, lists are faster than arrays.
             noise_values = [0.0] * BLOCK_SIZE
-            _normal_from_uniform(uniform.tolist(), noise_values)
+            _normal_from_uniform(uniform_numbers.tolist(), noise_values)
             return noise_values
-        _normal_from_uniform(uniform, block)
+        _normal_from_uniform(uniform_numbers, block)
         return block
 
     def take(self, count: int) -> Any:

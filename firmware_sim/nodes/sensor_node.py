@@ -280,7 +280,7 @@ class SensorNode:
         """Return the nodes on the bus. The sensor node is a single node."""
         return [self]
 
-    def frame_index_of_cell(self, index: int) -> int:
+    def frame_id_of_cell(self, index: int) -> int:
         """Return the identifier of the frame with the reading of a load cell."""
         return self._spec.base_id + index // CHANNELS_PER_FRAME
 
@@ -341,7 +341,7 @@ class SensorNode:
 class SensorNodeRow(SensorStruct, SensorNode):
     """A sensor node that keeps its numbers in a row of an array. Compiled kernels use this row."""
 
-    def prepare(
+    def initialise(
         self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
     ) -> None:
         """Set the row of the node to the state after power-up.

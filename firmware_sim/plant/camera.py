@@ -63,7 +63,7 @@ class Camera:
         self._model.vis.global_.offheight = height_px
         self._model.vis.headlight.ambient[:] = 0.45
         self._model.vis.headlight.diffuse[:] = 0.55
-        _paint(self._model, [digit.name for digit in hand.digits])
+        _set_colours(self._model, [digit.name for digit in hand.digits])
         mujoco.mj_kinematics(self._model, self._data)
         self._view = _view_of_hand(self._model, self._data, width_px / height_px)
         self._scene: Any = mujoco.MjvScene(model=self._model, maxgeom=2000)
@@ -155,7 +155,7 @@ def _graphics_errors() -> tuple[type[Exception], ...]:
     return (*graphics_error_types, Error)
 
 
-def _paint(model: Any, digits: list[str]) -> None:
+def _set_colours(model: Any, digits: list[str]) -> None:
     """Set the colours of links, palm, object and table in the model."""
     for geom in range(model.ngeom):
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom]) or ""

@@ -260,7 +260,7 @@ def _group_attribute(has_mesh: bool) -> str:
     return f' group="{HIDDEN_GROUP}"' if has_mesh else ""
 
 
-def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
+def find_links_at_palm(hand: Hand, digit: Digit) -> list[bool]:
     """Return one truth value for each link of a digit at rest.
 
     The value is True if the link overlaps the palm, or the link that carries the digit. The hinge
@@ -302,7 +302,7 @@ def _digit_element(
         f'<frame pos="{_numbers_text(digit.position)}" euler="{_numbers_text(digit.rpy_deg)}">'
     )
     closing_tag = "</frame>"
-    near_palm = touches_palm(hand, digit)
+    is_near_palm = find_links_at_palm(hand, digit)
     is_carrier = bool(hand.digits_on_carrier(digit.name))
     last_link = len(digit.length) - 1
     for i, turn in enumerate(digit.joint_rpy_deg):
@@ -313,7 +313,7 @@ def _digit_element(
         bits = (
             _carrier_collision_bits()
             if is_carrier
-            else _digit_collision_bits(is_digit_opposed[digit.name], near_palm[i])
+            else _digit_collision_bits(is_digit_opposed[digit.name], is_near_palm[i])
         )
         # A link that carries other digits ends at the face of the box on which these digits are
         # mounted.
@@ -333,7 +333,7 @@ def _digit_element(
     )
 
 
-def _digit_collision_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
+def _digit_collision_bits(is_opposed: bool, is_near_palm: bool) -> tuple[int, int]:
     """Return the collision category and the collision affinity of a link.
 
     All links of a digit touch the object and the opposed digits. Only links whose hinges are not
@@ -345,7 +345,7 @@ def _digit_collision_bits(is_opposed: bool, near_palm: bool) -> tuple[int, int]:
         else (FINGER_COLLISION_BIT, OPPOSED_DIGIT_COLLISION_BIT)
     )
     return category, OBJECT_COLLISION_BIT | opposite_category | (
-        0 if near_palm else PALM_COLLISION_BIT
+        0 if is_near_palm else PALM_COLLISION_BIT
     )
 
 

@@ -282,7 +282,7 @@ class Plant:
 
     def _is_table_active(self, table: SupportTable) -> bool:
         """Return True if the table still moves, or if the scene has stages."""
-        return bool(self.stages) or not table.settled
+        return bool(self.stages) or not table.is_settled
 
     def _run_steps(self, count: int) -> None:
         """Run a number of time steps of the plant.

@@ -23,7 +23,7 @@ last is at ``PRISMATIC_FLAG_INDEX``.
 def _pulley_parameters(spec: TendonSpec, joint: str) -> tuple[float, ...]:
     """Return the numbers that describe a tendon's pulley at a joint, see ``PARAMETERS_PER_PULLEY``."""
     if joint not in spec.curves:
-        prismatic_flag = float(joint in spec.straight_joints)
+        prismatic_flag = float(joint in spec.prismatic_joints)
         return (spec.arms[joint], *(0.0,) * (PARAMETERS_PER_PULLEY - 2), prismatic_flag)
     curve = spec.curves[joint]
     return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.coefficients, 0.0)

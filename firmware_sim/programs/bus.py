@@ -3,7 +3,7 @@
 import select
 
 from firmware_sim.bus.bus_ports import open_port
-from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
+from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_factory
 from firmware_sim.command_line import CommandParser, stop_on_signal
 from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
@@ -28,7 +28,7 @@ def run(words: list[str]) -> None:
     )
     args = parser.parse_args(words)
     now_ns = SharedClock().now_ns
-    timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, is_node_side=False)
+    timed_port = timed_port_factory(args.wire, [DEFAULT_BITRATES], now_ns, is_node_side=False)
     port = open_port(f"local:{args.name}", 0, timed_port)
     is_running = [True]
     stop_on_signal(is_running.clear)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
+from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_factory
 from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
 from firmware_sim.faults.active_faults import ActiveFaults
@@ -282,7 +282,7 @@ def run(words: list[str]) -> None:
     specs = _drive_specs(args)
     clock = SharedClock(args.time_scale)
     bench = SimulatedDriveBench(specs, clock.now_ns(), args.broken)
-    port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))
+    port = open_port(args.bus, 0, timed_port_factory(args.wire, [DEFAULT_BITRATES], clock.now_ns))
     faults = fault_socket(args.bus, bench)
     try:
         server = BusServer(bench, [port], clock, faults)

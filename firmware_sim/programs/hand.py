@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_local_bus, open_port
-from firmware_sim.bus.timed_port import timed_port_maker
+from firmware_sim.bus.timed_port import timed_port_factory
 from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
 from firmware_sim.faults.fault_socket import FaultSocket
@@ -118,7 +118,7 @@ def run(words: list[str]) -> None:
     specs = assign_buses(args.bus, hand.buses)
     clock = SharedClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
-    timed_port = timed_port_maker(args.wire, hand.bitrates, clock.now_ns)
+    timed_port = timed_port_factory(args.wire, hand.bitrates, clock.now_ns)
     if args.dry_run:
         return
     ports: list[BusPort] = []
@@ -126,7 +126,7 @@ def run(words: list[str]) -> None:
         for bus, spec in enumerate(specs):
             ports.append(open_port(spec, bus, timed_port))
         if not args.strict_clock and all(map(is_local_bus, specs)):
-            clock.publish(clock_path(specs[0]))
+            clock.create_file(clock_path(specs[0]))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
             header = {

@@ -150,7 +150,7 @@ class StageSequence:
                 fraction = min(time_in_stage / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
                 return SceneState(
                     i,
-                    _turned_vector(gravity, target, fraction),
+                    _rotated_vector(gravity, target, fraction),
                     stage.push if is_pushing else (0.0, 0.0, 0.0),
                     friction,
                 )
@@ -164,7 +164,7 @@ def _scaled_vector(vector: Vector, factor: float) -> Vector:
     return vector[0] * factor, vector[1] * factor, vector[2] * factor
 
 
-def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
+def _rotated_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
     If the vectors are opposite, the path is a straight line.

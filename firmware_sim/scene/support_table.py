@@ -90,7 +90,7 @@ class SupportTable:
         self.dropped_at: float | None = None
 
     @property
-    def settled(self) -> bool:
+    def is_settled(self) -> bool:
         """Return True if the table will not move any more."""
         if self.dropped_at is None:
             return self._support.drop_when != "grasped"

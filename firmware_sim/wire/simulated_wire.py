@@ -77,7 +77,7 @@ class SimulatedWire:
         self._end_ns = NEVER_NS
         self._restarts: list[tuple[int, CanController]] = []
 
-    def add(
+    def add_controller(
         self, on_receive: Callable[[Frame, int], None] | None = None, queue_depth: int | None = None
     ) -> CanController:
         """Create a CAN controller, and connect the controller to the wire.
@@ -94,7 +94,7 @@ class SimulatedWire:
         self._controllers.append(controller)
         return controller
 
-    def remove(self, controller: CanController) -> None:
+    def remove_controller(self, controller: CanController) -> None:
         """Disconnect a controller. A frame that is already on the wire is still completed."""
         self._controllers.remove(controller)
         controller.queue.clear()

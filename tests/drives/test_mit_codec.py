@@ -147,9 +147,9 @@ def test_feedback_of_the_simulated_firmware_reads_back(
 
     ranges = firmware.MitRanges(*MOTOR_RANGES)
     motion = (
-        firmware.from_code(position_code, 12.5, 16),
-        firmware.from_code(velocity_code, 50.0, 12),
-        firmware.from_code(torque, TORQUE_MAX_N_M, 12),
+        firmware.code_to_value(position_code, 12.5, 16),
+        firmware.code_to_value(velocity_code, 50.0, 12),
+        firmware.code_to_value(torque, TORQUE_MAX_N_M, 12),
     )
     data = firmware.encode_feedback(state_nibble, 3, motion, ranges, (30.0, 40.0))
     decoded_feedback = codec.decode_feedback(data, FEEDBACK_TABLE)

@@ -36,7 +36,7 @@ from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
 from handctl.session.run_plan import default_control_rate
 
-NO_CALLBACKS = {
+EMPTY_CALLBACKS = {
     "on_progress": lambda done: None,
     "on_failure": lambda arming_simulation, result: None,
 }
@@ -76,7 +76,7 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
 
 def test_sequence_violates_no_rule():
     results = run_sequences(
-        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NO_CALLBACKS
+        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **EMPTY_CALLBACKS
     )
     assert [(result.scenario, result.problem) for result in results if not result.ok] == []
     assert sum(result.effects for result in results) >= 5
@@ -170,6 +170,6 @@ def test_random_sequences_violate_no_rule(hand, protocol):
         default_control_rate(hand_description),
         range(334),
         jobs=2,
-        **NO_CALLBACKS,
+        **EMPTY_CALLBACKS,
     )
     assert [(result.scenario, result.problem) for result in results if not result.ok] == []

@@ -202,7 +202,7 @@ def test_drops_of_a_disconnected_client_still_count(
     dropped_before = hub.dropped_record_count
     leaves.close()
     serve_until_idle(hub)
-    assert hub.clients == 1
+    assert hub.client_count == 1
     assert hub.dropped_record_count == dropped_before
     hub.send(frame_record(2, b"still here"))
     assert read_all(stays) == frame_record(2, b"still here")
@@ -228,7 +228,7 @@ def test_a_stale_socket_is_replaced() -> None:
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     link.connect(str(bus_path("stale")))
     serve_until_idle(hub)
-    assert hub.clients == 1
+    assert hub.client_count == 1
     link.close()
     hub.close()
 

@@ -13,10 +13,10 @@ from firmware_sim.compiled import machine_code
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.mit.codec import (
     MitRanges,
+    code_to_value,
     decode_command,
     encode_feedback,
-    from_code,
-    to_code,
+    value_to_code,
 )
 
 MIT_RANGES = MitRanges(12.5, 50.0, 0.8)
@@ -76,16 +76,16 @@ def test_feedback_byte_by_byte() -> None:
 
 @given(st.floats(-15.0, 15.0))
 def test_codes_are_truncated_and_saturate(value: float) -> None:
-    code = to_code(value, 12.5, 16)
+    code = value_to_code(value, 12.5, 16)
     assert 0 <= code <= 65535
-    code_value = from_code(code, 12.5, 16)
+    code_value = code_to_value(code, 12.5, 16)
     assert code_value <= max(value, -12.5) + 1e-9
     assert value >= 12.5 or code_value > min(value, 12.5) - 25.0 / 65535 - 1e-9
 
 
 @given(st.integers(0, 65535))
 def test_the_middle_of_a_code_comes_back(code: int) -> None:
-    assert to_code(from_code(code, 12.5, 16) + 0.5 * 25.0 / 65535, 12.5, 16) == code
+    assert value_to_code(code_to_value(code, 12.5, 16) + 0.5 * 25.0 / 65535, 12.5, 16) == code
 
 
 MOTION_VALUES = st.tuples(*[st.floats(-60.0, 60.0)] * 3)

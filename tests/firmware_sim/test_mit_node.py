@@ -225,20 +225,20 @@ def test_a_motor_answers_only_at_its_new_identifier() -> None:
     rig = LockstepHand("jamia", homed=True)
     world, torque = rig.world, bytes.fromhex("7fff7ff000000fff")
 
-    def answered(can_id: int, data: bytes = torque) -> list[int]:
+    def answer_ids(can_id: int, data: bytes = torque) -> list[int]:
         return [frame.can_id for frame in world.receive(Frame(can_id, data))]
 
-    assert answered(MOTOR_ID) == [MOTOR_ID + 0x10]
-    assert answered(MOTOR_ID + 0x40) == []
+    assert answer_ids(MOTOR_ID) == [MOTOR_ID + 0x10]
+    assert answer_ids(MOTOR_ID + 0x40) == []
     assert world.foreign_frame_count == 1
-    assert answered(0x7FF, struct.pack("<HBBI", MOTOR_ID, 0x55, 8, MOTOR_ID + 0x40)) == [
+    assert answer_ids(0x7FF, struct.pack("<HBBI", MOTOR_ID, 0x55, 8, MOTOR_ID + 0x40)) == [
         MOTOR_ID + 0x10
     ]
-    assert answered(MOTOR_ID + 0x40) == [MOTOR_ID + 0x10]
-    assert answered(MOTOR_ID) == []
-    assert answered(0x7FF, struct.pack("<HBBI", MOTOR_ID + 0x40, 0x55, 8, MOTOR_ID + 1)) == [
+    assert answer_ids(MOTOR_ID + 0x40) == [MOTOR_ID + 0x10]
+    assert answer_ids(MOTOR_ID) == []
+    assert answer_ids(0x7FF, struct.pack("<HBBI", MOTOR_ID + 0x40, 0x55, 8, MOTOR_ID + 1)) == [
         MOTOR_ID + 0x10
     ]
-    assert answered(MOTOR_ID + 1) == [MOTOR_ID + 0x10, MOTOR_ID + 0x11], (
+    assert answer_ids(MOTOR_ID + 1) == [MOTOR_ID + 0x10, MOTOR_ID + 0x11], (
         "two motors have this identifier"
     )

@@ -147,12 +147,12 @@ def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(
     position_mm = (
         np.stack([truth.column(f"object/{axis}") for axis in "xyz"], axis=1)[is_after_drop] * 1e3
     )
-    fall = position_mm[0, 2] - position_mm[-1, 2]
+    fall_mm = position_mm[0, 2] - position_mm[-1, 2]
     drift = float(np.linalg.norm(position_mm[-1, :2] - position_mm[0, :2]))
     print(
-        f"{tension:.0f} N: falls {fall:.3f} mm, creeps {drift:.3f} mm sideways in {is_after_drop.sum() / 1000:.1f} s"
+        f"{tension:.0f} N: falls {fall_mm:.3f} mm, creeps {drift:.3f} mm sideways in {is_after_drop.sum() / 1000:.1f} s"
     )
-    assert abs(fall) < 0.2
+    assert abs(fall_mm) < 0.2
     assert drift < 1.5
     forces = [
         truth.column(f"contact_force/{digit}/y")[-1]

@@ -33,7 +33,7 @@ class BusMember:
     def __init__(self, wire: SimulatedWire, queue_length: int | None = None) -> None:
         self.received: list[Frame] = []
         self.errors: list[Frame] = []
-        self.controller = wire.add(self._receive, queue_length)
+        self.controller = wire.add_controller(self._receive, queue_length)
 
     def _receive(self, frame: Frame, t_ns: int) -> None:
         (self.errors if frame.can_id & ERROR_FLAG else self.received).append(
@@ -246,7 +246,7 @@ def test_removing_a_controller_during_its_frame_is_harmless() -> None:
     leaves.controller.queue_frame(Frame(1, bytes(8)), 0)
     stays.controller.queue_frame(Frame(2, b""), 0)
     wire.advance(50_000)
-    wire.remove(leaves.controller)
+    wire.remove_controller(leaves.controller)
     wire.advance(10**9)
     assert ears.ids == [2]
 

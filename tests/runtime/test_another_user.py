@@ -288,12 +288,12 @@ def test_a_hub_accepts_only_its_own_user(shared_tmp):
 
     assert call_as_user_nobody(open_hub_connection) == "joined"
     hub.serve(hub.read_sockets())
-    assert hub.clients == 0
+    assert hub.client_count == 0
     for path in (folder.parent, folder):
         path.chmod(0o700)
     link = connect_to_hub("x")
     hub.serve(hub.read_sockets())
-    assert hub.clients == 1
+    assert hub.client_count == 1
     link.close()
     hub.close()
 

@@ -44,7 +44,7 @@ class SharedClockPair:
         monkeypatch.setattr(time, "monotonic_ns", lambda: self.now)
         monkeypatch.setattr(time, "sleep", self.sleep)
         self.simulator = simulated.SharedClock(time_scale)
-        self.simulator.publish(socket_folder)
+        self.simulator.create_file(socket_folder)
         self.controller = SharedClock(PERIOD_NS, time_scale, file=ClockFile(socket_folder))
 
     def sleep(self, seconds: float) -> None:

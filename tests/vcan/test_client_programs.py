@@ -36,14 +36,14 @@ class ClientProgram(NamedTuple):
 
     Attributes:
         module: module of the program in ``tests.vcan.clients``.
-        check_count: number of checks of the program.
+        expected_check_count: number of checks of the program.
         drive_arguments: protocol and options of the simulated drives.
         package: requirement of the client, installed without its own requirements.
         requirements: requirements that the used part of the client imports.
     """
 
     module: str
-    check_count: int
+    expected_check_count: int
     drive_arguments: tuple[str, ...]
     package: str
     requirements: tuple[str, ...] = ()
@@ -153,7 +153,7 @@ def test_a_client_of_another_author_passes_all_its_checks(name: str, client_pyth
         [
             sys.executable,
             "-m",
-            "tests.vcan.clients.guest",
+            "tests.vcan.clients.client_runner",
             str(client_python),
             f"tests.vcan.clients.{program.module}",
             *program.drive_arguments,
@@ -164,8 +164,8 @@ def test_a_client_of_another_author_passes_all_its_checks(name: str, client_pyth
     )
     passed = [line for line in output if line.startswith(PASSED_WORD)]
     failed_checks = [line for line in output if line.startswith(FAILED_WORD)]
-    print(f"{name}: {len(passed)} of {program.check_count} checks passed")
+    print(f"{name}: {len(passed)} of {program.expected_check_count} checks passed")
     text = "\n".join(output[-40:])
     assert failed_checks == []
     assert status == 0, text
-    assert len(passed) == program.check_count, text
+    assert len(passed) == program.expected_check_count, text

@@ -22,7 +22,7 @@ def _require_guest() -> None:
         pytest.skip(reason)
 
 
-def processes_of(folder: str) -> list[int]:
+def guest_processes(folder: str) -> list[int]:
     """Return the processes whose command lines contain the name of a folder.
 
     These processes belong to a running guest.
@@ -79,7 +79,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
 
     def record_line(line: str) -> None:
         output.append(line)
-        for process in processes_of(folder):
+        for process in guest_processes(folder):
             # A process of the guest may end between the listing and the query.
             with contextlib.suppress(ProcessLookupError):
                 cores.append(os.sched_getaffinity(process))
@@ -101,7 +101,9 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
                 "kernel and program of a guest use one core"
             )
         end = time.monotonic() + 20.0
-        while processes_of(folder) and time.monotonic() < end:  # killed processes end with a delay
+        while (
+            guest_processes(folder) and time.monotonic() < end
+        ):  # killed processes end with a delay
             time.sleep(0.1)
-        assert not processes_of(folder)
+        assert not guest_processes(folder)
         assert not list(Path(folder).iterdir())

@@ -104,8 +104,8 @@ def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
     names = (
         name for name in environment if name.isidentifier() and name not in {"PWD", "SHLVL", "_"}
     )
-    exports = "".join(f"export {name}={shlex.quote(environment[name])}\n" for name in names)
-    return f"{MAKE_INTERFACES_SCRIPT}{exports}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
+    export_lines = "".join(f"export {name}={shlex.quote(environment[name])}\n" for name in names)
+    return f"{MAKE_INTERFACES_SCRIPT}{export_lines}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
 
 
 def _environment() -> dict[str, str]:

@@ -81,7 +81,7 @@ class Cia402Struct(ctypes.Structure):
 
 
 @kernel_helper
-def _saturated(value: int, limit: int) -> int:
+def _clamp_to_range(value: int, limit: int) -> int:
     """Return a value, limited to the range of an object with a signed data type."""
     return min(limit, max(-limit - 1, value))
 
@@ -109,10 +109,10 @@ def update_measured_objects(
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
     # The position is counted in encoder counts at the motor shaft.
-    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
+    values[POSITION] = _clamp_to_range(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
     # In this drive, object 0x606C (velocity) has the unit revolutions per minute.
-    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
-    values[TORQUE] = values[CURRENT] = _saturated(
+    values[VELOCITY] = _clamp_to_range(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
+    values[TORQUE] = values[CURRENT] = _clamp_to_range(
         round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
     )
 

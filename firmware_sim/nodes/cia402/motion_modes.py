@@ -104,7 +104,7 @@ class MotionModes:
         self._acknowledged = False
 
     @property
-    def running(self) -> bool:
+    def is_active(self) -> bool:
         """Return True if the drive is enabled in a motion mode."""
         return self._mode != 0
 

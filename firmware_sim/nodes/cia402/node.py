@@ -432,11 +432,11 @@ class Cia402Node:
         """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
         mode = self.objects[0x6061, 0]
         if self.power.state == ENABLED_STATE and mode in MOTION_MODES:
-            if not self.motion.running:
+            if not self.motion.is_active:
                 self.motor.servo.release()
             self.motion.start(mode, self._now_ns)
             return
-        if self.motion.running:
+        if self.motion.is_active:
             self.motor.servo.release()
         self.motion.end()
         if is_in_torque_mode(self, self.power):
@@ -481,7 +481,7 @@ class Cia402NodeRow(Cia402Struct, Cia402Node):
 
     layout = Cia402Struct
 
-    def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+    def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
         """Set the row of the drive to the state after power-up.
 
         The class ``Cia402Node`` explains the arguments.

@@ -89,7 +89,7 @@ class LoadCellAmplifiers:
             for i, node_id in enumerate(spec.node_ids)
         ]
 
-    def frame_index_of_cell(self, index: int) -> int:
+    def frame_id_of_cell(self, index: int) -> int:
         """Return the identifier of the frame that contains the reading of a given load cell.
 
         The identifier belongs to the mapping that a host usually sets.
@@ -97,10 +97,10 @@ class LoadCellAmplifiers:
         node = next(node for node in self.nodes if index in node.cells)
         return 0x180 + 0x100 * ((index - node.cells.start) // 2) + node.node_id
 
-    def sample(self, t_ns: int) -> Any:
+    def sample_tensions(self, t_ns: int) -> Any:
         """Return the readings of all load cells [N].
 
-        After each SYNC frame, all amplifiers use the same sample.
+        After each SYNC frame, all amplifiers use the same sample_tensions.
         """
         if t_ns != self._sampled_ns:
             elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
@@ -239,7 +239,7 @@ class AmplifierNode:
 
     def _sample_load_cells(self) -> None:
         """Read the load cells of this amplifier."""
-        readings = self._load_cells.sample(self._now_ns)
+        readings = self._load_cells.sample_tensions(self._now_ns)
         self.objects.readings = [float(readings[i]) for i in self.cells]
 
     def _answer_sdo_request(self, data: bytes) -> None:

@@ -96,7 +96,7 @@ class MitCommand(NamedTuple):
 
 
 @compiled("real", "real", "count")
-def to_code(value: float, limit: float, bits: int) -> int:
+def value_to_code(value: float, limit: float, bits: int) -> int:
     """Encode a value as an integer code.
 
     The value is limited to -limit..limit, and the code is truncated in the same way as in the
@@ -109,7 +109,7 @@ def to_code(value: float, limit: float, bits: int) -> int:
 
 
 @compiled("count", "real", "count")
-def from_code(code: int, limit: float, bits: int) -> float:
+def code_to_value(code: int, limit: float, bits: int) -> float:
     """Decode an integer code into a value between -limit and limit."""
     return code * (2.0 * limit) / ((1 << bits) - 1) - limit
 
@@ -130,11 +130,11 @@ def read_command(
         The fields of ``MitCommand``.
     """
     return (
-        from_code(command_word >> 48 & 0xFFFF, position, 16),
-        from_code(command_word >> 36 & 0xFFF, velocity, 12),
+        code_to_value(command_word >> 48 & 0xFFFF, position, 16),
+        code_to_value(command_word >> 36 & 0xFFF, velocity, 12),
         (command_word >> 24 & 0xFFF) * KP_MAX / 4095.0,
         (command_word >> 12 & 0xFFF) * KD_MAX / 4095.0,
-        from_code(command_word & 0xFFF, torque, 12),
+        code_to_value(command_word & 0xFFF, torque, 12),
     )
 
 
@@ -166,7 +166,9 @@ def write_feedback(
         Payload of the feedback as an integer.
     """
     motion = (
-        to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
+        value_to_code(p, position, 16) << 24
+        | value_to_code(v, velocity, 12) << 12
+        | value_to_code(t, torque, 12)
     )
     # The most significant byte is first converted to a signed byte. In compiled code, the shift of
     # an unsigned byte above 127 would overflow 64 bits.

@@ -398,7 +398,7 @@ class MitNodeRow(MitStruct, MitNode):
 
     layout = MitStruct
 
-    def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+    def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
         """Set the row of the node to the state after power-up.
 
         The class ``MitNode`` explains the arguments.

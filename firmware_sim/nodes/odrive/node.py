@@ -577,7 +577,7 @@ class OdriveNodeRow(OdriveStruct, OdriveNode):
 
     layout = OdriveStruct
 
-    def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+    def initialise(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
         """Initialize the row of the axis. See ``OdriveNode``."""
         OdriveNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number

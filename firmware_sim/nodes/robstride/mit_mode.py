@@ -31,7 +31,7 @@ import struct
 
 from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
-from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, MitRanges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, MitRanges, decode_command, value_to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench
 from firmware_sim.nodes.robstride.node import (
@@ -179,9 +179,9 @@ class RobstrideMitNode(RobstrideNode):
         """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction
-        position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE, 16)
-        velocity = to_code(sign * motor.velocity, self._velocity, 12)
-        torque = to_code(sign * motor.torque, self._torque, 12)
+        position = value_to_code(sign * motor.encoder() + self.offset, POSITION_RANGE, 16)
+        velocity = value_to_code(sign * motor.velocity, self._velocity, 12)
+        torque = value_to_code(sign * motor.torque, self._torque, 12)
         word = self.node_id << 40 | position << 24 | velocity << 12 | torque
         data = word.to_bytes(6, "big") + struct.pack(">h", int(10 * self.thermal.winding))
         return Frame(self.host_id, data, 0, frame.bus)

@@ -96,7 +96,7 @@ READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 """Parameters that can only be read: position, current, velocity and voltage."""
 
 
-def to_code(value: float, largest: float) -> int:
+def value_to_code(value: float, largest: float) -> int:
     """Encode a value between -largest and largest as 16 bits.
 
     If a value is outside of this range, the nearest value of the range is encoded.
@@ -104,7 +104,7 @@ def to_code(value: float, largest: float) -> int:
     return round((min(largest, max(-largest, value)) + largest) / (2.0 * largest) * 65535)
 
 
-def from_code(code: int, low: float, high: float) -> float:
+def code_to_value(code: int, low: float, high: float) -> float:
     """Decode 16 bits into a value between low and high."""
     return low + (high - low) * code / 65535
 
@@ -278,11 +278,13 @@ class RobstrideNode:
         servo = self.motor.servo
         sign = self._direction
         limit = self.torque_limit
-        servo.kp = from_code(kp, 0.0, self._kp)
-        servo.kd = from_code(kd, 0.0, self._kd)
-        servo.position = sign * (from_code(position, -POSITION_RANGE, POSITION_RANGE) - self.offset)
-        servo.velocity = sign * from_code(velocity, -self._velocity, self._velocity)
-        feedforward = from_code(torque, -self._torque, self._torque)
+        servo.kp = code_to_value(kp, 0.0, self._kp)
+        servo.kd = code_to_value(kd, 0.0, self._kd)
+        servo.position = sign * (
+            code_to_value(position, -POSITION_RANGE, POSITION_RANGE) - self.offset
+        )
+        servo.velocity = sign * code_to_value(velocity, -self._velocity, self._velocity)
+        feedforward = code_to_value(torque, -self._torque, self._torque)
         servo.torque = sign * max(-limit, min(limit, feedforward))
         servo.limit = limit
 
@@ -325,9 +327,9 @@ class RobstrideNode:
         """Return the feedback frame for the host that has sent the latest request."""
         motor = self.motor
         sign = self._direction
-        position = to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
-        velocity = to_code(sign * motor.velocity, self._velocity)
-        torque = to_code(sign * motor.torque, self._torque)
+        position = value_to_code(sign * motor.encoder() + self.offset, POSITION_RANGE)
+        velocity = value_to_code(sign * motor.velocity, self._velocity)
+        torque = value_to_code(sign * motor.torque, self._torque)
         data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
         status = self.mode << 6 | self.fault & FEEDBACK_FAULTS
         return Frame(

@@ -25,8 +25,8 @@ pytestmark = pytest.mark.usefixtures("simulator")
 class RawCanBus:
     """A raw CAN socket that can wait for a frame with a given identifier."""
 
-    def __init__(self, opened: socket.socket) -> None:
-        self.socket = opened
+    def __init__(self, can_socket: socket.socket) -> None:
+        self.socket = can_socket
 
     def send(self, can_id: int, data: bytes) -> None:
         self.socket.send(CAN_FRAME_STRUCT.pack(can_id, len(data), data))
@@ -55,10 +55,10 @@ class RawCanBus:
 
 @pytest.fixture
 def bus() -> Iterator[RawCanBus]:
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as opened:
-        opened.settimeout(WAIT_S)
-        opened.bind(("vcan0",))
-        yield RawCanBus(opened)
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can_socket:
+        can_socket.settimeout(WAIT_S)
+        can_socket.bind(("vcan0",))
+        yield RawCanBus(can_socket)
 
 
 def test_every_drive_answers_a_refresh_as_disabled(bus: RawCanBus) -> None:

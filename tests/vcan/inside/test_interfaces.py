@@ -17,11 +17,11 @@ FD_FRAME = struct.Struct("=IBB2x64s")
 
 
 def raw_socket(interface: str) -> socket.socket:
-    opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-    opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
-    opened.settimeout(20.0)
-    opened.bind((interface,))
-    return opened
+    can_socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    can_socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+    can_socket.settimeout(20.0)
+    can_socket.bind((interface,))
+    return can_socket
 
 
 @pytest.mark.parametrize("interface", ["vcan0", "vcan1"])

@@ -19,9 +19,9 @@ from tests.runtime.processes import HOMED_OPTIONS, time_scale_options, write_hom
 from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, run_simulator
 
 HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
-TASK_FILE = Path(__file__).with_name("short_grasp.toml")
+SHORT_TASK_FILE = Path(__file__).with_name("short_grasp.toml")
 DIGIT_NAMES = {"index", "middle", "ring", "thumb"}
-TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
+TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
 """Time scale of each attempt.
 
 With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
@@ -42,7 +42,7 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
         "--bus",
         "socketcan:vcan0",
         "--task",
-        str(TASK_FILE),
+        str(SHORT_TASK_FILE),
         *time_scale_options(time_scale),
     ]
     files = ["--json", "--log", str(work_folder / "run.mcap"), "--calibration", str(calibration)]
@@ -59,7 +59,7 @@ def run_handctl(work_folder: Path, time_scale: float) -> subprocess.CompletedPro
 
 def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
     """Return the first run that was not stopped by the load of the machine, and its folder."""
-    for number, time_scale in enumerate(TIME_SCALES):
+    for number, time_scale in enumerate(TIME_SCALE_BY_ATTEMPT):
         run_folder = work_folder / str(number)
         run_folder.mkdir()
         result = run_handctl(run_folder, time_scale)
@@ -76,9 +76,9 @@ def run_until_undisturbed(work_folder: Path) -> tuple[subprocess.CompletedProces
 
 @pytest.mark.timeout(900)
 def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
-    ran, run_folder = run_until_undisturbed(tmp_path)
+    process, run_folder = run_until_undisturbed(tmp_path)
     log = run_folder / "run.mcap"
-    result = json.loads(ran.stdout)
+    result = json.loads(process.stdout)
     assert result["failure"] == ""
     assert result["log_complete"]
     assert log.stat().st_size == result["log_bytes"]

@@ -15,7 +15,7 @@ from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import HOMED_OPTIONS, write_homed_calibration
 from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
-TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
+TIME_SCALE_BY_ATTEMPT = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 """Time scale of each attempt.
 
 With a smaller time scale, an interruption of the guest system lasts less simulated time. A defect
@@ -37,7 +37,7 @@ def test_a_streamed_sine_is_followed_like_a_task(
     monkeypatch.setattr(streaming, "INTERPOLATION_NAMES", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed_calibration(calibration, load_hand("jamia"))
-    for time_scale in TIME_SCALES:
+    for time_scale in TIME_SCALE_BY_ATTEMPT:
         with contextlib.suppress(GuestStoppedError):
             result = measure_tracking(time_scale, calibration)
             break
