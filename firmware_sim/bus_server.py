@@ -12,13 +12,13 @@ from typing import Protocol
 from firmware_sim.bus.bus_ports import BusPort
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.timed_port import TimedPort
-from firmware_sim.faults.fault_socket import FaultSocket
+from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket
 from firmware_sim.realtime_priority import RealTimePriority
-from firmware_sim.simulation_pace import PaceCounter
+from firmware_sim.simulation_pace import PaceMeter
 
-MAX_TURN_NS = 1_000_000
+MAX_ADVANCE_INTERVAL_NS = 1_000_000
 """Maximum time from one advance of the plant to the next, as plant time [ns]."""
-OVERRUN_DELAY_NS = 5 * MAX_TURN_NS
+OVERRUN_DELAY_NS = 5 * MAX_ADVANCE_INTERVAL_NS
 """Delay of the plant behind the clock that counts as an overrun, as plant time [ns]."""
 MAX_DELAY_NS = 150_000_000
 """Largest delay of the plant, as plant time [ns].
@@ -68,7 +68,7 @@ class ServerClock(Protocol):
         ...
 
 
-class ServedNodes(Protocol):
+class BusNodes(Protocol):
     """The simulated nodes that a server advances: the nodes of a hand, or drives on a test bench.
 
     Attributes:
@@ -122,10 +122,10 @@ class BusServer:
 
     def __init__(
         self,
-        world: ServedNodes,
+        world: BusNodes,
         ports: list[BusPort],
         clock: ServerClock,
-        faults: FaultSocket | None = None,
+        faults: FaultInjectionSocket | None = None,
         priority: RealTimePriority | None = None,
     ) -> None:
         """Set up the server.
@@ -141,7 +141,7 @@ class BusServer:
         """
         self._faults = faults
         self._priority = priority
-        self.pace = PaceCounter(world.t_ns, time_scale=clock.scale)
+        self.pace = PaceMeter(world.t_ns, time_scale=clock.scale)
         self._world = world
         self._ports = ports
         self._clock = clock
@@ -205,7 +205,7 @@ class BusServer:
         """
         # The time of the nodes is behind the wall clock by the total time that clock slips have
         # lost.
-        due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
+        due_ns = self._world.t_ns + self._world.slip_ns + MAX_ADVANCE_INTERVAL_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         return self._readable_sockets(
             max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)

@@ -2,8 +2,8 @@
 
 Some programs advance a plant without waiting for a clock. These programs use the kernels.
 
-``compiled`` registers the argument types of a kernel. ``machine_code`` compiles the kernels of a
-module. Only the function ``machine_code`` imports numba. The import takes almost a second. This is
+``compiled`` registers the argument types of a kernel. ``compile_module_kernels`` compiles the kernels of a
+module. Only the function ``compile_module_kernels`` imports numba. The import takes almost a second. This is
 too long for a simulator in a separate process. A compiled kernel and the same kernel in Python
 return the same bits, because compilation keeps the order and the rounding of all operations (no
 fast math).
@@ -89,7 +89,7 @@ def array_at(address: int, row_count: int, row_type: Any) -> Any:
 
 
 @cache
-def machine_code(module: ModuleType) -> Any:
+def compile_module_kernels(module: ModuleType) -> Any:
     """Compile the kernels of a module.
 
     Division by zero gives inf or NaN, as in numpy.
@@ -102,7 +102,7 @@ def machine_code(module: ModuleType) -> Any:
     names = dict(vars(module), call_c_function=_build_c_call(), array_at=_build_array_at())
     imported_kernels = _imported_kernels(module)
     for name, owner in imported_kernels.items():
-        names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
+        names[name] = getattr(compile_module_kernels(owner), vars(module)[name].__name__)
     digest = _source_digest(set(imported_kernels.values()))
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(
@@ -168,7 +168,7 @@ def use_compiled_kernels(module: ModuleType) -> None:
     Functions marked with ``kernel_helper`` stay Python functions, because Python code also
     calls them with objects.
     """
-    compiled_kernels = machine_code(module)
+    compiled_kernels = compile_module_kernels(module)
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         if arguments is not None:
             setattr(module, name, getattr(compiled_kernels, name))

@@ -10,7 +10,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import FRAME_DTYPE, frames_to_records, records_to_frames
-from firmware_sim.compiled import array_addresses, machine_code
+from firmware_sim.compiled import array_addresses, compile_module_kernels
 from firmware_sim.nodes import cyclic_kernels
 from firmware_sim.nodes.cia402.kernels import Cia402Struct
 from firmware_sim.nodes.cyclic_kernels import (
@@ -47,7 +47,7 @@ class CompiledNodes:
             simulated_world: world to which the nodes belong.
             rows: arrays with the states of nodes in their rows, by the type of the row.
         """
-        self._world, self._kernels = simulated_world, machine_code(cyclic_kernels)
+        self._world, self._kernels = simulated_world, compile_module_kernels(cyclic_kernels)
         self._capacity = INITIAL_CAPACITY
         self._progress = np.zeros(5, np.int64)
         sensor = simulated_world.sensor_node if SensorStruct in rows else None

@@ -34,7 +34,7 @@ PRISMATIC = "prismatic"
 """Entry of ``joint_type`` for a joint that slides along its axis."""
 
 
-ARM_COEFFICIENT_COUNT = 6
+MOMENT_ARM_COEFFICIENT_COUNT = 6
 """Number of polynomial coefficients of a moment arm that depends on the joint angle."""
 MAX_FITTED_COEFFICIENTS = 4
 """Maximum number of polynomial coefficients fitted to a table of moment arms."""
@@ -129,7 +129,7 @@ class LinkMesh:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmCurve:
+class MomentArmCurve:
     """Moment arm of a tendon at a joint, as a function of the joint angle.
 
     Beyond the limits of the joint, the moment arm is constant.
@@ -137,7 +137,7 @@ class ArmCurve:
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        coefficients: ``ARM_COEFFICIENT_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
+        coefficients: ``MOMENT_ARM_COEFFICIENT_COUNT`` coefficients of the polynomial that gives the moment arm [m] for a
             joint angle [rad]. The constant term comes first.
     """
 
@@ -146,7 +146,7 @@ class ArmCurve:
     coefficients: tuple[float, ...]
 
     @property
-    def negated(self) -> "ArmCurve":
+    def negated(self) -> "MomentArmCurve":
         """Return the moment arm of a tendon on the opposite side of the joint.
 
         This moment arm has the opposite sign.
@@ -201,7 +201,7 @@ class TendonSpec:
     wrap: float
     pretension: float = 0.0
     winding_sign: int = 1
-    curves: dict[str, ArmCurve] = field(default_factory=dict)
+    curves: dict[str, MomentArmCurve] = field(default_factory=dict)
     prismatic_joints: frozenset[str] = frozenset()
 
     @property
@@ -289,7 +289,7 @@ class SensorSpec:
         tension_bias: constant error of every load cell [N], 0 unless the plant is perturbed.
         node_ids: node number of each CiA 404 amplifier, empty for the sensor node of handctl.
         channels_per_node: number of channels of each CiA 404 amplifier.
-        full_range: rated load of the load cells connected to CiA 404 amplifiers [N].
+        rated_load: rated load of the load cells connected to CiA 404 amplifiers [N].
     """
 
     bus: str
@@ -306,7 +306,7 @@ class SensorSpec:
     tension_bias: float = 0.0
     node_ids: tuple[int, ...] = ()
     channels_per_node: int = 1
-    full_range: float = 0.0
+    rated_load: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -647,9 +647,9 @@ def _joint_ranges(digit_section: dict[str, Any]) -> dict[str, tuple[float, float
     }
 
 
-def _parse_arm_curve(
+def _parse_moment_arm_curve(
     curve_section: dict[str, list[float]], limits: tuple[float, float]
-) -> ArmCurve:
+) -> MomentArmCurve:
     """Return a moment arm of a tendon that depends on the joint angle.
 
     If the file contains a table of moment arms, a polynomial is fitted to the table by least
@@ -664,7 +664,9 @@ def _parse_arm_curve(
         coefficients = _fit_polynomial(
             [math.radians(angle) for angle in curve_section["angle_deg"]], curve_section["arm_m"]
         )
-    return ArmCurve(*limits, (*coefficients, *(0.0,) * (ARM_COEFFICIENT_COUNT - len(coefficients))))
+    return MomentArmCurve(
+        *limits, (*coefficients, *(0.0,) * (MOMENT_ARM_COEFFICIENT_COUNT - len(coefficients)))
+    )
 
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
@@ -694,7 +696,7 @@ def _parse_tendon(
     ratios = tendon_section.get("excursion_ratio", {})
     arm_sections = tendon_section.get("moment_arm_m", {}) | ratios
     curves = {
-        joint: _parse_arm_curve(arm, joint_ranges.get(joint, (0.0, 1.0)))
+        joint: _parse_moment_arm_curve(arm, joint_ranges.get(joint, (0.0, 1.0)))
         for joint, arm in arm_sections.items()
         if isinstance(arm, dict)
     }
@@ -763,5 +765,5 @@ def _parse_sensors(sensor_section: dict[str, Any], prismatic: frozenset[str]) ->
         if sensor_section.get("protocol") == "cia404"
         else (),
         channels_per_node=sensor_section.get("channels_per_node", 1),
-        full_range=sensor_section["range_N"] if sensor_section.get("protocol") == "cia404" else 0.0,
+        rated_load=sensor_section["range_N"] if sensor_section.get("protocol") == "cia404" else 0.0,
     )

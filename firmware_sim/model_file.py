@@ -13,7 +13,13 @@ import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
 from firmware_sim.hand_description import SimulatorError
-from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
+from firmware_sim.model_meshes import (
+    BodyMesh,
+    mjcf_meshes,
+    rotation_of_quaternion,
+    urdf_files,
+    urdf_meshes,
+)
 from firmware_sim.printing import one_line_message
 
 ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
@@ -426,7 +432,7 @@ def _shape_corners(
         ):
             continue
         centre, half_sizes = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        axes = model_data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
+        axes = model_data.xmat[body].reshape(3, 3) @ rotation_of_quaternion(model.geom_quat[geom])
         geom_position = (
             model_data.xpos[body] + model_data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
         )

@@ -88,7 +88,7 @@ def urdf_meshes(xml_root: ET.Element, folder: Path, model: Any) -> Iterator[Body
                 file=files[mesh.get("filename", "")],
                 scale=_three_numbers(mesh.get("scale", "1 1 1")),
                 position=_three_numbers(origin_attributes.get("xyz", "0 0 0")),
-                rotation=rotation_of(turn),
+                rotation=rotation_of_quaternion(turn),
             )
 
 
@@ -119,7 +119,7 @@ def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> 
         if not asset.file or (body in bodies and not visual[geom]):
             continue
         scale = np.array(asset.scale)
-        reference = rotation_of(np.array(asset.refquat) / np.linalg.norm(asset.refquat))
+        reference = rotation_of_quaternion(np.array(asset.refquat) / np.linalg.norm(asset.refquat))
         if np.ptp(scale) and not np.array_equal(reference, np.eye(3)):
             notes.append(
                 f"mesh {asset.file} is not read: it is scaled differently along axes after a turn"
@@ -128,7 +128,10 @@ def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> 
         # MuJoCo moves each vertex v of a mesh to scale * reference^T (v - refpos). Then MuJoCo
         # turns the mesh to the principal axes of the mesh's inertia.
         mesh = int(model.geom_dataid[geom])
-        rotation = rotation_of(model.geom_quat[geom]) @ rotation_of(model.mesh_quat[mesh]).T
+        rotation = (
+            rotation_of_quaternion(model.geom_quat[geom])
+            @ rotation_of_quaternion(model.mesh_quat[mesh]).T
+        )
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]
         yield BodyMesh(
             body=body,
@@ -141,7 +144,7 @@ def mjcf_meshes(model_spec: Any, model: Any, folder: Path, notes: list[str]) -> 
         )
 
 
-def rotation_of(quaternion: Any) -> Any:
+def rotation_of_quaternion(quaternion: Any) -> Any:
     """Return the rotation matrix (3, 3) of a quaternion."""
     matrix = np.zeros(9)
     mujoco.mju_quat2Mat(matrix, quaternion)

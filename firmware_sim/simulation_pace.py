@@ -38,7 +38,7 @@ class ClockReadings:
     plant_s: float
 
 
-class PaceCounter:
+class PaceMeter:
     """Counter of the slips of the clock.
 
     The counter measures and reports the pace of the simulation.

@@ -181,7 +181,7 @@ class TimedPort:
         received_records = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
-                self._clients[link] = self.wire.add_controller(self._delivery_function(link))
+                self._clients[link] = self.wire.add_controller(self._make_delivery_function(link))
                 self._queues[link] = 0, -1
                 self._latencies[link] = self._latency(len(self._latencies))
         for link, records in received_records:
@@ -200,7 +200,7 @@ class TimedPort:
             del self._queues[link], self._latencies[link]
         self._hub.remove_closed_clients()
 
-    def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
+    def _make_delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
         """Return the function that passes frames from the wire to a client.
 
         The function delays each frame by the latency of the client's CAN adapter.

@@ -48,7 +48,7 @@ Source: names of the models, such as AK80-9 KV100.
 """
 SUPPLY_V = 48.0
 """Supply voltage of the motors [V]."""
-STALL_FACTOR = 2.0
+STALL_TORQUE_RATIO = 2.0
 """Assumed stall torque divided by the torque at full scale."""
 DEFAULT_MOTOR_TYPE = "ak80-9"
 """Motor model if the hand file gives none."""
@@ -230,7 +230,7 @@ class CubemarsNode:
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
 
 
-def shaft_of_motor(motor_type: str) -> ShaftSpec:
+def shaft_of_cubemars_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model.
 
     The inertia and the stall torque of the shaft are assumptions.
@@ -239,7 +239,7 @@ def shaft_of_motor(motor_type: str) -> ShaftSpec:
     speed_constant, ratio = SPEED_CONSTANT_BY_MOTOR_TYPE[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
     options = {"motor_type": motor_type}
-    limits = peak, top_speed, STALL_FACTOR * peak
+    limits = peak, top_speed, STALL_TORQUE_RATIO * peak
     return ShaftSpec(peak, 2e-4 * peak, 1.0, position, velocity, options, *limits)
 
 
@@ -272,7 +272,7 @@ def _force_command(node: CubemarsNode, frame: Frame) -> None:
 CUBEMARS_SPEC = ProtocolSpec(
     CubemarsNode,
     range(1, 0x100),
-    shaft_of_motor(DEFAULT_MOTOR_TYPE),
+    shaft_of_cubemars_motor(DEFAULT_MOTOR_TYPE),
     _host_frame,
     _corrupt_command,
     force_command=_force_command,

@@ -12,7 +12,7 @@ import numpy as np
 
 from firmware_sim.compiled import compiled
 
-BLOCK_SIZE = 512
+NOISE_BLOCK_SIZE = 512
 """Count of random numbers in a block.
 
 The count is even, because the algorithm generates pairs of numbers.
@@ -52,28 +52,30 @@ class NormalNoise:
         # the same way. Therefore both sequences have the same bits.
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
-        self.numbers: Any = np.zeros(2 * BLOCK_SIZE)
+        self.numbers: Any = np.zeros(2 * NOISE_BLOCK_SIZE)
         self.bounds: Any = np.zeros(2, np.int64)
 
     def draw(self, count: int) -> None:
         """Draw numbers until at least ``count`` unused numbers are available.
 
-        ``count`` is at most ``BLOCK_SIZE``.
+        ``count`` is at most ``NOISE_BLOCK_SIZE``.
         """
         first_index, end = self.bounds.tolist()
         if end - first_index < count:
             self.numbers[: end - first_index] = self.numbers[first_index:end]
-            self.numbers[end - first_index : end - first_index + BLOCK_SIZE] = self._draw_block()
-            self.bounds[:] = 0, end - first_index + BLOCK_SIZE
+            self.numbers[end - first_index : end - first_index + NOISE_BLOCK_SIZE] = (
+                self._draw_block()
+            )
+            self.bounds[:] = 0, end - first_index + NOISE_BLOCK_SIZE
 
     def _draw_block(self) -> Any:
         """Draw the next block of random numbers."""
-        uniform_numbers = self._uniform.random_sample(BLOCK_SIZE)
-        block = np.empty(BLOCK_SIZE)
+        uniform_numbers = self._uniform.random_sample(NOISE_BLOCK_SIZE)
+        block = np.empty(NOISE_BLOCK_SIZE)
         if isinstance(
             _normal_from_uniform, FunctionType
         ):  # If this kernel is not compiled, lists are faster than arrays.
-            noise_values = [0.0] * BLOCK_SIZE
+            noise_values = [0.0] * NOISE_BLOCK_SIZE
             _normal_from_uniform(uniform_numbers.tolist(), noise_values)
             return noise_values
         _normal_from_uniform(uniform_numbers, block)

@@ -25,7 +25,7 @@ VELOCITY_LAG_S = 1e-3
 """Time constant of the drive's velocity estimate [s]."""
 
 
-def step_factors(step_s: float) -> tuple[float, float, float]:
+def time_step_factors(step_s: float) -> tuple[float, float, float]:
     """Compute three numbers of a motor for a given time step.
 
     The numbers are the time step [s], the lag of the current, and the lag of the velocity. A lag is
@@ -123,7 +123,7 @@ class Motor:
 
     def set_step_duration(self, step_s: float) -> None:
         """Set the length of the following time steps [s]."""
-        self.step, self.lag, self.velocity_lag = step_factors(step_s)
+        self.step, self.lag, self.velocity_lag = time_step_factors(step_s)
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""

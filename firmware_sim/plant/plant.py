@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import array_addresses, machine_code
+from firmware_sim.compiled import array_addresses, compile_module_kernels
 from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.plant.motor import Motor, motor_rows, step_factors
+from firmware_sim.plant.motor import Motor, motor_rows, time_step_factors
 from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.plant.tendon import TendonRouting
 from firmware_sim.scene import support_table as support_kernels
@@ -80,7 +80,7 @@ class Plant:
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
         self._check_overlaps()
-        self._kernels: Any = machine_code(drivetrain) if is_compiled else drivetrain
+        self._kernels: Any = compile_module_kernels(drivetrain) if is_compiled else drivetrain
         rotors: Any
         if is_compiled:
             self._rotors, rotors = motor_rows(hand.motors, STEP_S)
@@ -179,7 +179,7 @@ class Plant:
         indices = self.engine.force_indices(
             "contact", [hand.digits[i].name for i in closing_indices]
         )
-        return SupportTable(support, opposed, indices, machine_code(support_kernels))
+        return SupportTable(support, opposed, indices, compile_module_kernels(support_kernels))
 
     def _unwind_spools(self, seed: int) -> None:
         """Unwind a random length of tendon from each spool, so that each tendon is slack."""
@@ -267,7 +267,9 @@ class Plant:
             for motor in rotors:
                 motor.set_step_duration(step_s)
             return
-        for name, value in zip(("step", "lag", "velocity_lag"), step_factors(step_s), strict=True):
+        for name, value in zip(
+            ("step", "lag", "velocity_lag"), time_step_factors(step_s), strict=True
+        ):
             rotors[name] = value
 
     def _steps_until_table_update(self) -> int:

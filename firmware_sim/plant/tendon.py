@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import structure_array
-from firmware_sim.hand_description import ARM_COEFFICIENT_COUNT, TendonSpec
+from firmware_sim.hand_description import MOMENT_ARM_COEFFICIENT_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
-PRISMATIC_FLAG_INDEX = 4 + ARM_COEFFICIENT_COUNT
+PRISMATIC_FLAG_INDEX = 4 + MOMENT_ARM_COEFFICIENT_COUNT
 """Index of the number of a pulley that is 1 at a prismatic joint, where the tendon does not bend."""
 PARAMETERS_PER_PULLEY = PRISMATIC_FLAG_INDEX + 1
 """Count of numbers of a pulley.

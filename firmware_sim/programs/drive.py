@@ -11,7 +11,7 @@ from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
-from firmware_sim.faults.fault_socket import FaultSocket, is_socket_served
+from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket, is_socket_served
 from firmware_sim.faults.faulty_drive import (
     DRIVE_FAULTS,
     check_fault_has_effect,
@@ -73,7 +73,7 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 class SimulatedDriveBench:
     """Simulated drives on one bus, without a hand.
 
-    The class ``bus_server.ServedNodes`` describes the methods.
+    The class ``bus_server.BusNodes`` describes the methods.
 
     Attributes:
         motors: rotors of the drives, in the order of the drive descriptions.
@@ -283,7 +283,7 @@ def run(words: list[str]) -> None:
     clock = SharedClock(args.time_scale)
     bench = SimulatedDriveBench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_factory(args.wire, [DEFAULT_BITRATES], clock.now_ns))
-    faults = fault_socket(args.bus, bench)
+    faults = open_fault_socket(args.bus, bench)
     try:
         server = BusServer(bench, [port], clock, faults)
 
@@ -304,7 +304,7 @@ def run(words: list[str]) -> None:
             faults.close()
 
 
-def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
+def open_fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultInjectionSocket | None:
     """Open the socket for ``handctl fault inject``.
 
     Return None if another simulator on this bus already has a fault socket.
@@ -320,4 +320,4 @@ def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
             file=sys.stderr,
         )
         return None
-    return FaultSocket(path, bench.faults)
+    return FaultInjectionSocket(path, bench.faults)

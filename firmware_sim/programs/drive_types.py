@@ -22,7 +22,7 @@ ROBSTRIDE_MOTOR_TYPES = tuple(FULL_SCALE_BY_MOTOR_TYPE)
 """Names of the RobStride motor models."""
 FRICTION_FRACTION = 2e-3
 """Coulomb friction of a shaft, as a fraction of the motor's peak torque."""
-COASTING_S = 4.0
+COASTING_TIME_CONSTANT_S = 4.0
 """Time constant with which viscous friction slows a free shaft [s]."""
 
 
@@ -61,7 +61,7 @@ def drive_spec(
     rotor_inertia = shaft.inertia if inertia is None else inertia
     return MotorSpec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
-        inertia=rotor_inertia, viscous=rotor_inertia / COASTING_S, coulomb=FRICTION_FRACTION * shaft.peak,
+        inertia=rotor_inertia, viscous=rotor_inertia / COASTING_TIME_CONSTANT_S, coulomb=FRICTION_FRACTION * shaft.peak,
         torque_constant=shaft.torque_constant,
         torque_max=shaft.peak, torque_peak=min(shaft.peak, shaft.limit),
         position_range=shaft.position, velocity_range=shaft.velocity, direction=1, zero_angle=0.0,
@@ -94,7 +94,7 @@ def _shaft_of_type(protocol: str, motor_type: str, fd: bool, firmware: str) -> S
         shaft = robstride_bench.shaft_of_robstride_motor(motor_type)
         return shaft._replace(options=PROTOCOL_SPECS[protocol].shaft.options | shaft.options)
     if protocol == "cubemars":
-        return cubemars.shaft_of_motor(motor_type or cubemars.DEFAULT_MOTOR_TYPE)
+        return cubemars.shaft_of_cubemars_motor(motor_type or cubemars.DEFAULT_MOTOR_TYPE)
     if protocol == "mit":
         kind = motor_type or mit_bench.DEFAULT_MOTOR_TYPE
         return (

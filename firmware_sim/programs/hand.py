@@ -12,7 +12,7 @@ from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_local_bus, open
 from firmware_sim.bus.timed_port import timed_port_factory
 from firmware_sim.bus_server import BusServer
 from firmware_sim.command_line import CommandParser, check_time_scale, stop_on_signal
-from firmware_sim.faults.fault_socket import FaultSocket
+from firmware_sim.faults.fault_injection_socket import FaultInjectionSocket
 from firmware_sim.hand_description import SimulatorError, load_hand
 from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
 from firmware_sim.printing import printable_text
@@ -128,7 +128,7 @@ def run(words: list[str]) -> None:
         if not args.strict_clock and all(map(is_local_bus, specs)):
             clock.create_file(clock_path(specs[0]))
         path = args.truth or truth_path(specs[0])
-        with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
+        with closing(FaultInjectionSocket(faults_path(specs[0]), world.faults)) as faults:
             header = {
                 **world.header("monotonic"),
                 "perturb": factors,

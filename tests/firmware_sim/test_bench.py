@@ -131,7 +131,7 @@ def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
 
 @pytest.mark.parametrize("motor_type", sorted(cubemars.FULL_SCALE_BY_MOTOR_TYPE))
 def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(motor_type: str) -> None:
-    shaft = cubemars.shaft_of_motor(motor_type)
+    shaft = cubemars.shaft_of_cubemars_motor(motor_type)
     _, speed = run_at_torque("mit", 0.1 * shaft.peak, motor_type)
     assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
 

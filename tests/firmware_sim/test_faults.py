@@ -84,13 +84,13 @@ def second_motor_text(fault_kind: str, index: int) -> str:
     return f" with={JAMIA_HAND.motors[index].name}" if fault_kind in TWO_MOTOR_FAULTS else ""
 
 
-FIRST_INSTANCES = [
+FAULTS_OF_FIRST_COMPONENTS = [
     f"{kind} {component}={instances_of_component(component, JAMIA_HAND, kind)[0]}{second_motor_text(kind, -1)}"
     for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
     if instances_of_component(component, JAMIA_HAND, kind)
 ]
-LAST_INSTANCES = [
+FAULTS_OF_LAST_COMPONENTS = [
     f"{kind} {component}={instances_of_component(component, JAMIA_HAND, kind)[-1]}{second_motor_text(kind, 0)}"
     for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
@@ -98,7 +98,7 @@ LAST_INSTANCES = [
 ]
 
 
-@pytest.mark.parametrize("fault_text", FIRST_INSTANCES)
+@pytest.mark.parametrize("fault_text", FAULTS_OF_FIRST_COMPONENTS)
 def test_every_fault_has_an_effect_and_ends(fault_text):
     run = make_hand()
     run.world.plant.motors["index_motor"].servo.torque = 0.1
@@ -119,7 +119,7 @@ def test_every_fault_has_an_effect_and_ends(fault_text):
     assert run.fault_states()[0]["felt"] == effects_before
 
 
-@pytest.mark.parametrize("fault_text", LAST_INSTANCES)
+@pytest.mark.parametrize("fault_text", FAULTS_OF_LAST_COMPONENTS)
 def test_no_size_of_any_fault_ends_the_simulator(fault_text):
     """The test tries each kind of fault with sizes from small to absurd.
 

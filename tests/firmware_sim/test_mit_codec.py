@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.compiled import machine_code
+from firmware_sim.compiled import compile_module_kernels
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.mit.codec import (
     MitRanges,
@@ -99,7 +99,7 @@ def test_compiled_kernels_equal_python(
 
     In this test, these functions run as Python code, unless another test has compiled them.
     """
-    kernels, signed = machine_code(mit_codec), state_word - (state_word >> 63 << 64)
+    kernels, signed = compile_module_kernels(mit_codec), state_word - (state_word >> 63 << 64)
     feedback = (first_byte, *motion_values, *MIT_RANGES, temperature_degC, temperature_degC)
     python_word = mit_codec.write_feedback(*feedback)
     assert (

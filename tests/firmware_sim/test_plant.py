@@ -30,7 +30,7 @@ def plant_without_object(
     return plant
 
 
-def lock_joints() -> Hand:
+def hand_with_locked_joints() -> Hand:
     """Return a hand whose joints cannot move, because the two stops of a joint are a hundredth of a degree apart."""
     digits = [
         replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA_HAND.digits
@@ -109,7 +109,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
     Here k is the tendon stiffness, and r the spool radius.
     """
-    plant = plant_without_object({"friction": 0.0}, lock_joints())
+    plant = plant_without_object({"friction": 0.0}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 2.0)
     low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
     pull_tendons(plant, 0.75, 2.0)
@@ -125,7 +125,7 @@ def test_a_blocked_finger_is_as_stiff_as_its_tendon() -> None:
 
 def test_a_blocked_rotor_rings_at_the_frequency_of_tendon_and_rotor() -> None:
     """The frequency of the oscillation is sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
-    plant = plant_without_object({"friction": 0.0, "damping": 0.1}, lock_joints())
+    plant = plant_without_object({"friction": 0.0, "damping": 0.1}, hand_with_locked_joints())
     pull_tendons(plant, 0.25, 0.6)
     motor = plant.motors["index_motor"]
     motor.omega += 0.5

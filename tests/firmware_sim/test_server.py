@@ -19,7 +19,7 @@ from firmware_sim.realtime_priority import ORDINARY_PRIORITY_DURATION_S, RealTim
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.simulated_world import SimulatedWorld
-from firmware_sim.simulation_pace import PaceCounter, round_pace_down
+from firmware_sim.simulation_pace import PaceMeter, round_pace_down
 from tests.firmware_sim.manual_clock import ManualClock
 
 NS_PER_MS = 1_000_000
@@ -231,7 +231,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
     """
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
-    pace = PaceCounter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
+    pace = PaceMeter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
     for _ in range(100):  # 10 s of wall time at a tenth of real time, without idle time
         now["wall"] += 0.1
@@ -247,7 +247,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
 
 def test_one_stall_gives_no_advice() -> None:
     lines: list[str] = []
-    pace = PaceCounter(0, lambda: 0.0, lambda: 0.0, lines.append)
+    pace = PaceMeter(0, lambda: 0.0, lambda: 0.0, lines.append)
     pace.count_slip(200 * NS_PER_MS, NS_PER_MS)
     assert lines == ["firmware_sim: 200 ms behind, clock slipped"]
     assert pace.advice is None

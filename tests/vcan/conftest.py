@@ -24,7 +24,7 @@ GUEST_TESTS_FOLDER = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 VCAN_IS_REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
-GUEST_FILES = (
+TEST_FILES_BY_GUEST = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
     ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
 )
@@ -90,7 +90,8 @@ def _run_in_guests(items: Sequence[pytest.Item]) -> ReportsByTest:
     parts_of: dict[int, list[pytest.Item]] = defaultdict(list)
     for item in items:
         group = next(
-            (i for i, names in enumerate(GUEST_FILES) if item.path.name in names), len(GUEST_FILES)
+            (i for i, names in enumerate(TEST_FILES_BY_GUEST) if item.path.name in names),
+            len(TEST_FILES_BY_GUEST),
         )
         parts_of[group].append(item)
     groups = list(parts_of.values())

@@ -452,7 +452,7 @@ class Cia402Node:
         """
         self._now_ns = t_ns
         if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
-            self._update_thermal(t_ns)
+            self._update_temperatures(t_ns)
         self.motion.advance(t_ns)
         if heartbeat_due(self, t_ns):
             self._unsolicited.append(Frame(0x700 + self.node_id, bytes((self.nmt,))))
@@ -463,7 +463,7 @@ class Cia402Node:
         schedule_wake(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited_frames()
 
-    def _update_thermal(self, t_ns: int) -> None:
+    def _update_temperatures(self, t_ns: int) -> None:
         """Advance the temperatures of the drive.
 
         If the winding is too hot, enter the fault state.

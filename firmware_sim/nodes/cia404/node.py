@@ -138,7 +138,7 @@ class AmplifierNode:
     ) -> None:
         """Set up the amplifier in the state after power-up."""
         self._load_cells = load_cells
-        self._range = spec.full_range
+        self._range = spec.rated_load
         self.node_id = node_id
         self.cells = cell_indices
         self.serial = serial

@@ -102,7 +102,7 @@ The client i2rt 1.3.6 has a table of this value for DM3507, DM4310, DM4310V, DM4
 DM8009. It refuses a motor whose register differs from this table. The values of all other types are
 assumptions: the last two digits of the type, and 1 for motors without a gear.
 """
-STALL_FACTOR = 2.0
+STALL_TORQUE_RATIO = 2.0
 """Stall torque divided by TMAX, for motor types without a published rating.
 
 The no-load speed of these types is VMAX.
@@ -128,7 +128,7 @@ def shaft_of_mit_motor(motor_type: str, **options: object) -> ShaftSpec:
     position, velocity, peak = MOTOR_TYPE_RANGES[motor_type]
     inertia = INERTIA_PER_TORQUE * peak
     if motor_type not in MOTOR_RATINGS:
-        limits = peak, velocity, STALL_FACTOR * peak
+        limits = peak, velocity, STALL_TORQUE_RATIO * peak
     else:
         rating = MOTOR_RATINGS[motor_type]
         limits = rating.peak, rating.top_speed, rating.stall_torque

@@ -361,7 +361,7 @@ class MitNode:
     def wake(self, t_ns: int) -> None:
         """Do the work that is due: temperatures, watchdog and motion mode."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
-            self._update_thermal(t_ns)
+            self._update_temperatures(t_ns)
         is_watchdog_active = (
             FeedbackState.ENABLED,
             *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS),
@@ -380,7 +380,7 @@ class MitNode:
         schedule_wake(self)
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
-    def _update_thermal(self, t_ns: int) -> None:
+    def _update_temperatures(self, t_ns: int) -> None:
         """Advance the temperatures. If the winding is too hot, enter an error state."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)

@@ -24,7 +24,7 @@ REGISTER_STRUCTS = (
     struct.Struct("<f"),
 )
 """Encoding of a register value, by type."""
-MAX_COUNTS = (127, 32767, 2147483647)
+MAX_INTEGER_BY_TYPE = (127, 32767, 2147483647)
 """Largest integer of each integer type. The most negative integer means NaN."""
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths in CAN FD [bytes]."""
@@ -104,7 +104,11 @@ def decode_register(
     (number,) = REGISTER_STRUCTS[value_type].unpack(register_bytes)
     if value_type == FLOAT:
         return float(number)
-    return math.nan if number < -MAX_COUNTS[value_type] else float(number * lsb_values[value_type])
+    return (
+        math.nan
+        if number < -MAX_INTEGER_BY_TYPE[value_type]
+        else float(number * lsb_values[value_type])
+    )
 
 
 def encode_register(value: float, value_type: int, lsb_values: tuple[float, float, float]) -> bytes:
@@ -112,12 +116,12 @@ def encode_register(value: float, value_type: int, lsb_values: tuple[float, floa
     if value_type == FLOAT:
         return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
-        return REGISTER_STRUCTS[value_type].pack(-MAX_COUNTS[value_type] - 1)
+        return REGISTER_STRUCTS[value_type].pack(-MAX_INTEGER_BY_TYPE[value_type] - 1)
     # The quotient is rounded to float32, because the drive does the same. In float64, 0.00003 /
     # 1e-5 would be slightly less than 3.
     count = struct.unpack("<f", struct.pack("<f", value / lsb_values[value_type]))[0]
     return REGISTER_STRUCTS[value_type].pack(
-        int(max(-MAX_COUNTS[value_type], min(MAX_COUNTS[value_type], count)))
+        int(max(-MAX_INTEGER_BY_TYPE[value_type], min(MAX_INTEGER_BY_TYPE[value_type], count)))
     )
 
 

@@ -38,7 +38,7 @@ BRAKE = 15
 """Numbers of the modes, as in the mode register."""
 COMMANDABLE_MODES = {STOPPED, POSITION, ZERO_VELOCITY, STAY_WITHIN_MODE, BRAKE}
 """Modes available to hosts in this simulation."""
-LAST_MODE = 16
+MAX_MODE_NUMBER = 16
 """Largest number of a mode."""
 OVER_TEMPERATURE = 38
 """Fault code: the motor or the drive is too hot."""
@@ -46,7 +46,7 @@ POSITION_LIMIT_FAULT = 39
 """Fault code: the position is outside its limits at the start of position mode."""
 UNDER_VOLTAGE = 40
 """Fault code: the supply voltage is too low."""
-MAX_TORQUE_LIMITS = 102
+TORQUE_LIMIT_ACTIVE = 102
 """Fault code in an active mode: the commanded torque limit acts."""
 BROADCAST_NUMBER = 0x7F
 """Destination number of frames to all drives."""
@@ -325,7 +325,7 @@ class MoteusNode:
         torque = servo.kp * (servo.position - motor.encoder()) + servo.kd * (
             servo.velocity - motor.velocity
         )
-        return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
+        return TORQUE_LIMIT_ACTIVE if abs(torque + servo.torque) > servo.limit else 0
 
     def _measured_value(self, register: int) -> float:
         """Return the measured value of a register."""
@@ -448,7 +448,7 @@ class MoteusNode:
                 finite_torque = min(0.0, finite_torque)
             if self._position < self._configuration_item("servopos.position_min"):
                 finite_torque = max(0.0, finite_torque)
-        self.fault = MAX_TORQUE_LIMITS if abs(finite_torque) > largest else 0
+        self.fault = TORQUE_LIMIT_ACTIVE if abs(finite_torque) > largest else 0
         servo.kp = kp
         servo.kd = kd
         servo.position = sign * (position * TURN_RAD - self.offset)
@@ -510,7 +510,7 @@ class MoteusNode:
         ):
             self._enter_timeout_mode()
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
-            self._update_thermal(t_ns)
+            self._update_temperatures(t_ns)
         self._schedule()
 
     def _start_mode(self) -> None:
@@ -547,7 +547,7 @@ class MoteusNode:
         self.mode = TIMEOUT
         self.fault = 0
 
-    def _update_thermal(self, t_ns: int) -> None:
+    def _update_temperatures(self, t_ns: int) -> None:
         """Advance the temperatures.
 
         If the winding or the MOSFETs are too hot, enter the mode *fault*.

@@ -523,7 +523,7 @@ class OdriveNode:
             The cyclic messages that are due.
         """
         if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
-            self._update_thermal(t_ns)
+            self._update_temperatures(t_ns)
         if watchdog_expired(self, t_ns):
             self.disarm(WATCHDOG_ERROR)
         if 0 < self.busy_until_ns <= t_ns:
@@ -562,7 +562,7 @@ class OdriveNode:
         errors = self.active_errors | self.disarm_reason
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
 
-    def _update_thermal(self, t_ns: int) -> None:
+    def _update_temperatures(self, t_ns: int) -> None:
         """Advance the temperatures, and disarm the axis on over-temperature of the motor."""
         if self.thermal_ns >= 0:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)

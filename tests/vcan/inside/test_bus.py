@@ -14,7 +14,7 @@ from handctl.runtime.buses.contract import Bus
 
 CLASSICAL_FRAME = struct.Struct("=IB3x8s")
 NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
-WAIT_S = 20.0
+RECEIVE_TIMEOUT_S = 20.0
 BUS_INDEX = 1
 """Index of the bus on vcan0 in the list of a hand's buses."""
 
@@ -39,7 +39,7 @@ def other_bus() -> Iterator[Bus]:
 
 def drain_bus(bus: Bus, frame_count: int) -> list[Frame]:
     """Read frames until at least ``frame_count`` frames have arrived or a time limit has passed."""
-    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
+    frames, end = list(bus.drain()), time.monotonic() + RECEIVE_TIMEOUT_S
     while len(frames) < frame_count and time.monotonic() < end:
         time.sleep(0.005)
         frames += bus.drain()
@@ -137,9 +137,9 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 def wait_for_bus_event(bus: Bus, event_kind: str) -> list[Frame]:
     """Wait for an event of a given kind, and return the frames that were received before it."""
-    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
+    frames, end = list(bus.drain()), time.monotonic() + RECEIVE_TIMEOUT_S
     while event_kind not in {event for event, _, _ in bus.take_events()}:
-        assert time.monotonic() < end, f"no {event_kind} in {WAIT_S} s"
+        assert time.monotonic() < end, f"no {event_kind} in {RECEIVE_TIMEOUT_S} s"
         time.sleep(0.005)
         frames += bus.drain()
     return frames

@@ -17,7 +17,7 @@ READ_REGISTER, REFRESH_FEEDBACK = 0x33, 0xCC
 POSITION_RANGE_REGISTER, TORQUE_RANGE_REGISTER, WATCHDOG_REGISTER = 21, 23, 9
 ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
 DISABLED_STATE, ENABLED_STATE, COMMUNICATION_LOST_STATE = 0, 1, 0xD
-WAIT_S = 20.0
+RECEIVE_TIMEOUT_S = 20.0
 
 pytestmark = pytest.mark.usefixtures("simulator")
 
@@ -32,14 +32,14 @@ class RawCanBus:
         self.socket.send(CAN_FRAME_STRUCT.pack(can_id, len(data), data))
 
     def receive(self, can_id: int) -> bytes:
-        end = time.monotonic() + WAIT_S
+        end = time.monotonic() + RECEIVE_TIMEOUT_S
         while time.monotonic() < end:
             received_id, length, data = CAN_FRAME_STRUCT.unpack(
                 self.socket.recv(CAN_FRAME_STRUCT.size)
             )
             if received_id == can_id:
                 return bytes(data[:length])
-        pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
+        pytest.fail(f"no frame {can_id:#x} within {RECEIVE_TIMEOUT_S} s")
 
     def motor_state(self, node_id: int) -> int:
         """Send a refresh request to a motor, and return the state bits in its reply."""
@@ -56,7 +56,7 @@ class RawCanBus:
 @pytest.fixture
 def bus() -> Iterator[RawCanBus]:
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as can_socket:
-        can_socket.settimeout(WAIT_S)
+        can_socket.settimeout(RECEIVE_TIMEOUT_S)
         can_socket.bind(("vcan0",))
         yield RawCanBus(can_socket)
 

@@ -12,7 +12,7 @@ from firmware_sim.hand_description import SimulatorError
 
 if TYPE_CHECKING:  # The program ``bus`` has neither faults nor a plant. So it must not import the modules for them.
     from firmware_sim.faults.active_faults import ActiveFaults
-    from firmware_sim.simulation_pace import PaceCounter
+    from firmware_sim.simulation_pace import PaceMeter
 
 MAX_REQUEST_BYTES = 4096
 """Maximum length of a request to the fault socket [bytes]."""
@@ -28,7 +28,7 @@ def is_socket_served(path: Path) -> bool:
     return True
 
 
-class FaultSocket:
+class FaultInjectionSocket:
     """A Unix datagram socket that receives requests in JSON and answers each with a JSON object.
 
     A request is ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` or ``{"pace":
@@ -60,7 +60,7 @@ class FaultSocket:
         """Return the sockets to poll for reading."""
         return [self._socket]
 
-    def serve(self, pace: "PaceCounter | None" = None) -> None:
+    def serve(self, pace: "PaceMeter | None" = None) -> None:
         """Answer all requests that are waiting in the socket.
 
         Args:
@@ -78,9 +78,7 @@ class FaultSocket:
                 except OSError:
                     continue  # The client that sent this request has ended, or its queue is full.
 
-    def _answer_request(
-        self, request_bytes: bytes, pace: "PaceCounter | None"
-    ) -> dict[str, object]:
+    def _answer_request(self, request_bytes: bytes, pace: "PaceMeter | None") -> dict[str, object]:
         """Return the answer to one request."""
         try:
             request = json.loads(request_bytes)
