@@ -22,8 +22,8 @@ from handctl.campaign.run_stages import CAMPAIGN_TASK, hand_with_protocol, homed
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.safety_action import SafetyAction
+from handctl.session.lockstep_simulation import SimulatedRun
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatedRun
 
 OPERATOR_DELAY_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
@@ -32,11 +32,11 @@ TIME_AFTER_STOP_S = 1.5
 STOP_REQUEST = '{"do": "stop"}'
 HIGH_HOLD_TENSION_N = 90.0
 FAST_TENSION_RATE_N_PER_S = 60.0
-FREE_STAGE = "free"
+FREE_MOTION_STAGE = "free"
 LOW_HOLD_STAGE = "hold 24"
 RISING_STAGE = "rising"
 HIGH_HOLD_STAGE = "hold 90"
-FAULT_STAGES = (FREE_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
+FAULT_STAGES = (FREE_MOTION_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
 GRASPED_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
 HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("registers lost, as saved", "forget node={motor}", FAULT_STAGES),
@@ -86,7 +86,7 @@ def is_at_stage(stage_name: str, tick_output: Any, first_tick: int) -> bool:
     ``first_tick`` is the number of ticks of the free motion so far.
     """
     tension = float(tick_output.telemetry.tension.max())
-    if stage_name == FREE_STAGE:
+    if stage_name == FREE_MOTION_STAGE:
         return bool(tick_output.phase == "free" and first_tick > 100)
     if stage_name == LOW_HOLD_STAGE:
         return bool(tick_output.phase == "hold" and tension > 20.0)

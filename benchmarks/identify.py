@@ -30,9 +30,9 @@ from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
@@ -100,7 +100,7 @@ def true_parameters(
 ) -> dict[str, float]:
     """Return the true values of the parameters that the identification of a tendon estimates."""
     tendon = hand.tendon[hand.tendon_names.index(tendon_name)]
-    motor = hand.motor_of(tendon_name)
+    motor = hand.motor_of_tendon(tendon_name)
     # Without load cells all forces are identified in units of the commanded torque.
     unit = 1.0 if tendon.pretension_N is None else plant_factors["torque_constant"]
     values = {

@@ -17,7 +17,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 RATE_BY_HAND_HZ = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand on one classical bus [Hz]."""

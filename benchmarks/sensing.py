@@ -23,7 +23,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 PAGE_FILE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
 RATE_BY_HAND_HZ = {"jamia": 500.0, "n_plus_1": 250.0}

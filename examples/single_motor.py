@@ -11,7 +11,7 @@ lines below.
 
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.protocol_registry import make_drive
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig

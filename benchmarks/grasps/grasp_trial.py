@@ -16,8 +16,8 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import load_task_for_hand
 
 TIMEOUT_S = 120.0

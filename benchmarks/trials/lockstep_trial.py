@@ -23,7 +23,7 @@ from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}

@@ -21,12 +21,12 @@ from handctl.hand.hand_loading import (
     hand_content,
     hand_from_content,
     hand_path,
-    inspect_content,
+    inspect_hand_content,
     load_hand,
     packaged_hands,
 )
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_geometry import centre_of_mass, joint_axes, link_inertia, link_placement
+from handctl.hand.link_tree import LinkTree
 from tests.cli.command_refusals import refusal_line, refusal_lines
 from tests.conftest import NIGHTLY
 
@@ -179,7 +179,7 @@ def test_an_exported_hand_is_imported_unchanged(
                 link_inertia(packaged_digit, i),
                 abs=1e-6 * np.trace(link_inertia(packaged_digit, i)),
             )
-    assert not inspect_content(hand.content).mistakes
+    assert not inspect_hand_content(hand.content).mistakes
     if NIGHTLY or hand_name in ("t42", "orca_like"):
         assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
@@ -202,7 +202,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(work_folder: Path) -
     Path("full.toml").write_text(
         text_with_all_values(import_description("--urdf", TRIPOD_URDF, *IMPORT_OPTIONS))
     )
-    tree = HandLinkTree.from_hand(load_hand("full.toml"))
+    tree = LinkTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD_URDF))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.

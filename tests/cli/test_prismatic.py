@@ -270,6 +270,8 @@ def test_the_schema_2_file_and_its_content_are_the_same_hand(gripper_hand_files:
         repeated_hand = load_hand("whole.toml")
         assert repeated_hand.identity == hand.identity
         for digit, other_digit in zip(
-            DigitModel.models_of_hand(hand), DigitModel.models_of_hand(repeated_hand), strict=True
+            DigitModel.digit_models_of_hand(hand),
+            DigitModel.digit_models_of_hand(repeated_hand),
+            strict=True,
         ):
             np.testing.assert_array_equal(digit.table, other_digit.table)

@@ -31,7 +31,7 @@ def refuse_to_open_buses(monkeypatch):
     monkeypatch.setattr("handctl.cli.runs.demo.running_simulator", fail_on_open)
 
 
-def jamia_content():
+def jamia_hand_content():
     return hand_content("jamia")
 
 
@@ -67,7 +67,7 @@ REFUSAL_BY_MISTAKE = {
 @pytest.mark.parametrize("cli_verb", ["config", "demo", "sim", *BUS_COMMANDS])
 @pytest.mark.parametrize("add_mistake", REFUSAL_BY_MISTAKE, ids=lambda spoil: spoil.__name__)
 def test_a_wrong_hand_file_is_refused(work_folder, capsys, add_mistake, cli_verb):
-    content = jamia_content()
+    content = jamia_hand_content()
     add_mistake(content)
     (work_folder / "hand.toml").write_text(toml_text(content))
     words = {"config": ("check",), "demo": (), "sim": ABSENT_BUS_OPTION}.get(cli_verb) or (
@@ -187,7 +187,7 @@ def test_existing_log_is_not_overwritten(work_folder, capsys, cli_verb, log_name
 
 def write_hand_on_two_buses():
     """Write the hand file of jamia, with the thumb's drive on a second bus."""
-    content = jamia_content()
+    content = jamia_hand_content()
     content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
     content["motor"][3]["bus"] = "thumb"
     return content

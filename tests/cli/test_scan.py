@@ -20,7 +20,7 @@ from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import make_drive
-from handctl.hand.file.sections import Bus, Motor
+from handctl.hand.file.section_models import Bus, Motor
 from handctl.runtime.diagnostics.bus_scan import BusScan, requests_without_answers, scan_bus
 from tests.drives.bench_process import run_simulated_drives
 from tests.drives.protocol_bench import ProtocolBench as HandBench

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
+from handctl.campaign.fault_matrix import FAULT_MATRIX, TEST_PLACE_BY_UNTESTED_FAULT
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,
@@ -95,7 +95,7 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
         elif entry.tested_by != "soak":
             assert (REPOSITORY / entry.tested_by).exists(), entry.id
     assert campaign <= set(CATALOGUE_IDS)
-    assert UNTESTED_ROWS.keys() | campaign >= set(CATALOGUE_IDS) - {
+    assert TEST_PLACE_BY_UNTESTED_FAULT.keys() | campaign >= set(CATALOGUE_IDS) - {
         id_ for id_ in CATALOGUE_IDS if id_[0] == "I"
     }
 
@@ -108,7 +108,8 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
             continue
         assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_ms(500.0), row
         extra_ms_by_protocol = {
-            p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
+            p: row.extra_ms_by_protocol.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0)
+            for p in row.protocols
         }
         assert extra_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
         for protocol in ("mit", "cia402"):

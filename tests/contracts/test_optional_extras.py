@@ -107,7 +107,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
     code = (
-        f"{hide_packages_code({'sim'})}from handctl.session.simulate import SimulatorSettings\n"
+        f"{hide_packages_code({'sim'})}from handctl.session.lockstep_simulation import SimulatorSettings\n"
         "SimulatorSettings('jamia').check_hand_constructible()"
     )
     result = subprocess.run(

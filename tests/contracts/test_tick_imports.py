@@ -17,7 +17,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.session.run_plan import RunPlan
 from handctl.session.run import make_controller
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 
 hand = load_hand(sys.argv[1])
 controller = make_controller(RunPlan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)

@@ -40,7 +40,7 @@ class ToyHand:
 
     def __init__(self, hand: Hand, period_ns: int) -> None:
         self.hand, self.period_s = hand, period_ns * 1e-9
-        motors = [hand.motor_of(name) for name in hand.tendon_names]
+        motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
         self.motors = [
             ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors
         ]
@@ -168,7 +168,7 @@ def uncommissioned_controller(
     """Return a controller for all tendons of a hand that has not been commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
-    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
     drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
     sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
     return Controller(

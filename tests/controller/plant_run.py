@@ -12,7 +12,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 
 CONTROL_RATE_HZ = 250.0
 OBJECT_LOST_M = 0.05

@@ -18,12 +18,12 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0
 ANTAGONIST_HAND = "n_plus_1"

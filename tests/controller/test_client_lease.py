@@ -14,9 +14,9 @@ from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.programs.requests import (
-    AliveRequest,
-    alive_request_text,
+    KeepAliveRequest,
     is_routine_request,
+    keep_alive_text,
     parse_request,
 )
 from tests.controller.test_target_streams import StreamClient, check_ticks_are_repeated, live_client
@@ -36,7 +36,7 @@ def run_with_signs_of_life(
 ) -> None:
     """Run ticks for some seconds. The client sends a sign of life every ``sign_of_life_period_s``."""
     for _ in range(round(duration_s / sign_of_life_period_s)):
-        client.tick(alive_request_text(client.name))
+        client.tick(keep_alive_text(client.name))
         client.wait(sign_of_life_period_s - client.model.period)
 
 
@@ -74,7 +74,7 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         assert at < 60.0, "on the way"
         client.wait(0.2 * LEASE_S)
         assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
-        client.tick(alive_request_text("one"))
+        client.tick(keep_alive_text("one"))
         assert lease_events(client)[-1] == "one answers again"
         assert (
             client.send_command("move", angle_deg={"index": 70.0}, lease_s=LEASE_S)
@@ -107,7 +107,7 @@ def test_a_lease_ends(jamia: HandModel, event_after_lease: str) -> None:
         else:
             client.name = "two" if event_after_lease == "another" else "one"
             client.send_command("stay", take_over=True)
-        client.tick(alive_request_text("one"))
+        client.tick(keep_alive_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
         assert client.tick_outputs[-1].mode == HandMode.ACTIVE
@@ -152,10 +152,10 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
 
 
 def test_alive_messages_are_requests() -> None:
-    assert parse_request(alive_request_text("client-1-2")) == AliveRequest(
+    assert parse_request(keep_alive_text("client-1-2")) == KeepAliveRequest(
         do="alive", client="client-1-2"
     )
-    assert is_routine_request(alive_request_text("client-1-2"))
+    assert is_routine_request(keep_alive_text("client-1-2"))
     assert not is_routine_request(json.dumps({"do": "stop"}))
     assert isinstance(parse_request('{"do": "alive"}'), str)
     assert isinstance(parse_request('{"do": "stay", "lease_s": 0.1}'), str)

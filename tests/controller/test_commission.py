@@ -26,15 +26,15 @@ from handctl.programs.commission import (
 )
 from handctl.programs.program import ProgramProgress
 from handctl.session.calibration import load_calibration
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 from tests.controller.synthetic_states import (
     empty_readings,
     estimate_under_tension,
     slack_hand_estimate,
 )
-from tests.hand.many_motors import fifteen_motor_hand
+from tests.hand.many_motor_hands import fifteen_motor_hand
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task, task_from_trajectory_file
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
 SETTLED_ERROR_DEG = 2.0

@@ -17,7 +17,7 @@ from handctl.document import validate_content
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatorSettings
 from tests.conftest import NIGHTLY
 
 CONTROL_RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)

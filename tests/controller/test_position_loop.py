@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
-from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE, GRASP_STAGE
 from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, homed_run
 from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
@@ -33,7 +33,7 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -291,7 +291,7 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
 ) -> None:
     hand = hand_with_position_loop(hand_name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
-        advance_to_stage(run, FREE_STAGE)
+        advance_to_stage(run, FREE_MOTION_STAGE)
         assert (sent_stiffness(run) > 0.0).all()
         advance_to_stage(run, GRASP_STAGE)
         run.run_tick()

@@ -24,7 +24,7 @@ from handctl.core.state_block import state_tables
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.tasks import load_task_for_hand
 from tests.controller.synthetic_states import (
     SyntheticEstimate,

@@ -25,7 +25,7 @@ from handctl.programs.stream_plans import mapping_of_stream
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.report.run_summary import mean_angles
-from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import slack_hand_estimate
 
 HAND_FILE_FOLDER = Path(__file__).parents[1] / "hand"
@@ -77,8 +77,8 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
             assert not [event for event in out.events if event.level == "error"]
             if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 q = peer.world.plant.engine.q
-                errors.append(hand.display_units.to_displayed(run.state.view("q_goal") - q))
-                largest = np.maximum(largest, hand.display_units.to_displayed(q))
+                errors.append(hand.display_units.to_display_units(run.state.view("q_goal") - q))
+                largest = np.maximum(largest, hand.display_units.to_display_units(q))
         assert run.state.mode == HandMode.DONE
         # The RMS tracking error is at most 1 mm or 1 deg.
         assert np.sqrt(np.nanmean(np.square(errors), axis=0)).max() < 1.0
@@ -88,7 +88,7 @@ def test_a_hand_is_commissioned_and_moves(hand_name: str, seed: int) -> None:
 @pytest.mark.parametrize("hand_name", GRIPPER_NAMES)
 def test_inverse_kinematics_finds_postures_of_prismatic_joints(hand_name: str) -> None:
     rng = np.random.default_rng(0)
-    for digit in DigitModel.models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
+    for digit in DigitModel.digit_models_of_hand(load_hand(HAND_FILE_FOLDER / f"{hand_name}.toml")):
         low, high = digit.coordinate_limits
         for _ in range(20):
             theta = rng.uniform(low, high)

@@ -19,8 +19,8 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.live_session import LiveProgram
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.run_plan import default_control_rate
-from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_target_streams import StreamClient
 
 FloatArray = NDArray[np.float64]

@@ -24,7 +24,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, validate_content
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import TopicRegistry
 from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
@@ -35,7 +35,7 @@ from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.calibration import homed_calibration
-from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
+from handctl.session.lockstep_simulation import SimulatedHand, SimulatedRun, SimulatorSettings
 from tests.controller.synthetic_states import uncompiled_function
 
 RATE_HZ = 500.0

@@ -50,7 +50,7 @@ from handctl.session.tasks import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
-from tests.hand.many_motors import fifteen_motor_hand
+from tests.hand.many_motor_hands import fifteen_motor_hand
 
 RANDOM_HAND_SEEDS = range(6)
 

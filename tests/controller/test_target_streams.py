@@ -22,14 +22,14 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_stream_target, parse_target, target_request_text
 from handctl.programs.stream_plans import (
+    blended_move,
     mapping_of_stream,
-    move_that_continues_motion,
     nearest_holdable_posture,
     target_horizon_s,
 )
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 100.0
 SINE_MIDDLE_DEG, SINE_AMPLITUDE_DEG = 30.0, 20.0
@@ -537,7 +537,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     """
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
-    move = move_that_continues_motion(reference, np.radians([10.0]), 5.0, reach)
+    move = blended_move(reference, np.radians([10.0]), 5.0, reach)
     trajectory = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
     assert trajectory[:, 0].max() <= 100.5
     assert trajectory[0] == pytest.approx([90.0, 300.0, 0.0])

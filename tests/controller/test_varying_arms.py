@@ -19,10 +19,10 @@ from handctl.hand.hand_loading import packaged_hands
 from handctl.hand.tendons import excursions
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic_states import active_state
-from tests.hand.varying_arms import hand_with_varying_arms
+from tests.hand.varying_arm_hands import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 RATE_HZ = 400.0

@@ -25,7 +25,7 @@ from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0
 SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)

@@ -13,7 +13,7 @@ from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.sensors.sensor_node import SensorNode
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import load_hand
 
 PERIOD_NS = 2_000_000

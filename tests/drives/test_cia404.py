@@ -22,7 +22,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.runtime.diagnostics.bus_scan import scan_bus
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 from tests.drives.wired_drives import WiredDrives
 
 TENDON_NAMES = ("a", "b", "c")

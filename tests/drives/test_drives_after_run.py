@@ -11,7 +11,7 @@ import pytest
 from handctl.campaign.run_stages import homed_run
 from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 SILENCE_TICKS = 500

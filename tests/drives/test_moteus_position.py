@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
-from handctl.campaign.fault_matrix import FREE_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE
 from handctl.campaign.run_stages import advance_to_stage, homed_run
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
@@ -236,7 +236,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """
     hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as hand_run:
-        advance_to_stage(hand_run, FREE_STAGE)
+        advance_to_stage(hand_run, FREE_MOTION_STAGE)
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)

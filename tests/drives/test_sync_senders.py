@@ -22,7 +22,7 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 SYNC_ID = 0x080

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden_faults
-from handctl.campaign.fault_matrix import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.fault_matrix import FREE_MOTION_STAGE, GRASP_STAGE
 from handctl.campaign.run_stages import (
     CAMPAIGN_TASK,
     advance_to_stage,
@@ -25,7 +25,7 @@ from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.runtime.mailbox import STOP_REQUEST
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SIMULATOR_SEEDS = range(20) if NIGHTLY else range(3)
@@ -117,7 +117,7 @@ def test_relaxing_raises_no_command_and_no_tension(
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULT_COMMANDS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to_stage(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
+        advance_to_stage(simulation, chance.choice((FREE_MOTION_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
             simulation.run_tick()
         if fault:

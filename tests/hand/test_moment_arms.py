@@ -14,11 +14,11 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import arm_table_residual, polynomial_of_arm
+from handctl.hand.moment_arms import arm_table_residual, moment_arm_polynomial
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varying_arms import hand_with_varying_arms
+from tests.hand.varying_arm_hands import hand_with_varying_arms
 
 PACKAGED_HANDS = packaged_hands()
 ANGLE_SEEDS = range(3)
@@ -43,7 +43,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
             np.testing.assert_allclose(np.transpose(slope), digit.moment_arms_at(q), atol=1e-9)
             assert digit.with_moment_arms_at(q).has_varying_arm
             theta = digit.joints_to_coordinates @ q
-            coordinates = digit.coordinates_of(excursions(digit, digit.coupling @ theta))
+            coordinates = digit.coordinates_of_excursion(excursions(digit, digit.coupling @ theta))
             np.testing.assert_allclose(coordinates, theta, atol=1e-9)
 
 
@@ -108,12 +108,14 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
         "angle_deg": angle.tolist(),
         "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic_coefficients).tolist(),
     }
-    np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        moment_arm_polynomial(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12
+    )
     assert arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
     assert 2e-5 < arm_table_residual(arm) < 1e-4
     assert (
-        polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
+        moment_arm_polynomial({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4
     )
 

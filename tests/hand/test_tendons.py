@@ -167,7 +167,7 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
     for digit in digits:
         speed = rng.normal(size=digit.coupling.shape[1])
         tendon_speeds = digit.moment_arms @ digit.coupling @ speed
-        motors = [hand.motor_of(name) for name in digit.tendon_names]
+        motors = [hand.motor_of_tendon(name) for name in digit.tendon_names]
         energy = sum(
             m.inertia_kg_m2 * (v / m.spool_radius_m) ** 2 / 2
             for m, v in zip(motors, tendon_speeds, strict=True)

@@ -55,7 +55,9 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
         expected = tetrahedron_triangles() / max(
             abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
         )
-        assert mesh_by_link[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
+        assert mesh_by_link[mesh.link].triangles == pytest.approx(
+            mesh.to_link_frame(expected), abs=1e-9
+        )
 
 
 def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
         noise = hand.sensor_node.tension_noise_N
         assert tendon.tension_max_N > 200.0, "beyond the first knee"
         assert tendon.tension_max_N + 5.0 * noise < tendon.tension_trip_N < 249.9
-        assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(
+        assert hand.motor_of_tendon(tendon.name).torque_max_N_m == pytest.approx(
             tendon.drive_limit_N * 0.005
         )
 

@@ -19,8 +19,8 @@ from handctl.programs.task import load_task
 from handctl.programs.task_program import TaskProgram
 from handctl.runtime.loop import StopSignals
 from handctl.session import run
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file, move_to_second_bus
 from tests.runtime.processes import MOVE_PHASE, TASK_HEAD
 

@@ -187,7 +187,7 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
     }
     real = identified_hand(hand, identified)
     assert real.tendon[3].stiffness_N_per_m == 8e4
-    assert real.motor_of("thumb_tendon").inertia_kg_m2 == 1e-4
+    assert real.motor_of_tendon("thumb_tendon").inertia_kg_m2 == 1e-4
     assert real.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
     assert real.tendon[:3] == hand.tendon[:3]
     assert torque_gain(hand, identified).tolist() == [1.0, 1.0, 1.0, 0.9]

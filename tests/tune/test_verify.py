@@ -21,9 +21,9 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.gains_exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
 from handctl.safety.safety_action import SafetyAction
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.gains_verification import (
     VerifyLimits,
     VerifyObserver,

@@ -18,7 +18,7 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.description import Hand
 from handctl.hand.file.key_descriptions import key_description
-from handctl.programs.requests import CommandBase, Request
+from handctl.programs.requests import CommandRequestBase, Request
 from tools.reference.markdown import markdown_table, prose_markdown, quoted_code
 
 KEY_MEANINGS = {
@@ -215,7 +215,7 @@ def _field_rows(model: type[BaseModel], request_word: str) -> Iterable[tuple[str
     """Yield a row for each field of a request, except the fields that all requests have."""
     schema = model.model_json_schema()["properties"]
     for name, field in model.model_fields.items():
-        if name == "do" or name in CommandBase.model_fields:
+        if name == "do" or name in CommandRequestBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
         meaning = (

@@ -14,7 +14,7 @@ from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.safety_action import SafetyAction
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 QUICK_SCENARIO_STEP = 7
 """Interval between two scenarios that a quick campaign runs.
@@ -68,7 +68,7 @@ class CampaignReport:
                 (result.ticks / max(result.bound, 1) for result in results), default=0.0
             ),
             "worst_tension_N": max((result.tension for result in results), default=0.0),
-            "not_felt": sum(not result.effects for result in results),
+            "not_felt": sum(not result.effect_count for result in results),
             "false_alarms": sum(map(len, self.false_alarms.values())),
             "false_alarm_run_s": self.simulated_s,
             "alarms": self.false_alarms,
@@ -175,12 +175,14 @@ def run_campaign(
             )
         # A quick campaign also contains the runs without faults, because false alarms are as bad as
         # missed faults.
-        report.false_alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
+        report.false_alarms[protocol] = simulate_without_faults(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report
 
 
-def run_fault_free(hand: Hand, rate_hz: float, duration_s: float, seed: int = 1) -> list[str]:
+def simulate_without_faults(
+    hand: Hand, rate_hz: float, duration_s: float, seed: int = 1
+) -> list[str]:
     """Simulate a hand without faults, and return the false alarms.
 
     The noise is larger than normal, and some frames are lost. During the run, the hand moves and

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from handctl.campaign.campaign import CampaignReport
-from handctl.campaign.fault_matrix import UNTESTED_ROWS
+from handctl.campaign.fault_matrix import TEST_PLACE_BY_UNTESTED_FAULT
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.output_files import write_text_atomically
 from handctl.safety.faults.table import FAULT_CATALOGUE
@@ -35,7 +35,7 @@ TABLE_TITLES = (
     "",
 )
 """Titles of the columns in the table of scenarios."""
-FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
+TITLE_BY_FAULT_ID = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 """Title of each fault in the catalogue, by fault id."""
 
 
@@ -62,7 +62,7 @@ def write_page(path: Path, report: CampaignReport) -> None:
         number = Counter(result.id for result in results)
         table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
         page_sections.append(
-            f"<h2>{table_title}</h2>{_html_table(_slowest_of_rows(results), rate, number)}"
+            f"<h2>{table_title}</h2>{_html_table(_slowest_result_per_row(results), rate, number)}"
         )
         failed_results = [result for result in results if not result.ok]
         if failed_results:
@@ -71,19 +71,19 @@ def write_page(path: Path, report: CampaignReport) -> None:
             )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
-        for id_, reason in UNTESTED_ROWS.items()
+        for id_, reason in TEST_PLACE_BY_UNTESTED_FAULT.items()
     )
     page_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
     write_text_atomically(path, page + "\n".join(page_sections) + "</html>\n")
 
 
-def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return, for each row of the fault matrix, the result with the largest ``bound_fraction``."""
+def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
+    """Return, for each row of the fault matrix, the result with the largest ``reaction_time_ratio``."""
     slowest_by_row: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest_by_row.get(result.id)
-        if current is None or bound_fraction(result) > bound_fraction(current):
+        if current is None or reaction_time_ratio(result) > reaction_time_ratio(current):
             slowest_by_row[result.id] = result
     # The rows are in the order of the fault catalogue: bus, node, tendon, host, interface.
     return sorted(
@@ -91,7 +91,7 @@ def _slowest_of_rows(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
     )
 
 
-def bound_fraction(result: ScenarioResult) -> float:
+def reaction_time_ratio(result: ScenarioResult) -> float:
     """Return the reaction time in a scenario, divided by the longest time that is allowed.
 
     If there was no reaction, the result is 9.9.
@@ -107,11 +107,11 @@ def _html_table(results: Iterable[ScenarioResult], rate_hz: float, number: Count
 
 def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
     failure_class = "" if result.ok else " bad"
-    width = BAR_WIDTH_EM * min(bound_fraction(result), 1.0)
+    width = BAR_WIDTH_EM * min(reaction_time_ratio(result), 1.0)
     scenario = result.scenario.removeprefix(result.id).strip()
     reaction_time_text = f"{result.ticks * 1e3 / rate_hz:g} ms" if result.ticks >= 0 else "never"
     cells = [
-        f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{result.id}</td><td>{html.escape(TITLE_BY_FAULT_ID[result.id])}</td><td class=n>{number}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
         f"<td class=n>{reaction_time_text}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
         f'<td><span class="bar{failure_class}" style="width:{width:.2f}em"></span></td>',

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
+from handctl.campaign.fault_matrix import FAULT_MATRIX, HOST_FAULT_PREFIX, fault_texts_for_hand
 from handctl.campaign.run_stages import RUN_STAGES, run_experiments
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
 from handctl.controller.controller_state import ControllerState
@@ -31,7 +31,7 @@ from handctl.core.tick_types import HandMode
 from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 SEQUENCE_TICKS = 200
 """Length of a sequence, after which the hand is stopped [ticks]."""
@@ -47,11 +47,11 @@ HOST_FAULT_FRACTION = 0.2
 BRIEF_FAULT_FRACTION = 0.6
 """Fraction of the simulator's faults in a sequence that end by themselves."""
 HOST_FAULT_TEXTS = (
-    f"{HOST_PREFIX}ask stop",
-    f"{HOST_PREFIX}ask clear",
-    f"{HOST_PREFIX}ask nonsense 1",
-    f"{HOST_PREFIX}skip 3",
-    f"{HOST_PREFIX}late 0.3",
+    f"{HOST_FAULT_PREFIX}ask stop",
+    f"{HOST_FAULT_PREFIX}ask clear",
+    f"{HOST_FAULT_PREFIX}ask nonsense 1",
+    f"{HOST_FAULT_PREFIX}skip 3",
+    f"{HOST_FAULT_PREFIX}late 0.3",
 )
 """Requests and faults of the host that a sequence may contain."""
 SHUTDOWN_TIMEOUT_S = 2.5
@@ -133,10 +133,11 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
             steps.append(FaultStep(tick, chance.choice(HOST_FAULT_TEXTS)))
             continue
         fault = chance.choice(
-            texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_FAULT_TEXTS)
+            fault_texts_for_hand(hand, chance.choice(rows).fault, period_ms)
+            or list(HOST_FAULT_TEXTS)
         )
         is_brief = (
-            not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
+            not fault.startswith((HOST_FAULT_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
             and chance.random() < BRIEF_FAULT_FRACTION
         )
@@ -216,7 +217,7 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
         sequence.name,
         sequence.id,
         sequence.stage,
-        effects=active_faults,
+        effect_count=active_faults,
         tension=tension,
         tension_bound=bound,
         ok=not violations,
@@ -233,8 +234,8 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
     host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_TIMEOUT_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
-            if fault.startswith(HOST_PREFIX):
-                host_faults.append((i, HostFault(fault.removeprefix(HOST_PREFIX))))
+            if fault.startswith(HOST_FAULT_PREFIX):
+                host_faults.append((i, HostFault(fault.removeprefix(HOST_FAULT_PREFIX))))
             else:
                 simulation.simulated_hand.inject(fault)
         inputs: dict[str, Any] = {

@@ -13,17 +13,17 @@ import numpy as np
 
 from handctl.campaign.fault_matrix import (
     GRASP_STAGE,
-    HOST_PREFIX,
+    HOST_FAULT_PREFIX,
+    FaultMatrixRow,
     FaultScenario,
-    MatrixRow,
-    words_of_fault,
+    parse_fault_text,
 )
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, IoEvent, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
 from handctl.safety.safety_action import SafetyAction
-from handctl.session.simulate import SimulatedRun
+from handctl.session.lockstep_simulation import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
@@ -35,9 +35,9 @@ RUNAWAY_FAULT = "runaway"
 """Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
 SHUT_DOWN_MODES = (HandMode.DISARM, HandMode.DONE)
 """Modes in which the hand shuts down."""
-PAIR_DELAY_TICKS = 5
+SECOND_FAULT_DELAY_TICKS = 5
 """Number of ticks from the first fault of a pair to the second one."""
-PAIR_EXTRA_TICKS = 2
+FAULT_PAIR_EXTRA_TICKS = 2
 """Further reaction time allowed for a pair of faults, because of a missed tick and the next tick [ticks]."""
 
 
@@ -49,7 +49,7 @@ class ScenarioResult:
         scenario: description of the scenario.
         id: id of the scenario's row in the fault matrix.
         stage: stage of the run at which the fault was injected.
-        effects: number of times that the injected fault took effect. Without an effect, the
+        effect_count: number of times that the injected fault took effect. Without an effect, the
             scenario is not a valid test.
         ticks: number of ticks from the physical event to the frames with the reaction, or from the
             change of the motor force that the detection needs. The number
@@ -70,7 +70,7 @@ class ScenarioResult:
     scenario: str
     id: str
     stage: str
-    effects: int = 0
+    effect_count: int = 0
     ticks: int = -1
     bound: int = 0
     detected_by: str = ""
@@ -85,7 +85,7 @@ class ScenarioResult:
         # The keys must stay equal to those of the report file, because other programs read that
         # file.
         keys = {
-            "effects": "felt",
+            "effect_count": "felt",
             "detected_by": "found",
             "tension_bound": "most",
             "problem": "why",
@@ -105,32 +105,37 @@ def run_scenario(
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound_ticks(protocol, simulation.period_ns / 1e6) + scenario.missing_sensor_ticks
-    bound += PAIR_EXTRA_TICKS if scenario.second_fault else 0
+    bound = (
+        row.reaction_limit_ticks(protocol, simulation.period_ns / 1e6)
+        + scenario.missing_sensor_ticks
+    )
+    bound += FAULT_PAIR_EXTRA_TICKS if scenario.second_fault else 0
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.simulated_hand.truth()["tension"]
     speed = _tendon_speeds(simulation)
     reaction_start = ReactionStart(simulation, scenario)
     host = (
-        HostFault(scenario.fault.removeprefix(HOST_PREFIX))
-        if scenario.fault.startswith(HOST_PREFIX)
+        HostFault(scenario.fault.removeprefix(HOST_FAULT_PREFIX))
+        if scenario.fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
     if host is None:
         simulation.simulated_hand.inject(scenario.fault)
     second_host = (
-        HostFault(scenario.second_fault.removeprefix(HOST_PREFIX))
-        if scenario.second_fault.startswith(HOST_PREFIX)
+        HostFault(scenario.second_fault.removeprefix(HOST_FAULT_PREFIX))
+        if scenario.second_fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
     observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_TIME_S if row.force_change_N else 0.0)
-    for i in range(bound + PAIR_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)):
+    for i in range(
+        bound + SECOND_FAULT_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)
+    ):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.tick_arguments(i, simulation) if host else {}
-        if i == PAIR_DELAY_TICKS and second_host:
+        if i == SECOND_FAULT_DELAY_TICKS and second_host:
             inputs |= second_host.tick_arguments(0, simulation)
-        elif i == PAIR_DELAY_TICKS and scenario.second_fault:
+        elif i == SECOND_FAULT_DELAY_TICKS and scenario.second_fault:
             simulation.simulated_hand.inject(scenario.second_fault)
         t_ns = (simulation.k + int(inputs.get("skipped_ticks", 0))) * simulation.period_ns
         # If the fault stops the host for some ticks, the reaction time begins with the tick in
@@ -148,7 +153,7 @@ def run_scenario(
         )
         if tick_output.mode == HandMode.DONE:
             break
-    result.effects = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
+    result.effect_count = 1 if host else int(simulation.simulated_hand.fault_states()[0]["felt"])
     result.tension_bound = tension_bound(
         simulation,
         scenario,
@@ -253,7 +258,7 @@ class ReactionStart:
     """Instant from which the reaction time of a scenario counts.
 
     Normally this is the first effect of the fault. A stuck load cell is not visible until the motor
-    force has varied, see ``MatrixRow.force_change_N``. Its reaction time then counts from the
+    force has varied, see ``FaultMatrixRow.force_change_N``. Its reaction time then counts from the
     instant at which the low-passed motor force has varied enough.
     """
 
@@ -264,7 +269,7 @@ class ReactionStart:
         self._tendon = 0
         if self._force_change_N:
             names = [tendon.name for tendon in simulation.controller.model.hand.tendon]
-            self._tendon = names.index(words_of_fault(scenario.fault)["cell"])
+            self._tendon = names.index(parse_fault_text(scenario.fault)["cell"])
         self._fraction = 1.0 - math.exp(-simulation.period_ns * 1e-9 / FORCE_TIME_CONSTANT_S)
         self._force = self._motor_force(simulation)
         self._smallest = self._largest = self._force
@@ -351,7 +356,7 @@ def _observe_tick(
         result.safe_ticks = max(0, ticks_since_start)
 
 
-def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> ScenarioResult:
+def _judge_result(result: ScenarioResult, row: FaultMatrixRow, is_visible: bool) -> ScenarioResult:
     """Add the verdict and the list of problems to a result, and return the result.
 
     Args:
@@ -360,7 +365,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
         is_visible: False if no reaction is required, because the motor force has not varied.
     """
     problems = []
-    if not result.effects:
+    if not result.effect_count:
         problems.append("the disturbance had no effect")
     elif not is_visible and result.ticks < 0:
         pass
@@ -371,7 +376,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow, is_visible: bool) -> S
     elif not result.detected_by and any(row.accepted_faults):
         problems.append(f"none of {', '.join(filter(None, row.accepted_faults))} was reported")
     is_relax_required = row.action >= SafetyAction.RELAX and (is_visible or result.ticks >= 0)
-    if is_relax_required and result.effects and result.safe_ticks < 0:
+    if is_relax_required and result.effect_count and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
         problems.append(

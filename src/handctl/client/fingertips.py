@@ -96,7 +96,9 @@ class Fingertips:
             solution = closest_tip(model, target, self._coordinates[d])
             self._coordinates[d] = solution.coordinates
             self.distances_m[d] = solution.distance
-            joints = model.joint_units.to_displayed(model.coupling @ solution.coordinates).tolist()
+            joints = model.joint_units.to_display_units(
+                model.coupling @ solution.coordinates
+            ).tolist()
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 

@@ -32,7 +32,7 @@ from handctl.hand.hand_loading import hand_from_content, load_hand, parse_toml
 from handctl.printing import escape_text
 from handctl.programs.requests import (
     LONGEST_LEASE_S,
-    REFUSED_PREFIX,
+    REFUSAL_EVENT_PREFIX,
     SHORTEST_LEASE_S,
     HoldTensionRequest,
     MoveDigitsRequest,
@@ -49,8 +49,8 @@ from handctl.runtime.confirmed_requests import (
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.target_socket import TargetSender, stream_name
-from handctl.session.buses import named_buses, refuse_default_hand
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.buses import parse_bus_arguments, refuse_default_hand
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.tasks import load_task_for_hand
 
@@ -128,7 +128,7 @@ def connect(
     """
     _check_lease(lease_s, watchdog_s)
     buses = [bus] if isinstance(bus, str) else list(bus)
-    specs = list(named_buses(buses).values())
+    specs = list(parse_bus_arguments(buses).values())
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if is_running(specs[0]):
@@ -722,9 +722,10 @@ class HandClient:
         except UnconfirmedError:
             self._check_run_active()
             raise
-        if refused_replies := [text for text in replies if text.startswith(REFUSED_PREFIX)]:
+        if refused_replies := [text for text in replies if text.startswith(REFUSAL_EVENT_PREFIX)]:
             raise ConfigError(
-                refused_replies[0].removeprefix(REFUSED_PREFIX), f"the controller of {self.bus}"
+                refused_replies[0].removeprefix(REFUSAL_EVENT_PREFIX),
+                f"the controller of {self.bus}",
             )
         self._has_commanded = True
         self._start_heartbeat()

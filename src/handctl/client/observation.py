@@ -121,7 +121,7 @@ class Observation:
     @property
     def q_deg(self) -> Vector:
         """Return the estimated joint angles (J,) [deg], or positions [mm] for prismatic joints."""
-        return self._hand.display_units.to_displayed(self.q_rad)
+        return self._hand.display_units.to_display_units(self.q_rad)
 
     @property
     def stream(self) -> StreamStatus:

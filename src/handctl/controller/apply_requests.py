@@ -33,15 +33,15 @@ from handctl.programs.live_session import (
 )
 from handctl.programs.program import Program
 from handctl.programs.requests import (
-    AliveRequest,
     ArmRequest,
     ClearFaultsRequest,
     CloseStreamRequest,
-    CommandBase,
+    CommandRequestBase,
     CutTorqueRequest,
     GiveUpCommandRequest,
     GraspRequest,
     HoldTensionRequest,
+    KeepAliveRequest,
     MoveDigitsRequest,
     OpenStreamRequest,
     ReleaseGraspRequest,
@@ -107,10 +107,12 @@ def _apply_other_request(
     """
     if isinstance(request, SetGainsRequest):
         return _set_gains(model, program, state, request)
-    if isinstance(request, AliveRequest):
+    if isinstance(request, KeepAliveRequest):
         return renew_lease(state, request.client)
     return (
-        _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
+        _apply_command(model, program, state, request)
+        if isinstance(request, CommandRequestBase)
+        else ()
     )
 
 
@@ -129,7 +131,7 @@ def _set_gains(
 
 
 def _apply_command(
-    model: HandModel, program: Program, state: ControllerState, request: CommandBase
+    model: HandModel, program: Program, state: ControllerState, request: CommandRequestBase
 ) -> tuple[TickEvent, ...]:
     """Execute a motion command of a client, if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
@@ -173,7 +175,7 @@ def _apply_grasp(
 
 
 def _refusal_reason(
-    program: Program, state: ControllerState, request: CommandBase
+    program: Program, state: ControllerState, request: CommandRequestBase
 ) -> TickEvent | None:
     """Return an event that contains the reason why a command is refused.
 

@@ -9,7 +9,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Bus
+from handctl.hand.file.section_models import Bus
 
 
 @dataclass(frozen=True, slots=True)

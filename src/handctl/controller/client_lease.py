@@ -13,13 +13,13 @@ from handctl.controller.target_streams import bring_to_rest, close_stream
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent
-from handctl.programs.requests import CommandBase, GiveUpCommandRequest
+from handctl.programs.requests import CommandRequestBase, GiveUpCommandRequest
 
 RELAX_TIMEOUT_IN_LEASES = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
-def begin_lease(state: ControllerState, request: CommandBase) -> None:
+def begin_lease(state: ControllerState, request: CommandRequestBase) -> None:
     """Start the lease of the client that has sent a command.
 
     If the command contains no lease, end the present lease.

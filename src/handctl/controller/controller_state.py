@@ -67,7 +67,7 @@ class ControllerDecisions(NamedTuple):
             change.
         pending: requested gains whose controller design is in progress.
         commander: client that may send commands, or None if any client may, see
-            ``requests.CommandBase``.
+            ``requests.CommandRequestBase``.
         stream: open stream of targets.
         lease: lease of the commanding client, or None for a client without a lease.
         amplifiers: state of each CiA 404 amplifier. The value is empty if the load cells have no

@@ -26,7 +26,7 @@ from handctl.core.gains.motion_design import (
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import GAIN_EVENT, TickEvent, Vector
 from handctl.errors import ConfigError
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 
 ControllerT = TypeVar("ControllerT")
 """Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
@@ -78,7 +78,7 @@ class DesignCache:
             )
         except ConfigError as error:
             return DesignProgress(
-                None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
+                None, (TickEvent("warn", "gains", "", f"{REFUSAL_EVENT_PREFIX}{error}"),)
             )
         if len(designed_pieces) >= control_loop_count(model.space):
             return None
@@ -139,7 +139,7 @@ def begin_design(
     try:
         return PendingGains(gains_with_values(present_gains, new_values, "gains", is_live=True)), ()
     except ConfigError as error:
-        return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
+        return None, (TickEvent("warn", "request", "", f"{REFUSAL_EVENT_PREFIX}{error}"),)
 
 
 def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:

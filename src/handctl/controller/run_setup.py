@@ -30,8 +30,8 @@ from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
-from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.quantity_types import MAX_POSITION_RANGE_RAD
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import hand_from_content, parse_toml
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excitation import ExciteProgram, ExciteStep
@@ -211,7 +211,7 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
             identifier, or neither a load cell nor a torque report shows the tension of a tendon.
     """
     buses = hand.bus_names
-    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    motors = [hand.motor_of_tendon(name) for name in hand.tendon_names]
     drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
     for motor, drive, tendon, has_cell in zip(
         motors, drives, hand.tendon_names, hand.has_cell.tolist(), strict=True

@@ -20,8 +20,8 @@ from handctl.programs.stream_plans import (
     loop_fractions,
     mapping_of_stream,
     nearest_holdable_posture,
-    plan_of_request,
-    progress_with_stopped_digits,
+    stop_moving_digits,
+    stream_plan_or_refusal,
     streamed_digits,
     streamed_goals,
     target_tensions,
@@ -56,7 +56,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStreamReq
 
     Until the first target arrives, the digits of the stream keep their present reference.
     """
-    stream = plan_of_request(model, request)
+    stream = stream_plan_or_refusal(model, request)
     if isinstance(stream, str):
         return TickEvent("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
@@ -120,7 +120,7 @@ def bring_to_rest(
     """
     reach_by_digit = tuple(digit.coordinate_limits for digit in model.digits)
     setpoints = present_setpoints(model, state)
-    return progress_with_stopped_digits(
+    return stop_moving_digits(
         state.progress,
         present_references(model, state),
         setpoints,

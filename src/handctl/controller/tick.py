@@ -64,7 +64,11 @@ from handctl.drives.frame_records import (
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
-from handctl.programs.requests import REFUSED_PREFIX, parse_target, requests_and_stream_targets
+from handctl.programs.requests import (
+    REFUSAL_EVENT_PREFIX,
+    parse_target,
+    requests_and_stream_targets,
+)
 from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
@@ -501,7 +505,9 @@ class Controller:
         recent_refusals = state.decisions.refusals
         if request_events or recent_refusals:
             refused_texts = [event.text for event in request_events if event.level == "warn"]
-            malformed_count = sum(not text.startswith(REFUSED_PREFIX) for text in refused_texts)
+            malformed_count = sum(
+                not text.startswith(REFUSAL_EVENT_PREFIX) for text in refused_texts
+            )
             k = state.k
             rate = 1.0 / self.model.period
             recent_refusals = tuple(

@@ -17,7 +17,7 @@ from handctl.document import Document, validate_content
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.quantities import MAX_POSITION_RANGE_RAD
+from handctl.hand.file.quantity_types import MAX_POSITION_RANGE_RAD
 
 
 class TendonCalibration(Document):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from handctl.compiled import borrowed_array, kernel_helper
 from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
 from handctl.hand import rigid_body
-from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
+from handctl.hand.file.quantity_types import POLYNOMIAL_COEFFICIENTS
 
 CONSTANT_AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
 CONSTANT_TABLES = (
@@ -125,7 +125,7 @@ SPRING_STIFFNESS = _real("spring", "joint", "N m/rad", "stiffness of the return 
 SPRING_PRELOAD = _real("preload", "joint", "rad", "preload of the return spring")
 JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous damping of the joint")
 LINK_TABLE = _real("link", "joint", "",
-    "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.TABLE_ROW_COUNT)  # fmt: skip
+    "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.LINK_TABLE_ROW_COUNT)  # fmt: skip
 PARENT_JOINT = _integer("parent", "joint", "",
     "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
 JOINT_SCALE = _real("joint_scale", "joint", "rad/rad or m/rad",

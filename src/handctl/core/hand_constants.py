@@ -169,7 +169,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
-    motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
+    motors = [model.hand.motor_of_tendon(name) for name in model.hand.tendon_names]
     inertia = (space.motor_mass + space.load_mass) * space.spool**2
     stiffness = inertia * model.motion.stiffness
     damping = inertia * model.motion.damping

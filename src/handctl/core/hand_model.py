@@ -21,7 +21,7 @@ from handctl.core.tick_types import Vector
 from handctl.hand.description import Hand
 from handctl.hand.digit import JointValues
 from handctl.hand.dynamics import DigitModel, required_torque
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 
 linalg = DeferredModule("scipy.linalg")
 
@@ -92,7 +92,7 @@ class HandModel:
     ceiling: Vector
     torque_limit: Vector
     redundancy: TendonRedundancy
-    link_tree: HandLinkTree
+    link_tree: LinkTree
     blind_margin: Vector
     torque_gain: Vector | None = None
     inverse_dynamics: InverseDynamics = required_torque
@@ -162,7 +162,7 @@ class HandModel:
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
-            link_tree=HandLinkTree.from_hand(hand, digits),
+            link_tree=LinkTree.from_hand(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,
         )
@@ -212,9 +212,9 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     spool radius and the torque gain. Without the small reduction, rounding errors could exceed the
     limit.
     """
-    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
-        1.0 - 1e-12
-    )
+    largest = np.array(
+        [hand.motor_of_tendon(tendon.name).torque_max_N_m for tendon in hand.tendon]
+    ) * (1.0 - 1e-12)
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 

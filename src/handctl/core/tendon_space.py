@@ -16,8 +16,8 @@ from handctl.core.tick_types import Vector
 from handctl.drives.protocol_registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
-from handctl.hand.file.sections import Motor
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.file.section_models import Motor
+from handctl.hand.link_tree import LinkTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
     # The mass matrix of the whole hand is used here, because it includes the fingers that a wrist
     # moves.
-    mass = HandLinkTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
+    mass = LinkTree.from_hand(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
     )

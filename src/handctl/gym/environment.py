@@ -37,10 +37,10 @@ from handctl.gym.observation_layout import (
 from handctl.hand.file.display_units import DisplayUnits
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 from handctl.programs.stream_plans import target_horizon_s
+from handctl.session.lockstep_simulation import SimulatedRun, SimulatorSettings, homed_controller
 from handctl.session.run_plan import check_hand_ready, default_control_rate
-from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0
 """Desired rate of the actions of an environment [Hz].
@@ -145,11 +145,11 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             self.hand.display_units
             if space == "joint"
             else DisplayUnits.of(
-                [self.hand.displayed_mean(name).is_prismatic[0] for name in self.names]
+                [self.hand.mean_position_units(name).is_prismatic[0] for name in self.names]
             )
         )
         # A prismatic joint moves 10 mm per rad.
-        self._largest_step_deg = speed_deg_s * self.step_s * self.units.per_degree
+        self._largest_step_deg = speed_deg_s * self.step_s * self.units.displayed_per_degree
         self._target_deg = self.low_deg
         self._perturb = dict(perturb or {})
         self.layout = ObservationLayout(self.observation_parts())
@@ -269,7 +269,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self._target_number = 0
         self._last_streamed_names = ()
         self._target_deg = np.clip(
-            self.units.to_displayed(self.coordinates_of_joints(self.last_output.telemetry.q)),
+            self.units.to_display_units(self.coordinates_of_joints(self.last_output.telemetry.q)),
             self.low_deg,
             self.high_deg,
         )
@@ -289,7 +289,9 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             )
         tick_output = run.run_tick(requests=tuple(self._step_requests(clipped_action)))
         refused_texts = [
-            event.text for event in tick_output.events if event.text.startswith(REFUSED_PREFIX)
+            event.text
+            for event in tick_output.events
+            if event.text.startswith(REFUSAL_EVENT_PREFIX)
         ]
         if refused_texts and tick_output.mode == HandMode.ACTIVE:
             raise ConfigError(
@@ -444,10 +446,10 @@ def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vec
     The range of a digit is the range that all joint coordinates of this digit have in common.
     """
     if space == "joint":
-        low, high = zip(*(digit.displayed_limits for digit in model.hand.digit), strict=True)
+        low, high = zip(*(digit.displayed_joint_limits for digit in model.hand.digit), strict=True)
         return np.concatenate(low), np.concatenate(high)
     displayed_reach = [
-        digit.coordinate_units.to_displayed(digit.coordinate_limits) for digit in model.digits
+        digit.coordinate_units.to_display_units(digit.coordinate_limits) for digit in model.digits
     ]
     return np.array([bound_m[0].max() for bound_m in displayed_reach]), np.array(
         [bound_m[1].min() for bound_m in displayed_reach]

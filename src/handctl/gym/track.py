@@ -97,7 +97,8 @@ class TrackEnv(HandEnv):
         s = min(t_s / REFERENCE_BLEND_S, 1.0)
         blend = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         angles = (
-            self._reference_units.to_displayed(self._start) * (1.0 - blend) + sine_reference * blend
+            self._reference_units.to_display_units(self._start) * (1.0 - blend)
+            + sine_reference * blend
         )
         return angles if self._space == "digit" else self._joint_angles_at(angles)
 
@@ -115,7 +116,7 @@ class TrackEnv(HandEnv):
         The reward depends on the true tracking error. The second result is always False, because no
         step ends an episode.
         """
-        error = self.units.to_displayed(
+        error = self.units.to_display_units(
             self.coordinates_of_joints(self.true_q)
         ) - self.reference_deg(self.t_s)
         rms = float(np.sqrt(np.mean(error**2)))
@@ -128,7 +129,7 @@ class TrackEnv(HandEnv):
         """
         if self._space == "digit":
             return self.low_deg, self.high_deg
-        low, high = self._reference_units.to_displayed(self.model.coordinate_limits)
+        low, high = self._reference_units.to_display_units(self.model.coordinate_limits)
         return low, high
 
     @property

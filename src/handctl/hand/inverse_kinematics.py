@@ -17,14 +17,14 @@ MAX_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
 MIN_STEP_RAD = 1e-10
 """The search ends after a step in which no coordinate changes by more than this value [rad]."""
-START_WEIGHT_M_PER_RAD = 1e-5
+START_DISTANCE_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance from the start coordinates [m/rad].
 
 Of all postures with the same tip position, the weight selects the one nearest to the start.
 """
 DAMPING_RANGE = (1e-8, 1e8)
 """Smallest and largest damping of a Levenberg-Marquardt step, relative to the largest curvature."""
-START_RANGE_FRACTIONS = (0.5, 0.15, 0.85)
+START_COORDINATE_FRACTIONS = (0.5, 0.15, 0.85)
 """Start coordinates of a search without a given posture, as fractions of the coordinates' ranges."""
 
 
@@ -208,7 +208,7 @@ def closest_tip(
     if start_angles is None:
         locally_closest_tips = [
             _locally_closest_tip(digit, target, low + range_fraction * (high - low))
-            for range_fraction in START_RANGE_FRACTIONS
+            for range_fraction in START_COORDINATE_FRACTIONS
         ]
         return min(locally_closest_tips, key=lambda tip: tip.distance)
     return _locally_closest_tip(
@@ -227,13 +227,13 @@ def _locally_closest_tip(
     damping = 1e-3
     for _ in range(MAX_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
-        slope = jacobian.T @ gap + START_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
+        slope = jacobian.T @ gap + START_DISTANCE_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
         is_free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
         if not is_free.any():
             break
         curvature = jacobian[:, is_free].T @ jacobian[
             :, is_free
-        ] + START_WEIGHT_M_PER_RAD**2 * np.eye(int(is_free.sum()))
+        ] + START_DISTANCE_WEIGHT_M_PER_RAD**2 * np.eye(int(is_free.sum()))
         scale = float(curvature.diagonal().max())
         next_coordinates = theta
         while damping < DAMPING_RANGE[1]:
@@ -243,8 +243,8 @@ def _locally_closest_tip(
             )
             trial = np.clip(trial, low, high)
             distance_vector = joint_points(digit, digit.coupling @ trial)[-1] - target_point
-            start_cost = (START_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
-                START_WEIGHT_M_PER_RAD * (trial - start_coordinates)
+            start_cost = (START_DISTANCE_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
+                START_DISTANCE_WEIGHT_M_PER_RAD * (trial - start_coordinates)
             )
             if (present_cost := float(distance_vector @ distance_vector + start_cost)) < cost:
                 next_coordinates = trial

@@ -45,7 +45,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
     """
     warnings_by_tendon: list[tuple[str, str]] = []
     for tendon in hand.tendon:
-        motor = hand.motor_of(tendon.name)
+        motor = hand.motor_of_tendon(tendon.name)
         breaking_force = tendon.rated_breaking_force_N
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
@@ -92,7 +92,7 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
         return
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
-    motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+    motors = [hand.motor_of_tendon(tendon.name) for tendon in hand.tendon[tendons]]
     peak_loads = np.array(
         [runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors]
     )

@@ -80,7 +80,7 @@ def attached_meshes(
         data = attachments.get(attachment_name(mesh.file), b"")
         try:
             mesh_by_name[mesh.link] = AttachedMesh(
-                mesh, data, mesh.place(mesh_triangles(data, mesh.suffix))
+                mesh, data, mesh.to_link_frame(mesh_triangles(data, mesh.suffix))
             )
         except ValueError:
             missing_meshes.append(mesh.link)

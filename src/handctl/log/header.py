@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Self
 
 from handctl.errors import LogError
-from handctl.hand.file.quantities import NAME_PATTERN
+from handctl.hand.file.quantity_types import NAME_PATTERN
 from handctl.printing import escape_surrogates
 
 TRUTH_OFFSET_KEY = "truth_offset_ns"

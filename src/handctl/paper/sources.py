@@ -8,7 +8,7 @@ from fractions import Fraction
 from functools import cache
 
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 from handctl.hand.hand_loading import load_hand
 
 PULLEY_RADIUS_MM = Fraction(3)

@@ -65,15 +65,15 @@ HOLD_SETTLING_TIMEOUT_S = 3.0
 In this time, the digit moves to its lower limits. The digit stays there for the pulls of all its
 tendons, so only the first pull waits this long.
 """
-PRESS_TORQUE_FACTOR = 1.5
+PRESSING_TORQUE_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
 MEASUREMENT_DURATION_S = 0.3
 """Averaging time of the response to a pull [s]."""
-MIN_ANSWER_FRACTION = 0.6
+MIN_RESPONSE_FRACTION = 0.6
 """Smallest accepted response of the tendon's own load cell, as a fraction of the pull."""
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull."""
-MIN_TAKE_UP_M = 0.1e-3
+MIN_EXCHANGED_ENCODER_MOTION_M = 0.1e-3
 """Smallest motion of another motor during a pull that shows exchanged encoders, if its own motor moves less [m].
 
 A motor without torque moves by less: simulated ones by at most 10 um, and a motor that gives back
@@ -96,7 +96,7 @@ COLUMN_COUNT = 9
 
 The constants above are the indices of its columns.
 """
-NOT_YET_PULLING = -1
+TOUCHING_BEFORE_PULL = -1
 """Value of `ProgramProgress.touching[0]` before a pull.
 
 During a pull, the value is 0 until the tendon is taut. After that, the value is 1 more than the
@@ -136,7 +136,7 @@ class CommissionProgram:
             return replace(progress, since=t), (TickEvent("info", "phase", "", _tare_text(model)),)
         if progress.step == 0:
             return self._tare_cells(model, progress, measurements, t)
-        if progress.touching[0] == NOT_YET_PULLING:
+        if progress.touching[0] == TOUCHING_BEFORE_PULL:
             return self._advance_rest(model, progress, measurements, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._advance_hold(model, progress, estimate, measurements, t)
@@ -146,7 +146,7 @@ class CommissionProgram:
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         table = _commissioning_table(progress)
-        tension = _known_tensions(model, measured)
+        tension = _measured_or_estimated_tensions(model, measured)
         if not np.isnan(tension).any():
             table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
@@ -181,7 +181,7 @@ class CommissionProgram:
         may hold tension in a tendon that was pulled before. The tares of all tendons in a digit
         without springs are renewed together.
         """
-        tension = _known_tensions(model, measured)
+        tension = _measured_or_estimated_tensions(model, measured)
         is_missing = np.isnan(tension + measured.travel).any()
         if t - progress.since < REST_SETTLING_S or is_missing:
             return progress, ()
@@ -271,13 +271,15 @@ class CommissionProgram:
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
             slack = own_tendons.start + int(np.flatnonzero(estimate.is_slack[own_tendons])[0])
-            return self._refuse_tendon(model, progress, slack, _no_answer_text(model, measurements))
+            return self._refuse_tendon(
+                model, progress, slack, _missing_response_reason(model, measurements)
+            )
         excursion = np.where(
             model.hand.tendons_with_encoders,
             measurements.excursion,
             model.redundancy.excursion_at_lower_limits,
         )[own_tendons]
-        tension = _known_tensions(model, measurements, estimate)
+        tension = _measured_or_estimated_tensions(model, measurements, estimate)
         is_missing = (
             np.isnan(tension).any() or np.isnan(measurements.travel[own_tendons] + excursion).any()
         )
@@ -336,11 +338,13 @@ class CommissionProgram:
         if waiting_tendon == 0:
             is_late = t - progress.since > TAKE_UP_TIMEOUT_S
             return (
-                self._refuse_tendon(model, progress, i, _no_answer_text(model, measurements))
+                self._refuse_tendon(
+                    model, progress, i, _missing_response_reason(model, measurements)
+                )
                 if is_late
                 else (progress, ())
             )
-        tension = _known_tensions(model, measurements, estimate)
+        tension = _measured_or_estimated_tensions(model, measurements, estimate)
         is_missing = np.isnan(tension + measurements.travel).any()
         if t - progress.since < PULL_SETTLING_S or is_missing:
             return progress, ()
@@ -359,7 +363,9 @@ class CommissionProgram:
                 return self._refuse_tendon(model, progress, i, text)
             return self._judge_response(
                 model,
-                _with_commissioning_table(progress, _table_with_results(model, table, i, samples)),
+                _with_commissioning_table(
+                    progress, _table_with_pull_results(model, table, i, samples)
+                ),
                 i,
                 t,
             )
@@ -373,7 +379,7 @@ class CommissionProgram:
     ) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _commissioning_table(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
-        if answer < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+        if answer < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
             sensor = "load cell" if model.hand.has_cell[i] else "motor"
             return self._refuse_tendon(
                 model,
@@ -418,7 +424,7 @@ class CommissionProgram:
             goals=passive_goals,
             phase="rest",
             contact=(False,) * len(passive_goals),
-            touching=(NOT_YET_PULLING,) * len(passive_goals),
+            touching=(TOUCHING_BEFORE_PULL,) * len(passive_goals),
         ), ()
 
     def _refuse_tendon(
@@ -461,14 +467,14 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
     return f"{own_text}; no other load cell, so swapped tendons are not checked"
 
 
-def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
+def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
     """Return the reason why the load cell of the pulled tendon does not respond.
 
     Another load cell may respond instead.
     """
     answer_tensions = np.nan_to_num(measured.tension)
     other_tendon = int(answer_tensions.argmax())
-    if answer_tensions[other_tendon] < MIN_ANSWER_FRACTION * PULL_TENSION_N:
+    if answer_tensions[other_tendon] < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
         return "does not become taut"
     name = model.hand.tendon_names[other_tendon]
     return f"does not become taut, but the load cell of {name} reads {answer_tensions[other_tendon]:.1f} N: swapped?"
@@ -486,7 +492,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     return DigitGoal(GoalKind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
-def _known_tensions(
+def _measured_or_estimated_tensions(
     model: HandModel, measurements: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
     """Return the tensions (N,) in a tick [N].
@@ -520,7 +526,7 @@ def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitG
     arms = digit.with_moment_arms_at(digit.joint_min).reduced_moment_arms
     # A stronger pull of one tendon must not lift the digit off its limits. The torque of this pull
     # is at most the pull times the largest moment arm of a closing tendon.
-    pressing_torque = PRESS_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
+    pressing_torque = PRESSING_TORQUE_FACTOR * PULL_TENSION_N * np.maximum(arms, 0.0).max(axis=0)
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - pressing_torque
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
@@ -550,7 +556,7 @@ def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
     return replace(progress, tare=tuple(_tares_from_table(_commissioning_table(progress)).tolist()))
 
 
-def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
+def _table_with_pull_results(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """Return the table after the results for tendon i are stored and the sums are set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
@@ -594,7 +600,7 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
     joint_travel = np.where(is_sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
     largest = int(joint_travel.argmax())
     are_encoders_exchanged = is_sprung[i] and joint_travel[largest] > max(
-        joint_travel[i], MIN_TAKE_UP_M
+        joint_travel[i], MIN_EXCHANGED_ENCODER_MOTION_M
     )
     return largest if are_encoders_exchanged else None
 
@@ -614,7 +620,7 @@ def idle_torque_warnings(hand: Hand, drives: Sequence[Drive]) -> tuple[str, ...]
     largest = MAX_CROSSTALK_FRACTION * PULL_TENSION_N
     warnings_by_motor: list[tuple[str, str]] = []
     for tendon, drive in zip(hand.tendon_names, drives, strict=True):
-        motor = hand.motor_of(tendon)
+        motor = hand.motor_of_tendon(tendon)
         torque = _idle_torque(drive)
         if torque <= largest * motor.spool_radius_m:
             continue

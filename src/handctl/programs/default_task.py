@@ -13,12 +13,12 @@ from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import shortened_list
-from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
+from handctl.hand.file.new_hand_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.hand_loading import parse_toml
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.link_tree import HandLinkTree
-from handctl.hand.readiness import displayed_range
+from handctl.hand.link_tree import LinkTree
+from handctl.hand.readiness_checks import displayed_range
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85
@@ -35,7 +35,7 @@ HOLD_FRACTION = 0.3
 """Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
 MAX_HOLD_FRACTION = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
-MIN_BALANCE_FACTOR = 0.1
+MIN_FORCE_BALANCE_FACTOR = 0.1
 """Smallest factor on the tension of a digit that may be used to balance the forces on an object.
 
 If the balance requires a smaller factor, the tensions do not balance the forces.
@@ -69,7 +69,7 @@ OBJECT_HALF_LENGTH_M = 0.0465
 
 Source: ``firmware_sim/scenes/cylinder.toml``.
 """
-LINK_SAMPLES = 9
+SAMPLES_PER_LINK = 9
 """Number of points along a link for which the distance to the object is computed."""
 
 
@@ -148,7 +148,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     The mean of the factors is 1. With these factors, the forces of the digits on an object balance
     each other. With equal factors, for example, two fingers would push a thumb open.
     """
-    balance = _balance_factors(hand)
+    balance = _force_balance_factors(hand)
     if balance is not None:
         return balance
     # In this case, the palm or friction balances the forces. The opposed digits together press with
@@ -164,7 +164,7 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     }
 
 
-def _balance_factors(hand: Hand) -> dict[str, float] | None:
+def _force_balance_factors(hand: Hand) -> dict[str, float] | None:
     """Return factors for which the forces of the digits cancel.
 
     The factors have the mean 1, and are as near to 1 as possible. If a factor is too small, return
@@ -173,7 +173,7 @@ def _balance_factors(hand: Hand) -> dict[str, float] | None:
     directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
-    if factors.min() < MIN_BALANCE_FACTOR:
+    if factors.min() < MIN_FORCE_BALANCE_FACTOR:
         return None
     return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
 
@@ -183,7 +183,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the direction of the y axis of the last link when all joint angles are 0.
     """
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     turned_link_rotations = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned_link_rotations[digit.joints][-1, :, 1]
@@ -278,7 +278,7 @@ def default_scene(hand: Hand) -> str:
     are_digits_parallel = all(
         abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values()
     )
-    if not are_digits_parallel and _balance_factors(hand) is None:
+    if not are_digits_parallel and _force_balance_factors(hand) is None:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
     longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
@@ -298,10 +298,10 @@ def default_scene(hand: Hand) -> str:
 
 def _largest_object(hand: Hand, is_ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
-    fractions = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]
+    fractions = np.linspace(0.0, 1.0, SAMPLES_PER_LINK)[:, None]
     for digit, points in zip(tree.digits, tree.points(q), strict=True):
         for start, end in pairwise(points):
             x, y, z = (start + fractions * (end - start)).T

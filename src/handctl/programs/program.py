@@ -207,7 +207,7 @@ def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vecto
 
     During contact, the joints may turn further than the excursions show.
     """
-    return digit.coordinates_of(estimate.excursion[digit.tendons])
+    return digit.coordinates_of_excursion(estimate.excursion[digit.tendons])
 
 
 def goal_to_move_to_angle(

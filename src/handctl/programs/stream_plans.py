@@ -158,7 +158,7 @@ def mapping_of_stream(
     return TargetMapping(values * si_factor[:, None], is_streamed, tuple(digits), held_digits)
 
 
-def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
+def stream_refusal_reason(model: HandModel, request: OpenStreamRequest) -> str:
     """Return the reason why a hand cannot follow a stream, or an empty text if it can."""
     hand = model.hand
     expected = {"joint": hand.joints, "tension": hand.tendon_names}.get(
@@ -180,9 +180,9 @@ def stream_problem(model: HandModel, request: OpenStreamRequest) -> str:
     return ""
 
 
-def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
+def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> StreamPlan | str:
     """Return the stream that a request opens, or the reason why the request is refused."""
-    if reason := stream_problem(model, request):
+    if reason := stream_refusal_reason(model, request):
         return reason
     min_rate_hz = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
     max_rate_hz = 1.0 / model.period
@@ -197,7 +197,7 @@ def plan_of_request(model: HandModel, request: OpenStreamRequest) -> StreamPlan 
 
 FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
-HOLDABLE_NEWTON_STEPS = 4
+MAX_NEWTON_STEPS = 4
 """Largest number of Newton steps towards a holdable posture.
 
 Because of gravity, which the slope does not include, more than one step may be necessary.
@@ -218,7 +218,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
     if not _is_held_by_each_tendon(digit):
         return coordinates
     angles = coordinates.copy()
-    for _ in range(HOLDABLE_NEWTON_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
@@ -329,19 +329,19 @@ def streamed_goals(
             contact[d] = False
         else:
             goals[d] = DigitGoal(
-                GoalKind.TENSION, tension=tension[d].copy(), rate=RATE_OF_STREAMED_GOALS
+                GoalKind.TENSION, tension=tension[d].copy(), rate=STREAMED_GOAL_RATE
             )
     return replace(progress, goals=tuple(goals), contact=tuple(contact))
 
 
-RATE_OF_STREAMED_GOALS = 0.0
+STREAMED_GOAL_RATE = 0.0
 """Rate of the goal of a digit with streamed tensions [N/s].
 
 The rate has no effect, because the targets contain the setpoints.
 """
 
 
-def progress_with_stopped_digits(
+def stop_moving_digits(
     progress: ProgramProgress,
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
@@ -362,7 +362,7 @@ def progress_with_stopped_digits(
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
-        if goal.kind == GoalKind.TENSION and goal.rate == RATE_OF_STREAMED_GOALS:
+        if goal.kind == GoalKind.TENSION and goal.rate == STREAMED_GOAL_RATE:
             goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
         if goal.kind == GoalKind.MOTION and (
             isinstance(goal.trajectory, StreamedTrajectory) or not streamed_digits_only
@@ -371,7 +371,7 @@ def progress_with_stopped_digits(
             end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
             goals[d] = DigitGoal(
                 GoalKind.MOTION,
-                move_that_continues_motion(reference[d], end, STOP_DURATION_S, reach[d]),
+                blended_move(reference[d], end, STOP_DURATION_S, reach[d]),
                 since=t,
             )
     return replace(progress, goals=tuple(goals))
@@ -383,7 +383,7 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
-def move_that_continues_motion(
+def blended_move(
     reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference.

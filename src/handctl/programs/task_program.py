@@ -42,7 +42,7 @@ from handctl.programs.task import (
     value_for_digit,
 )
 
-FOLLOW_START_DEG = 4.0
+MAX_CURVE_START_DISTANCE_DEG = 4.0
 """Largest accepted distance of a digit from the start of a curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
@@ -96,7 +96,7 @@ class TaskProgram:
             return self._wait_until_taut(model, progress, estimate, t)
         return self._advance_phase(model, progress, estimate, t)
 
-    def begin(
+    def begin_first_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task. The tendons of the hand are already taut."""
@@ -192,7 +192,7 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_displayed(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_by_excursion(digit, estimate)),
             )
             return (
                 previous_goal
@@ -206,7 +206,7 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_displayed(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_by_excursion(digit, estimate)),
             )
             if angle is None or progress.contact[d]:
                 return previous_goal
@@ -350,7 +350,7 @@ class TaskProgram:
             )
         is_late = elapsed > RELEASE_TIMEOUT_S
         return elapsed >= phase.settle_s and (
-            is_late or not _still_tensioned(model, progress, phase, estimate)
+            is_late or not _tensioned_digits(model, progress, phase, estimate)
         )
 
     def _release_warnings(
@@ -365,7 +365,7 @@ class TaskProgram:
         return tuple(
             [
                 TickEvent("warn", "phase", name, text)
-                for name in _still_tensioned(model, progress, phase, estimate)
+                for name in _tensioned_digits(model, progress, phase, estimate)
             ]
         )
 
@@ -384,7 +384,7 @@ def _closing_digits(
     return tuple([goal.kind == GoalKind.MOTION and not in_contact for goal, in_contact in rows])
 
 
-def _still_tensioned(
+def _tensioned_digits(
     model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
     """Return the names of digits whose tension is still above the tension of the release phase.
@@ -431,7 +431,7 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
     Otherwise return an empty text.
     """
     for digit in model.digits:
-        angle = digit.coordinate_units.to_displayed(coordinates_by_excursion(digit, estimate))
+        angle = digit.coordinate_units.to_display_units(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
         coordinate_places = {
             digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
@@ -441,7 +441,7 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
             coordinate_places[digit.name] = angle, digit.coordinate_units.names[0]
         for name, (present_angle, unit) in coordinate_places.items():
             first_angle = phase.angle_deg[name][0]
-            if np.abs(present_angle - first_angle).max() > FOLLOW_START_DEG:
+            if np.abs(present_angle - first_angle).max() > MAX_CURVE_START_DISTANCE_DEG:
                 start = f"the trajectory begins at {first_angle:g} {unit}: move there first"
                 return f"{name} is at {present_angle.mean():.1f} {unit}, but {start}"
     return ""

@@ -206,10 +206,12 @@ def judge_tracking(
     touch_mask = _contact_mask(truth, hand, log, offset_ns)
     error = np.where(free_motion_mask & ~touch_mask, goal - true_angles, np.nan)
     error_by_digit = {
-        name: float(hand.displayed_mean(name).to_displayed(root_mean_square(error[:, d]))[0])
+        name: float(
+            hand.mean_position_units(name).to_display_units(root_mean_square(error[:, d]))[0]
+        )
         for d, name in enumerate(hand.digit_names)
     }
-    unit_scales = [hand.displayed_mean(name).scale[0] for name in hand.digit_names]
+    unit_scales = [hand.mean_position_units(name).scale[0] for name in hand.digit_names]
     digit_of_joint = np.repeat(
         np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit]
     )
@@ -399,7 +401,7 @@ def judge_angles(
     for name, joints in hand.digit_joints.items():
         is_finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
         is_within_two_sigma = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
-        unit = hand.displayed_mean(name)
+        unit = hand.mean_position_units(name)
         scale = 1.0 if unit.is_prismatic[0] else hand.display_units.scale[joints]
         angles[name] = {
             "source": angle_source(hand, name),

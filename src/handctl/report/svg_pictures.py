@@ -12,7 +12,7 @@ from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours
@@ -50,7 +50,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     figure, grid = _new_figure(
         min(len(moments), POSES_PER_ROW), 2.6, 2.9, -(-len(moments) // POSES_PER_ROW)
     )
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")
@@ -106,7 +106,7 @@ def _project_points(points_m: Array) -> Array:
 
 
 def _picture_limits(
-    tree: HandLinkTree, palm_points: Array
+    tree: LinkTree, palm_points: Array
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a picture that contains the palm and all digits at rest.
 

@@ -166,7 +166,7 @@ def run_live(
     for text in run_setup.caution_lines(controller.drives):
         plan.show_notice(f"handctl: caution: {text}")
     with ExitStack() as stack:
-        clock = _open_clock(plan, stack)
+        clock = _real_time_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
         targets = TargetBox(plan.buses[0], clock.run_time_of)
@@ -273,7 +273,7 @@ def _start_recording(
     return recorder, display
 
 
-def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
+def _real_time_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run in real time.
 
     If the simulator on the bus offers a shared clock, the result is the shared clock. Otherwise the

@@ -20,12 +20,12 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import lines_by_text
 from handctl.hand.hand_loading import hand_path, load_hand
-from handctl.hand.readiness import reasons_not_ready
+from handctl.hand.readiness_checks import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.bus_opening import check_bus_spec, real_buses
 from handctl.runtime.simulator_requests import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
-from handctl.session.gains import layered_gains
+from handctl.session.gains import gains_with_sources
 from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
 MIN_TICKS_PER_WATCHDOG_TIME = 2
@@ -90,7 +90,7 @@ class RunPlan:
 
 
 @dataclass(frozen=True)
-class RunChoice:
+class RunOptions:
     """Settings that the operator has chosen for a run, before these settings are checked.
 
     Attributes:
@@ -121,7 +121,7 @@ class RunChoice:
 
 
 def make_plan(
-    choice: RunChoice,
+    choice: RunOptions,
     display: "Callable[[RunPlan], OperatorDisplay] | None" = None,
     show_notice: NoticeCallback = ignore_notice,
 ) -> RunPlan:
@@ -137,7 +137,7 @@ def make_plan(
     """
     hand = load_hand(choice.hand)
     check_hand_ready(hand, str(choice.hand))
-    layers = layered_gains(hand, choice.gains_file, choice.gain_arguments, show_notice)
+    layers = gains_with_sources(hand, choice.gains_file, choice.gain_arguments, show_notice)
     buses = () if choice.bus_arguments is None else bus_specs(hand, choice.bus_arguments)
     if not choice.is_hand_named:
         refuse_default_hand(buses, "--hand")
@@ -233,7 +233,7 @@ def control_rate(requested_hz: float | None, hand: Hand, load_of_bus: Sequence[B
         ConfigError: at this control rate, a single lost tick would trigger the watchdog of a drive,
             or a bus would be overloaded.
     """
-    best = highest_rate_of_buses(load_of_bus)
+    best = highest_control_rate(load_of_bus)
     rate = best if requested_hz is None else requested_hz
     min_rate_hz = MIN_TICKS_PER_WATCHDOG_TIME * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
     if not min_rate_hz <= rate < math.inf:
@@ -262,7 +262,7 @@ def _check_log(log: Path | None) -> None:
         raise ConfigError(f"{log} exists already", "--log", "a new file ending in .mcap")
 
 
-def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
+def highest_control_rate(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
         (load.tick_s for load in load_of_bus), (load.periodic_load_fraction for load in load_of_bus)
@@ -274,7 +274,7 @@ def default_control_rate(hand: Hand) -> float:
 
     The default is the highest of the usual rates that the buses of the hand allow.
     """
-    return highest_rate_of_buses(bus_loads(hand))
+    return highest_control_rate(bus_loads(hand))
 
 
 def protocol_hint_lines(hand: Hand) -> tuple[str, ...]:

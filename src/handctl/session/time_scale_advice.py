@@ -11,11 +11,11 @@ from handctl.session.run_plan import RunPlan
 
 MAX_CORE_LOAD = 0.7
 """Largest load of a processor core at which the machine counts as fast enough, as a fraction of full load."""
-FRACTION_OF_FAILED_TIME_SCALE = 0.7
+ADVISED_TIME_SCALE_FRACTION = 0.7
 """Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
 
-def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
+def late_run_advice(plan: RunPlan, outcome: RunOutcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late.
 
     For any other run, the result is an empty text.
@@ -47,7 +47,7 @@ def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     max_time_scale = measured_figures.get("plant_s_per_cpu_s") or math.inf
     core_loads = (controller_load, 1.0 / max_time_scale)
     load = sum(core_loads) if usable_cores() == 1 else max(core_loads)
-    scale_below_failed = FRACTION_OF_FAILED_TIME_SCALE * plan.time_scale
+    scale_below_failed = ADVISED_TIME_SCALE_FRACTION * plan.time_scale
     simulator_advice = measured_figures.get("advice") or math.inf
     max_scale_for_load = MAX_CORE_LOAD / load if load > 0.0 else math.inf
     return round_down_to_one_digit(

@@ -220,7 +220,7 @@ class VerifyObserver:
     def _blocked_digit(self, tick_output: TickOut, digit_names: tuple[str, ...]) -> BlockedDigit:
         """Return the description of a blocked digit. The names come from `_blocked_names`."""
         digit, *other_digits = digit_names
-        units = self.hand.displayed_mean(digit)
+        units = self.hand.mean_position_units(digit)
         column = self.hand.digit_names.index(digit)
         mean = float(mean_angles(self.hand, tick_output.telemetry.q[None])[0, column])
         amplitude = PROPOSED_AMPLITUDE_FRACTION * move_amplitude(mean / float(units.scale[0]))

@@ -11,7 +11,7 @@ from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
 from handctl.drives.protocol_registry import DISCOVERY_BY_PROTOCOL
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.sections import Bus as BusSection
+from handctl.hand.file.section_models import Bus as BusSection
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.bus_opening import open_bus
@@ -27,7 +27,7 @@ from handctl.runtime.diagnostics.link_findings import (
     missing_interface_finding,
 )
 from handctl.runtime.diagnostics.round_trip import RoundTrip, measure_round_trips
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 NO_USB_ADAPTER = UsbAdapter()
@@ -70,7 +70,8 @@ def _expected_buses(
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
     return tuple(
-        (spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items()
+        (spec, BusSection(name=name, **rates))
+        for name, spec in parse_bus_arguments(args.bus).items()
     )
 
 

@@ -16,7 +16,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.report.load_table import BUS_LOAD_ROWS, TABLE_RATES_HZ
 from handctl.session.exit_codes import ExitCode
-from handctl.session.run_plan import bus_specs, highest_rate_of_buses
+from handctl.session.run_plan import bus_specs, highest_control_rate
 
 
 def run(args: argparse.Namespace) -> int:
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
-    rate = highest_rate_of_buses(loads) if args.rate is None else args.rate
+    rate = highest_control_rate(loads) if args.rate is None else args.rate
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
     wrong_bit_rates = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []

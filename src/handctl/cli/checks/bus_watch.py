@@ -21,7 +21,7 @@ from handctl.runtime.clocks.real_clock import RealClock
 from handctl.runtime.diagnostics.bus_watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_plan import bus_specs, chosen_time_scale, default_control_rate
 from handctl.signal_handlers import TerminationFlag, installed_handler
@@ -172,7 +172,7 @@ def _drive_fields(
 
     Values are positive for a motion that winds up the tendon.
     """
-    motor = hand.motor_of(tendon)
+    motor = hand.motor_of_tendon(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)
     shown_values = values if age_s <= STALE_AFTER_S else (math.nan,) * len(values)
     names = ("angle_rad", "velocity_rad_s", "torque_N_m", "temperature_degC")

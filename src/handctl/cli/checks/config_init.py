@@ -17,14 +17,14 @@ from handctl.cli.console.questions import (
 )
 from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
-from handctl.hand.file.new_file import (
+from handctl.hand.file.new_hand_file import (
     NewHandAnswers,
-    check_answers,
+    check_new_hand_answers,
     new_hand_text,
     opposition_warnings,
     palm_warnings,
 )
-from handctl.hand.hand_loading import inspect_content, parse_toml
+from handctl.hand.hand_loading import inspect_hand_content, parse_toml
 from handctl.programs.default_task import grasp_warnings
 
 
@@ -83,11 +83,11 @@ def run(args: argparse.Namespace) -> int:
     )
     if not args.yes:
         hand_answers = _ask_questions(args, hand_answers)
-    check_answers(hand_answers)
+    check_new_hand_answers(hand_answers)
     options = options_with_motor_type(hand_answers.protocol, hand_answers.motor_type)
     can_fd = PROTOCOL_TRAITS[hand_answers.protocol].can_fd
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(hand_answers, options, can_fd)
-    inspected = inspect_content(parse_toml(text, str(args.output)))
+    inspected = inspect_hand_content(parse_toml(text, str(args.output)))
     if inspected.mistakes or inspected.hand is None:
         raise inspected.mistakes[0].error("the answers")
     warnings = [

@@ -23,7 +23,7 @@ from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
-from handctl.hand.file.quantities import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
+from handctl.hand.file.quantity_types import MAX_TORQUE_N_M, MIN_TORQUE_LIMIT_N_M
 from handctl.runtime.buses.bus_opening import check_bus_spec
 from handctl.runtime.diagnostics.conformance import (
     CHECKED_REQUIREMENTS,

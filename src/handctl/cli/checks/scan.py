@@ -12,10 +12,10 @@ from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.protocol_registry import PROTOCOLS_WITHOUT_DISCOVERY
-from handctl.hand.file.sections import CIA404_PROTOCOL
+from handctl.hand.file.section_models import CIA404_PROTOCOL
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.diagnostics.bus_scan import BusScan, requests_without_answers, scan_bus
-from handctl.session.buses import named_buses
+from handctl.session.buses import parse_bus_arguments
 from handctl.session.exit_codes import ExitCode
 
 MAX_FOREIGN_FRAMES = 8
@@ -25,7 +25,7 @@ MILLI_FACTOR = 1e-3
 
 def run(args: argparse.Namespace) -> int:
     """Scan each bus on the command line for nodes. If no node was found, return 1."""
-    buses = named_buses(args.bus)
+    buses = parse_bus_arguments(args.bus)
     if args.dry_run:
         return _print_requests(args.json)
     scans: dict[str, BusScan] = {}

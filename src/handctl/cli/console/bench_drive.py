@@ -23,7 +23,7 @@ from handctl.drives.protocol_registry import PROTOCOL_ENTRIES, make_drive
 from handctl.drives.robstride.mit_mode import FACTORY_HOST
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
-from handctl.hand.file.sections import Motor
+from handctl.hand.file.section_models import Motor
 from handctl.hand.hand_loading import parse_toml
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus

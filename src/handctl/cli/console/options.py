@@ -9,9 +9,9 @@ from typing import Any
 from handctl.cli.parsing.completion import hand_names
 from handctl.drives.motor_description import PROTOCOL_TRAITS, motor_types_text
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
+from handctl.hand.file.quantity_types import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
 from handctl.printing import escape_surrogates, one_line_message
-from handctl.session.defaults import DEFAULT_HAND
+from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
 
 

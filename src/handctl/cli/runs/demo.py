@@ -35,6 +35,7 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import (
     RunFunction,
     RunOutcome,
@@ -44,7 +45,6 @@ from handctl.session.run import (
     run_lockstep,
 )
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.simulate import SimulatorSettings
 from handctl.session.tasks import load_task_for_hand, scene_for_hand
 
 SIMULATOR_PACKAGE = "firmware_sim"

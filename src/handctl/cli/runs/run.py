@@ -21,7 +21,7 @@ from handctl.session.calibration import ensure_calibration
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
 from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
-from handctl.session.time_scale_advice import pace_advice
+from handctl.session.time_scale_advice import late_run_advice
 
 
 def run(args: argparse.Namespace) -> int:
@@ -95,7 +95,7 @@ def print_run_result(
         print_summary(run_result, plan)
     if outcome.state.failure:
         print(
-            f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}",
+            f"handctl: {DriveError(outcome.state.failure, right=late_run_advice(plan, outcome))}",
             file=sys.stderr,
         )
     return outcome.exit_code

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         "first_seed": args.seed,
         "sequences": len(results),
         "broken": len(broken_results),
-        "felt": sum(result.effects for result in results),
+        "felt": sum(result.effect_count for result in results),
         "worst_tension_N": max(result.tension for result in results),
     }
     if args.json:

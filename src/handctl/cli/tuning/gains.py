@@ -7,7 +7,7 @@ from typing import Any
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import layered_gains, print_notice
+from handctl.cli.console.plan import gains_with_sources, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.gain_bounds import (
     GainBounds,
@@ -20,7 +20,7 @@ from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, pa
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.requests import REFUSED_PREFIX
+from handctl.programs.requests import REFUSAL_EVENT_PREFIX
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
 from handctl.session.run_plan import check_gain_margins
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print the value, the source, the meaning and the bounds of every gain."""
-    layers = layered_gains(args, hand)
+    layers = gains_with_sources(args, hand)
     values = values_by_key(layers.gains)
     gain_bounds = {key: checked_gain_bounds(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
@@ -311,5 +311,5 @@ def _raise_refusal(text: str) -> None:
     Raises:
         ConfigError: the controller refused the request.
     """
-    if text.startswith(REFUSED_PREFIX):
-        raise ConfigError(text.removeprefix(REFUSED_PREFIX), "the controller")
+    if text.startswith(REFUSAL_EVENT_PREFIX):
+        raise ConfigError(text.removeprefix(REFUSAL_EVENT_PREFIX), "the controller")

@@ -40,9 +40,9 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.identification_figure import draw_identification
 from handctl.tune.identify.identify import (

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.plan import layered_gains
+from handctl.cli.console.plan import gains_with_sources
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps"
         )
     hand, identified_hand, spread = load_tuned_hand(args.hand, args.fit)
-    gains = layered_gains(args, hand).gains
+    gains = gains_with_sources(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     output_path, picture = output_files(args, hand.name, "design")
     factors = ensemble_of_tuned_hand(args, spread, 1024)

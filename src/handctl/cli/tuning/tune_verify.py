@@ -24,6 +24,7 @@ from handctl.session.calibration import (
 )
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments, read_gains_for_hand
+from handctl.session.lockstep_simulation import SimulatorSettings
 from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
 from handctl.session.run_plan import (
     RunPlan,
@@ -31,7 +32,6 @@ from handctl.session.run_plan import (
     commissioning_log_path,
     default_log_path,
 )
-from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:

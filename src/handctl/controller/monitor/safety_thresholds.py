@@ -84,7 +84,9 @@ def compiled_constants(
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
     silent_ticks = tick_count_for_time(MAX_SILENCE_S, joint_period, MIN_SILENT_TICKS) * joint_period
-    rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
+    rates = np.array(
+        [hand.motor_of_tendon(name).velocity_range_rad_s for name in hand.tendon_names]
+    )
     return HandConstants(model, {
         "tare": tare_tensions,
         "zero": motor_zeros,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.tick_types import Vector
 from handctl.hand.digit import DigitModel
-from handctl.hand.moment_arms import excursions_at
+from handctl.hand.moment_arms import joint_excursions
 
 BoolArray = NDArray[np.bool_]
 MAX_BALANCE_TORQUE_FRACTION = 1e-3
@@ -71,7 +71,7 @@ def redundancy_of_hand(
         has_surplus=np.repeat(has_surplus_by_digit, counts),
         balance=np.concatenate(balance),
         excursion_at_lower_limits=np.concatenate(
-            [digit.excursion_at(digit.joint_min) for digit in digits]
+            [digit.excursion_at_angles(digit.joint_min) for digit in digits]
         ),
         excursion_range=np.concatenate([_excursion_range(digit) for digit in digits], axis=1),
     )
@@ -89,7 +89,7 @@ def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
 def _excursion_range(digit: DigitModel) -> Vector:
     """Return the smallest and largest excursion of each tendon of a digit within the joint limits (2, n_t) [m]."""
     if digit.has_varying_arm:
-        end_excursions = excursions_at(
+        end_excursions = joint_excursions(
             digit.arm_polynomials, digit.joint_limits, digit.joint_limits
         )
     else:

@@ -38,7 +38,7 @@ from handctl.core.estimation.statics import (
 )
 from handctl.core.estimation.varying_moment_arms import correct_angles_to_excursions
 from handctl.core.state_block import StateTables
-from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_levers_after_turn
+from handctl.hand.rigid_body import LINK_LENGTH_ROW, write_levers, write_levers_after_turn
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -238,7 +238,7 @@ def _write_levers_at_contact_place(
             pose,
             first_joint,
             touched_link,
-            0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched_link],
+            0.5 * c.joint[h.LINK_TABLE + LINK_LENGTH_ROW, touched_link],
             lever,
         )
     elif touched_link == end:
@@ -426,7 +426,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     for d in range(x.digit.shape[1]):
         first_joint = c.digit_int[h.FIRST_JOINT, d]
         last_joint = c.digit_int[h.END_JOINT, d] - 1
-        length = c.joint[h.LINK_TABLE + LENGTH_ROW, last_joint]
+        length = c.joint[h.LINK_TABLE + LINK_LENGTH_ROW, last_joint]
         write_tip_levers(c, d, pose, joint_levers)
         _reduce_levers(c, d, joint_levers, lever)
         force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(

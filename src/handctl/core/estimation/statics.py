@@ -62,7 +62,7 @@ def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
 
     The wrap angle is 0 for a prismatic joint.
     """
-    return 0.0 if c.joint[h.LINK_TABLE + rigid_body.PRISMATIC_ROW, j] != 0.0 else q
+    return 0.0 if c.joint[h.LINK_TABLE + rigid_body.IS_PRISMATIC_ROW, j] != 0.0 else q
 
 
 @kernel_helper
@@ -161,7 +161,7 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
         pose,
         c.digit_int[h.FIRST_JOINT, d],
         last_joint,
-        c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last_joint],
+        c.joint[h.LINK_TABLE + rigid_body.LINK_LENGTH_ROW, last_joint],
         lever,
     )
 

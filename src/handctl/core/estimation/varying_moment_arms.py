@@ -32,7 +32,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import part_explained_by_motion
 from handctl.core.state_block import StateTables
-from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
+from handctl.hand.file.quantity_types import POLYNOMIAL_COEFFICIENTS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -16,7 +16,7 @@ from handctl.drives.discovery import (
     is_number_used_by_two_drives,
 )
 from handctl.drives.frame import REMOTE_FLAG, Frame
-from handctl.hand.file.sections import CIA404_PROTOCOL
+from handctl.hand.file.section_models import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from handctl.errors import ConfigError
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
+from handctl.hand.file.quantity_types import UNMEASURED_PLACEHOLDER
 from handctl.printing import similar_name
 
 
@@ -41,7 +41,7 @@ SECTION_PATTERN = re.compile(r"(\w+)\[([^\]]*)\](.*)", re.DOTALL)
 
 The pattern matches the kind, the name, and the rest of the path.
 """
-EXPECTED_TYPES = {
+EXPECTED_BY_ERROR_TYPE = {
     "tuple_type": "a list",
     "dict_type": "a table",
     "model_type": "a table",
@@ -100,7 +100,7 @@ def validation_mistakes(
                 )
         elif error_detail["type"] != "extra_forbidden":
             context = {"right": error_detail["msg"], **error_detail.get("ctx", {})}
-            expected = EXPECTED_TYPES.get(error_detail["type"], "{right}").format(**context)
+            expected = EXPECTED_BY_ERROR_TYPE.get(error_detail["type"], "{right}").format(**context)
             if error_detail["input"] == UNMEASURED_PLACEHOLDER:
                 expected += _field_meaning(_field_of_key(location, model))
             unknown_key_mistakes.append(
@@ -193,7 +193,7 @@ def _unknown_key_mistake(
             "no mode; one drive: handctl jog --mode",
         )
     proposal = most_similar_valid_key(
-        str(key_location[-1]), _valid_keys_at(model, key_location[:-1])
+        str(key_location[-1]), _valid_keys_of_table(model, key_location[:-1])
     )
     return FileMistake("unknown key", key_path(content, key_location), proposal)
 
@@ -314,7 +314,7 @@ def toml_spelling(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _valid_keys_at(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
+def _valid_keys_of_table(model: type[BaseModel], key_location: Sequence[str | int]) -> list[str]:
     """Return the valid keys of the table at a location in the file."""
     for key_or_index in key_location:
         if isinstance(key_or_index, str):

@@ -3,7 +3,7 @@
 from pathlib import PurePath
 from typing import Annotated, Any
 
-from handctl.hand.file.quantities import (
+from handctl.hand.file.quantity_types import (
     CheckedType,
     NumberRange,
     number_in_range,

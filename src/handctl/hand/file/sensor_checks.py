@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from handctl.hand.file.error_text import FileMistake, first_sentence
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.sections import (
+from handctl.hand.file.section_models import (
     CIA404_KEYS,
     CIA404_PROTOCOL,
     HANDCTL_NODE_KEYS,
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 CANOPEN_SYNC = 0x080
 """CAN identifier of SYNC in CANopen. Source: CiA 301."""
-AMPLIFIER_SERVICES = (0x080, 0x580, 0x600, 0x700)
+AMPLIFIER_FRAME_IDS = (0x080, 0x580, 0x600, 0x700)
 """Identifiers of the frames of an amplifier: emergency, SDO in both directions, and heartbeat.
 
 The identifier of a frame is this number plus the node number of the amplifier.
@@ -125,5 +125,5 @@ def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:
     for identifier in node.tension_ids:
         yield identifier, "sensor_node.node_ids"
     for number in node.node_ids:
-        for service_base_id in AMPLIFIER_SERVICES:
+        for service_base_id in AMPLIFIER_FRAME_IDS:
             yield service_base_id + number, "sensor_node.node_ids"

@@ -97,7 +97,7 @@ def measure_tendons(folder: Path) -> dict[str, Any]:
     rows = recording.mask_of_phase("pull")
     force = np.array(recording.tension)[rows]
     travel = np.array(recording.travel)[rows]
-    spool_radii = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
+    spool_radii = [hand.motor_of_tendon(name).spool_radius_m for name in hand.tendon_names]
     return {
         "ropes": [
             {

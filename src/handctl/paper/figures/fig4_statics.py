@@ -5,7 +5,7 @@ A force on the tip causes some of these moments. The tendon causes the others.
 
 from typing import Any
 
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 

@@ -271,7 +271,7 @@ def paper_finger() -> DigitModel:
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
-    table[rigid_body.ARMATURE_ROW] = 0.0
+    table[rigid_body.JOINT_ARMATURE_ROW] = 0.0
     return replace(digit, table=table)
 
 

@@ -141,7 +141,7 @@ def _check_formulas() -> list[ErrataItem]:
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
     arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
-    spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
+    spool = hand.motor_of_tendon(hand.tendon_names[tendons][0]).spool_radius_m
     tension = 110.0
     grip_force_n = float(src.FINGER_GRIP_FORCE_N)
     values = {

@@ -15,7 +15,7 @@ import numpy as np
 from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.programs.excitation import ExciteStep
 
 LOWEST_SWEEP_ANGLE_DEG = 0.0
@@ -235,7 +235,7 @@ def _swing_amplitudes(
     hand: Hand, digit: DigitModel, middle_angles: Array, half_ranges: Array
 ) -> Array:
     """Return the amplitudes (n_c,) of an oscillation that the motors can produce [rad]."""
-    tree = HandLinkTree.from_hand(hand)
+    tree = LinkTree.from_hand(hand)
     q = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     q[digit.joints] = digit.coupling @ middle_angles
     moved_mass = tree.mass_matrix(q)[digit.joints, digit.joints]
@@ -243,7 +243,7 @@ def _swing_amplitudes(
     inertia = np.abs(digit.coupling.T @ moved_mass @ digit.coupling).sum(axis=1)
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
-    motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
+    motors = [hand.motor_of_tendon(tendon) for tendon in digit.tendon_names]
     available_force = SWING_TORQUE_FRACTION * np.array(
         [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
     )

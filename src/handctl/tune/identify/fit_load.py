@@ -21,7 +21,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
-from handctl.hand.moment_arms import excursions_at, moment_arms_at
+from handctl.hand.moment_arms import joint_excursions, moment_arms_at
 from handctl.tune.identify.tendon_data import Array, Mask, TendonData
 
 BIN_DURATION_S = 0.01
@@ -202,7 +202,7 @@ class DigitLoad:
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
-            float(self.varying.excursion_at(np.full(len(self.arms), angle))[0])
+            float(self.varying.excursion_at_angles(np.full(len(self.arms), angle))[0])
             for angle in TABLE_ANGLES_RAD.tolist()
         ]
         return np.interp(excursion, grid, TABLE_ANGLES_RAD)
@@ -222,7 +222,7 @@ class DigitLoad:
         return (
             arms_at_angle,
             (arm_ahead - arms_at_angle) / DIFFERENCE_STEP_RAD,
-            excursions_at(polynomial, limits, angle)[:, 0, 0],
+            joint_excursions(polynomial, limits, angle)[:, 0, 0],
         )
 
     def expected_tension(self, p: LoadParameters, mean_samples: SignalBins) -> Array:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.link_tree import HandLinkTree
+from handctl.hand.link_tree import LinkTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import (
@@ -149,7 +149,7 @@ class PairWindows:
             LogError: the pair hardly moves.
         """
         own_data = tendons_data[tendon]
-        spool = hand.motor_of(own_data.tendon).spool_radius_m
+        spool = hand.motor_of_tendon(own_data.tendon).spool_radius_m
         windows = motor_windows(replace(own_data, tension=np.zeros_like(own_data.travel)), spool)
         weights = WindowWeights.from_period(own_data.period)
         rows = (
@@ -168,7 +168,7 @@ class PairWindows:
         q, dq, ddq = _joint_motion(
             digit, mean_derivatives[:, :, clear], tendons_data, rest_angles[digit.joints]
         )
-        tree = HandLinkTree.from_hand(hand)
+        tree = LinkTree.from_hand(hand)
         rigid_body_torque = np.array(
             [
                 _torque_of_digit(tree, digit, rest_angles, *row)
@@ -227,7 +227,7 @@ def _joint_motion(
 
 
 def _torque_of_digit(
-    tree: HandLinkTree, digit: DigitModel, rest_angles: Array, q: Array, dq: Array, ddq: Array
+    tree: LinkTree, digit: DigitModel, rest_angles: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
     """Return the torques (joints,) that are necessary because of the inertia and the weight of a digit's links [N m].
 
@@ -460,7 +460,7 @@ def fit_pair(
     rest_angles = np.clip(np.zeros(len(hand.joints)), hand.joint_limits[0], hand.joint_limits[1])
     windows = PairWindows.from_data(hand, digit, tendon, pair_data, rest_angles)
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
-    motor = hand.motor_of(own_data.tendon)
+    motor = hand.motor_of_tendon(own_data.tendon)
     value_scales = parameter_scales(hand, own_data.tendon)
     problem = PairProblem(
         windows,

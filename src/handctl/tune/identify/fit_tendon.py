@@ -112,7 +112,7 @@ class TendonFitProblem:
         Raises:
             LogError: the tendon does not move enough in the log.
         """
-        motor = hand.motor_of(data.tendon)
+        motor = hand.motor_of_tendon(data.tendon)
         digit = DigitModel.from_hand(hand, data.digit)
         spool = motor.spool_radius_m
         if not data.torque_mask.any() or len(data.t) < 2:
@@ -258,7 +258,7 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
     A scale is usually the value in the hand file.
     """
     tendon_section = hand.tendon[hand.tendon_names.index(tendon)]
-    motor = hand.motor_of(tendon)
+    motor = hand.motor_of_tendon(tendon)
     value_scales = np.array([
         1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, DELAY_SCALE_S,
         tendon_section.stiffness_N_per_m, 1.0, 1.0, tendon_section.friction_coefficient, 1.0, 1.0,

@@ -53,7 +53,7 @@ def tendon_excursions(digit: DigitModel, tendon: int, q: Array) -> Array:
     """Return the excursion (m,) of one tendon of a digit at joint angles (m, joints) [m]."""
     if not digit.has_varying_arm:
         return np.asarray(q @ digit.moment_arms[tendon])
-    return np.array([digit.excursion_at(row)[tendon] for row in q])
+    return np.array([digit.excursion_at_angles(row)[tendon] for row in q])
 
 
 def model_with_arm_factors(digit: DigitModel, arm_factors: Array) -> DigitModel:

@@ -311,7 +311,7 @@ def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
     closed_angles = np.radians(hand.digit_named(data.digit).joint_max_deg)
     full_excursion = float(abs(load.arms) @ closed_angles)
     if load.varying is not None:
-        full_excursion = float(abs(load.varying.excursion_at(closed_angles)[0]))
+        full_excursion = float(abs(load.varying.excursion_at_angles(closed_angles)[0]))
     preload = values["spring_preload"]
     width = result.fit.half_widths["spring_preload"]
     if are_joints_moving(len(load.arms), preload, width, travel, full_excursion):

@@ -105,7 +105,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     for i, tendon in enumerate(hand.tendon):
         d = next(d for d, name in enumerate(hand.digit_names) if _digit_has_tendon(hand, name, i))
         digit = hand.digit_names[d]
-        spool = hand.motor_of(tendon.name).spool_radius_m
+        spool = hand.motor_of_tendon(tendon.name).spool_radius_m
         data = TendonData(
             tendon=tendon.name,
             digit=digit,

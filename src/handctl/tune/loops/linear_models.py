@@ -416,7 +416,9 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     digits = [digit.with_moment_arms_at(q[digit.joints]) for digit in model.digits]
-    table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
+    table[s.EXCURSION] = np.concatenate(
+        [digit.excursion_at_angles(q[digit.joints]) for digit in digits]
+    )
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = (
         block_diag(*(digit.moment_arms for digit in digits)) @ dq
@@ -527,7 +529,7 @@ def _move_goal(
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
-        position = position + direction * (reached_position[i] - digit.excursion_at(q)[i])
+        position = position + direction * (reached_position[i] - digit.excursion_at_angles(q)[i])
         goal_rate = goal_rate + direction * (speed[i] - arms[i] @ goal_rate)
     return DigitGoal(
         GoalKind.MOTION, SampledTrajectory(position, goal_rate, np.zeros_like(position))

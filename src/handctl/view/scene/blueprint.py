@@ -4,7 +4,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 

@@ -114,7 +114,7 @@ def integer_in_range(minimum: int, maximum: int) -> CheckedType:
     return CheckedType(check_value, {"type": "integer", "minimum": minimum, "maximum": maximum})
 
 
-def text_one_of(*allowed_words: str) -> CheckedType:
+def text_choice(*allowed_words: str) -> CheckedType:
     """Return the validation of a text that must be one of the given words."""
 
     def check_value(value: Any) -> str:
@@ -144,7 +144,7 @@ def _check_name(value: Any) -> str:
     return value
 
 
-def _check_text(value: Any) -> str:
+def _check_string(value: Any) -> str:
     """Return the value if it is a valid string."""
     if not isinstance(value, str):
         raise validation_error("a string")
@@ -214,7 +214,7 @@ MOMENT_ARM_RANGE = NumberRange(-0.05, 0.05, "m", "in metres?")
 """Range of a constant moment arm of a tendon at a joint."""
 
 
-ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
+MOMENT_ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
 """Valid forms of a moment arm that depends on the joint angle, for messages."""
 MAX_TABLE_ENTRIES = 1000
 """Largest number of entries in a table of moment arms."""
@@ -224,7 +224,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
     """Return the value if it is a valid moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
         raise validation_error(
-            f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}"
+            f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {MOMENT_ARM_FORMS}"
         )
     if not isinstance(value, Mapping):
         return MOMENT_ARM_RANGE(value)
@@ -235,7 +235,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
             )
         }
     if set(value) != {"angle_deg", "arm_m"}:
-        raise validation_error(ARM_FORMS)
+        raise validation_error(MOMENT_ARM_FORMS)
     angle = _checked_numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE_ENTRIES, 360.0)
     arm = _checked_numbers(value["arm_m"], "arm_m", 2, MAX_TABLE_ENTRIES, MOMENT_ARM_RANGE.high)
     if len(angle) != len(arm):
@@ -281,7 +281,7 @@ def _table_schema(**list_schemas: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-ARM_SCHEMA = {"anyOf": [
+MOMENT_ARM_SCHEMA = {"anyOf": [
     MOMENT_ARM_RANGE.schema,
     _table_schema(polynomial_m=_list_schema(1, POLYNOMIAL_COEFFICIENTS, 1.0)),
     _table_schema(
@@ -294,7 +294,7 @@ ARM_SCHEMA = {"anyOf": [
 Name = Annotated[
     str, CheckedType(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})
 ]
-Text = Annotated[str, CheckedType(_check_text, {"type": "string"})]
+Text = Annotated[str, CheckedType(_check_string, {"type": "string"})]
 Direction = Annotated[int, CheckedType(_check_direction, {"enum": [1, -1]})]
 ProtocolOptions = Annotated[
     dict[str, bool | int | float | str],
@@ -304,10 +304,10 @@ ProtocolOptions = Annotated[
     ),
 ]
 
-JointType = Annotated[str, text_one_of("revolute", "prismatic")]
-MotorControl = Annotated[str, text_one_of("torque", "position")]
-SensorProtocol = Annotated[str, text_one_of("handctl", "cia404")]
-ProcessValue = Annotated[str, text_one_of("int32", "real32")]
+JointType = Annotated[str, text_choice("revolute", "prismatic")]
+MotorControl = Annotated[str, text_choice("torque", "position")]
+SensorProtocol = Annotated[str, text_choice("handctl", "cia404")]
+ProcessValue = Annotated[str, text_choice("int32", "real32")]
 
 Length = Annotated[float, zero_or_number_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. The length is 0 if the axes of two joints intersect."""
@@ -320,7 +320,7 @@ CentreOfMass = Annotated[
 DirectionComponent = Annotated[float, number_in_range(-1.0, 1.0)]
 Radius = Annotated[float, number_in_range(5e-4, 0.05, "m", "in metres?")]
 MomentArm = Annotated[
-    float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, ARM_SCHEMA)
+    float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, MOMENT_ARM_SCHEMA)
 ]
 Position = Annotated[float, number_in_range(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, number_in_range(1e-5, 0.5, "kg", "in kilograms?")]

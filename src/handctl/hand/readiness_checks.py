@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.sections import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
-from handctl.hand.moment_arms import arm_table_residual, moment_arms_at, table_of_arm
+from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
+from handctl.hand.moment_arms import arm_table_residual, moment_arm_table, moment_arms_at
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
@@ -83,7 +83,7 @@ def displayed_range(digit: Digit) -> tuple[Vector, Vector]:
     While one coordinate moves between these values and the others are zero, all joints stay within
     their limits.
     """
-    limits = np.array(digit.displayed_limits)
+    limits = np.array(digit.displayed_joint_limits)
     if digit.coupling is None:
         return limits[0], limits[1]
     low, high = coordinate_range(np.array(digit.coupling), limits)
@@ -147,7 +147,9 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
     lines = []
     for tendon in hand.tendon:
         tables = {
-            joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of_arm(arm)[0])
+            joint: arm
+            for joint, arm in tendon.moment_arm_m.items()
+            if len(moment_arm_table(arm)[0])
         }
         if tables:
             differences_text = ", ".join(

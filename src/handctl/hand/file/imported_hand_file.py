@@ -12,15 +12,15 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import first_sentence
 from handctl.hand.file.key_descriptions import key_description
-from handctl.hand.file.new_file import (
+from handctl.hand.file.new_hand_file import (
     DRIVE_LIMIT_RATIO,
     MOTORS_PER_BUS,
     SENSOR_IDS,
     TENSION_FLOOR_N,
     TENSION_TRIP_RATIO,
 )
-from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
-from handctl.hand.file.sections import (
+from handctl.hand.file.quantity_types import UNMEASURED_PLACEHOLDER
+from handctl.hand.file.section_models import (
     PRISMATIC,
     PRISMATIC_KEYS,
     REVOLUTE_KEYS,
@@ -35,11 +35,11 @@ from handctl.hand.file.sections import (
 )
 from handctl.hand.file.toml_text import quoted_string
 from handctl.hand.formats.model_tree import ModelDigit, ModelMesh
-from handctl.hand.link_bodies import rpy_of_rotation
+from handctl.hand.link_geometry import rpy_of_rotation
 
-SMALLEST_ARM_M = 1e-4
+SMALLEST_MOMENT_ARM_M = 1e-4
 """Smallest absolute moment arm of a tendon [m]."""
-LARGEST_ARM_M = 0.05
+LARGEST_MOMENT_ARM_M = 0.05
 """Largest absolute moment arm of a tendon [m].
 
 If a coefficient of a fixed tendon in MJCF is not between these limits, the coefficient is not taken
@@ -62,7 +62,7 @@ KEYS_CHOSEN_BY_USER = {
     "velocity_range_rad_s",
 }
 """Keys whose values the user chooses. All other missing values must be measured."""
-MISSING_ARMS_COMMENT = (
+MISSING_MOMENT_ARMS_COMMENT = (
     f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each "
     "joint that it passes, as in "
     f"{{ j1 = 0.010, j2 = 0.008 }}"
@@ -113,7 +113,7 @@ class ImportAnswers:
 
 
 @dataclass(frozen=True, eq=False)
-class DescribedHand:
+class ImportedHand:
     """Hand that is described by a robot description (URDF or MJCF).
 
     Attributes:
@@ -148,7 +148,7 @@ class _SectionLine:
         return f"{self.key} = {self.value}" + (f"   # {self.comment}" if self.comment else "")
 
 
-def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
+def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the tendons of a description that a hand file can contain, and notes about all other tendons.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max`` and ``arms``. The
@@ -156,26 +156,26 @@ def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]],
     """
     joint_indices = {
         joint: (digit.name, f"j{i + 1}")
-        for digit in described_hand.digits
+        for digit in imported_hand.digits
         for i, joint in enumerate(digit.joints)
     }
     prismatic_joints = {
-        (digit.name, joint) for digit in described_hand.digits for joint in _sliding_joints(digit)
+        (digit.name, joint) for digit in imported_hand.digits for joint in _sliding_joints(digit)
     }
     usable_tendons_found: list[dict[str, Any]] = []
     notes = []
-    for tendon in described_hand.tendons:
+    for tendon in imported_hand.tendons:
         name = tendon["name"]
         arms = {joint_indices[joint]: arm for joint, arm in tendon["arms"].items() if arm}
         digits = {digit for digit, _ in arms}
         if len(digits) != 1:
             notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
         elif not all(
-            SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M
+            SMALLEST_MOMENT_ARM_M <= abs(arm) <= LARGEST_MOMENT_ARM_M
             for digit_and_joint, arm in arms.items()
             if digit_and_joint not in prismatic_joints
         ):
-            expected = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
+            expected = f"{SMALLEST_MOMENT_ARM_M:g} to {LARGEST_MOMENT_ARM_M:g} m"
             notes.append(
                 f"tendon {name} is not read: its coefficients are no moment arms of {expected}"
             )
@@ -208,69 +208,71 @@ def usable_tendons(described_hand: DescribedHand) -> tuple[list[dict[str, Any]],
 
 
 def imported_hand_text(
-    described_hand: DescribedHand, tendon_answers: ImportAnswers, option_words: str, can_fd: bool
+    imported_hand: ImportedHand, import_answers: ImportAnswers, option_words: str, can_fd: bool
 ) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
-        described_hand: hand of a robot description.
-        tendon_answers: the user's answers about values that the robot description does not contain.
+        imported_hand: hand of a robot description.
+        import_answers: the user's answers about values that the robot description does not contain.
         option_words: line with the options of the drives, or an empty text for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
-    tendons, _ = usable_tendons(described_hand)
+    tendons, _ = usable_tendons(imported_hand)
     has_placeholder_tendons = not tendons
     tendons = tendons or [
         line
-        for digit in described_hand.digits
-        for line in _placeholder_tendons(digit, tendon_answers)
+        for digit in imported_hand.digits
+        for line in _placeholder_tendons(digit, import_answers)
     ]
-    buses = _bus_by_digit(described_hand, tendons)
+    buses = _bus_by_digit(imported_hand, tendons)
     file_sections = [
-        _head_text(described_hand, tendon_answers, max(buses.values(), default=0) + 1, can_fd)
+        _text_before_digits(
+            imported_hand, import_answers, max(buses.values(), default=0) + 1, can_fd
+        )
     ]
     if has_placeholder_tendons:
         file_sections[0] = (
             PLACEHOLDER_TENDONS_COMMENT.format(
-                "digit" if tendon_answers.tendons == "one" else "joint"
+                "digit" if import_answers.tendons == "one" else "joint"
             )
             + file_sections[0]
         )
-    common_lines = _common_lines(described_hand, tendon_answers)
+    common_lines = _common_lines(imported_hand, import_answers)
     file_sections += [_section_text("default.digit", common_lines)] if common_lines else []
     largest = {tendon["tension_max"] for tendon in tendons}
-    if tendon_answers.tension_N is None and len(largest) == 1:
-        tendon_answers = replace(tendon_answers, tension_N=largest.pop())
-    file_sections.append(_section_text("default.tendon", _tendon_lines(tendon_answers)))
+    if import_answers.tension_N is None and len(largest) == 1:
+        import_answers = replace(import_answers, tension_N=largest.pop())
+    file_sections.append(_section_text("default.tendon", _tendon_lines(import_answers)))
     file_sections.append(
-        _section_text("default.motor", _motor_lines(tendon_answers)) + option_words
+        _section_text("default.motor", _motor_lines(import_answers)) + option_words
     )
-    nodes: dict[int, int | None] = dict.fromkeys(buses.values(), tendon_answers.first_node)
-    for digit in described_hand.digits:
+    nodes: dict[int, int | None] = dict.fromkeys(buses.values(), import_answers.first_node)
+    for digit in imported_hand.digits:
         own_tendons = [tendon for tendon in tendons if tendon["digit"] == digit.name]
         lines = [
-            *_digit_lines(digit, tendon_answers),
+            *_digit_lines(digit, import_answers),
             *_drive_lines(own_tendons, buses[digit.name], nodes),
         ]
         if len(own_tendons) < len(digit.joints):
             lines.append(_todo_line(Digit, "coupling"))
         file_sections.append(
-            f"# joints in {described_hand.source}: {', '.join(digit.joints)}\n"
+            f"# joints in {imported_hand.source}: {', '.join(digit.joints)}\n"
             + _section_text("[digit]", lines)
         )
     return "\n\n".join(file_sections) + "\n"
 
 
 def _placeholder_tendons(
-    digit: ModelDigit, tendon_answers: ImportAnswers
+    digit: ModelDigit, import_answers: ImportAnswers
 ) -> Iterable[dict[str, Any]]:
     """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     prismatic_joints = _sliding_joints(digit)
-    arm = None if tendon_answers.pulley_mm is None else 1e-3 * tendon_answers.pulley_mm
+    arm = None if import_answers.pulley_mm is None else 1e-3 * import_answers.pulley_mm
     crossed_joints = (
         [joints]
-        if tendon_answers.tendons == "one"
+        if import_answers.tendons == "one"
         else [joints[: i + 1] for i in range(len(joints))]
     )
     for i, names in enumerate(crossed_joints):
@@ -292,12 +294,12 @@ def _sliding_joints(digit: ModelDigit) -> set[str]:
 
 
 def _bus_by_digit(
-    described_hand: DescribedHand, tendons: Sequence[Mapping[str, Any]]
+    imported_hand: ImportedHand, tendons: Sequence[Mapping[str, Any]]
 ) -> dict[str, int]:
     """Return the index of the bus for each digit. All motors of a digit are on the same bus."""
     buses = {}
     bus = motors_on_bus = 0
-    for digit in described_hand.digits:
+    for digit in imported_hand.digits:
         count = sum(tendon["digit"] == digit.name for tendon in tendons)
         if motors_on_bus and motors_on_bus + count > MOTORS_PER_BUS:
             bus, motors_on_bus = bus + 1, 0
@@ -310,63 +312,61 @@ def _bus_name(bus: int) -> str:
     return "main" if bus == 0 else f"bus_{bus + 1}"
 
 
-def _head_text(
-    described_hand: DescribedHand, tendon_answers: ImportAnswers, buses: int, can_fd: bool
+def _text_before_digits(
+    imported_hand: ImportedHand, import_answers: ImportAnswers, buses: int, can_fd: bool
 ) -> str:
     """Return the text of the tables before the first digit."""
-    joints = sum(len(digit.joints) for digit in described_hand.digits)
+    joints = sum(len(digit.joints) for digit in imported_hand.digits)
     turned_text = (
         ""
-        if np.array_equal(described_hand.palm, np.eye(3))
+        if np.array_equal(imported_hand.palm, np.eye(3))
         else (
-            f"# The palm frame is the root frame of {described_hand.source} turned by roll, pitch, yaw of "
-            f"{_number_list_text(np.round(np.degrees(rpy_of_rotation(described_hand.palm)), 6))} degrees.\n"
+            f"# The palm frame is the root frame of {imported_hand.source} turned by roll, pitch, yaw of "
+            f"{_number_list_text(np.round(np.degrees(rpy_of_rotation(imported_hand.palm)), 6))} degrees.\n"
         )
     )
-    gravity = described_hand.gravity
+    gravity = imported_hand.gravity
     mount = (
         _todo_line(Mount, "gravity_m_s2")
         if gravity is None
         else _SectionLine("gravity_m_s2", _number_list_text(gravity))
     )
     rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
-    palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(described_hand.palm_mesh))
+    palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(imported_hand.palm_mesh))
     lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
     return (
-        f"# From {described_hand.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be "
+        f"# From {imported_hand.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be "
         "measured or\n"
         f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned_text}"
-        f'schema = 2\nname = "{tendon_answers.name or described_hand.name}"\n'
-        f'description = "{len(described_hand.digits)} digits, {joints} joints, from {described_hand.source}"\n\n'
-        f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(tendon_answers)}"
+        f'schema = 2\nname = "{import_answers.name or imported_hand.name}"\n'
+        f'description = "{len(imported_hand.digits)} digits, {joints} joints, from {imported_hand.source}"\n\n'
+        f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(import_answers)}"
     )
 
 
-def _sensor_node(tendon_answers: ImportAnswers) -> str:
+def _sensor_node(import_answers: ImportAnswers) -> str:
     """Return the text of the section ``sensor_node``.
 
     If the hand has no sensors, the text is empty.
     """
-    if tendon_answers.cells == tendon_answers.encoders == "none":
+    if import_answers.cells == import_answers.encoders == "none":
         return ""
-    sync, base = SENSOR_IDS.get(tendon_answers.protocol or "", SENSOR_IDS["mit"])
+    sync, base = SENSOR_IDS.get(import_answers.protocol or "", SENSOR_IDS["mit"])
     lines = [
         _SectionLine("bus", '"main"'),
         _SectionLine("sync_id", sync),
         _SectionLine("base_id", base),
     ]
-    for key, answer in (("tendons", tendon_answers.cells), ("joints", tendon_answers.encoders)):
-        text_by_answer = {"all": '"all"', "none": "[]"}.get(answer or "")
+    for key, answer in (("tendons", import_answers.cells), ("joints", import_answers.encoders)):
+        list_text = {"all": '"all"', "none": "[]"}.get(answer or "")
         lines.append(
-            _todo_line(SensorNode, key)
-            if text_by_answer is None
-            else _SectionLine(key, text_by_answer)
+            _todo_line(SensorNode, key) if list_text is None else _SectionLine(key, list_text)
         )
     lines.append(_SectionLine("joint_decimation", "1"))
     for key, answer in (
-        ("tension_noise_N", tendon_answers.cells),
-        ("tension_bias_drift_N", tendon_answers.cells),
-        ("joint_noise_rad", tendon_answers.encoders),
+        ("tension_noise_N", import_answers.cells),
+        ("tension_bias_drift_N", import_answers.cells),
+        ("joint_noise_rad", import_answers.encoders),
     ):
         value_without_sensor = "0.001" if key == "joint_noise_rad" else "0.0"
         lines.append(
@@ -377,18 +377,16 @@ def _sensor_node(tendon_answers: ImportAnswers) -> str:
     return "\n\n" + _section_text("sensor_node", lines)
 
 
-def _common_lines(
-    described_hand: DescribedHand, tendon_answers: ImportAnswers
-) -> list[_SectionLine]:
+def _common_lines(imported_hand: ImportedHand, import_answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for the values of digits that the robot description leaves out.
 
     The new file contains these values only once, for all digits.
     """
-    all_links = [link for digit in described_hand.digits for link in digit.links]
+    all_links = [link for digit in imported_hand.digits for link in digit.links]
     is_known_by_key = {"link_radius_m": any(link.radius for link in all_links)}
     for is_prismatic in (False, True):
         links = [link for link in all_links if link.is_prismatic == is_prismatic]
-        has_springs = any(link.stiffness for link in links) or tendon_answers.springs == "none"
+        has_springs = any(link.stiffness for link in links) or import_answers.springs == "none"
         values = {
             "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
             "joint_armature_kg_m2": any(link.armature for link in links),
@@ -396,12 +394,13 @@ def _common_lines(
             "spring_preload_rad": has_springs,
         }
         is_known_by_key |= {
-            _key_of_type(key, is_prismatic): not links or value for key, value in values.items()
+            _key_for_joint_type(key, is_prismatic): not links or value
+            for key, value in values.items()
         }
     return [_todo_line(Digit, key) for key, is_known in is_known_by_key.items() if not is_known]
 
 
-def _digit_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> list[_SectionLine]:
+def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_SectionLine]:
     """Return lines for the values of a digit, as far as the description contains them."""
     links = digit.links
     lines = [_SectionLine("name", f'"{digit.name}"')]
@@ -437,13 +436,13 @@ def _digit_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> list[_Sect
         own_links = [link for link in links if link.is_prismatic == slide]
         for side, key in enumerate(("joint_min_deg", "joint_max_deg")):
             limits = [link.range[side] for link in own_links if link.range is not None]
-            name = _key_of_type(key, slide)
+            name = _key_for_joint_type(key, slide)
             lines.append(
                 _SectionLine(name, _number_list_text(limits if slide else np.degrees(limits)))
                 if len(limits) == len(own_links)
                 else _todo_line(Digit, name)
             )
-    return [*lines, *_joint_lines(digit, tendon_answers), *_mesh_lines(digit.meshes)]
+    return [*lines, *_joint_lines(digit, import_answers), *_mesh_lines(digit.meshes)]
 
 
 def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
@@ -495,7 +494,7 @@ def _scale_text(scale: Array) -> str:
     )
 
 
-def _joint_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _joint_lines(digit: ModelDigit, import_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the damping, the armature and the springs of a digit.
 
     In a robot description, 0 means that the value is not known.
@@ -506,15 +505,17 @@ def _joint_lines(digit: ModelDigit, tendon_answers: ImportAnswers) -> Iterable[_
             "joint_damping_N_m_s_per_rad": [link.damping for link in links],
             "joint_armature_kg_m2": [link.armature for link in links],
         }
-        if tendon_answers.springs != "none" and any(link.stiffness for link in links):
+        if import_answers.springs != "none" and any(link.stiffness for link in links):
             values["spring_stiffness_N_m_per_rad"] = [link.stiffness for link in links]
             values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
         for key, joint_values in values.items():
             if any(joint_values):
-                yield _SectionLine(_key_of_type(key, is_prismatic), _number_list_text(joint_values))
+                yield _SectionLine(
+                    _key_for_joint_type(key, is_prismatic), _number_list_text(joint_values)
+                )
 
 
-def _key_of_type(key: str, is_prismatic: bool) -> str:
+def _key_for_joint_type(key: str, is_prismatic: bool) -> str:
     """Return a key for revolute joints, or the corresponding key for prismatic joints."""
     return PRISMATIC_KEYS[REVOLUTE_KEYS.index(key)] if is_prismatic else key
 
@@ -542,7 +543,7 @@ def _drive_lines(
                 words.append(f"moment_arm_m = {{ {_inline_table_text(revolute_arms)} }}")
         if ratios:
             words.append(f"excursion_ratio = {{ {_inline_table_text(ratios)} }}")
-        comment = MISSING_ARMS_COMMENT if arms is None else ""
+        comment = MISSING_MOMENT_ARMS_COMMENT if arms is None else ""
         yield _SectionLine(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = last_node_of_bus[bus]
@@ -560,9 +561,9 @@ def _drive_lines(
             last_node_of_bus[bus] = node + 1
 
 
-def _tendon_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _tendon_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all tendons."""
-    tension = tendon_answers.tension_N
+    tension = import_answers.tension_N
     value_by_key: dict[str, float | None] = {
         "stiffness_N_per_m": None,
         "damping_N_s_per_m": None,
@@ -571,7 +572,7 @@ def _tendon_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
         "knee_width_m": None,
         "friction_coefficient": None,
         "wrap_angle_rad": None,
-        "rated_breaking_force_N": tendon_answers.strength_N,
+        "rated_breaking_force_N": import_answers.strength_N,
         "tension_floor_N": None if tension is None else TENSION_FLOOR_N,
         "tension_max_N": tension,
         "tension_trip_N": None if tension is None else TENSION_TRIP_RATIO * tension,
@@ -581,17 +582,17 @@ def _tendon_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
         yield _todo_line(Tendon, key) if value is None else _SectionLine(key, _number_text(value))
 
 
-def _motor_lines(tendon_answers: ImportAnswers) -> Iterable[_SectionLine]:
+def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that are the same for all motors."""
     torque = None
-    if tendon_answers.tension_N is not None and tendon_answers.spool_mm is not None:
-        torque = DRIVE_LIMIT_RATIO * tendon_answers.tension_N * 1e-3 * tendon_answers.spool_mm
+    if import_answers.tension_N is not None and import_answers.spool_mm is not None:
+        torque = DRIVE_LIMIT_RATIO * import_answers.tension_N * 1e-3 * import_answers.spool_mm
     text_by_key: dict[str, str | None] = {
-        "protocol": None if tendon_answers.protocol is None else f'"{tendon_answers.protocol}"',
+        "protocol": None if import_answers.protocol is None else f'"{import_answers.protocol}"',
         "bus": '"main"',
         "spool_radius_m": None
-        if tendon_answers.spool_mm is None
-        else _number_text(1e-3 * tendon_answers.spool_mm),
+        if import_answers.spool_mm is None
+        else _number_text(1e-3 * import_answers.spool_mm),
         "inertia_kg_m2": None,
         "viscous_N_m_s_per_rad": None,
         "coulomb_N_m": None,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import NAME_PATTERN
+from handctl.hand.file.quantity_types import NAME_PATTERN
 
 DENSITY_KG_M3 = 1050.0
 """Density of 3D-printed links [kg/m3]."""
@@ -42,7 +42,7 @@ With this ratio of length to moment arm, digits of any length press equally hard
 """
 DIGIT_SIDE_CLEARANCE_MM = 2.0
 """Space on each side of a digit [mm]."""
-ROW_WIDTH_MM = 80.0
+MAX_DIGIT_ROW_WIDTH_MM = 80.0
 """Largest width of a row of digits, if the gaps are wide enough for the opposed digits [mm]."""
 MOTORS_PER_BUS = 8
 """Largest number of motors on a bus. A classical bus of 1 Mbit/s carries 8 motors at 250 Hz."""
@@ -137,7 +137,7 @@ class NewHandAnswers:
         )
 
     @property
-    def pulley(self) -> float:
+    def joint_moment_arm_mm(self) -> float:
         """Return the moment arm of the tendons at the joints [mm].
 
         By default, the moment arm is in proportion to the length of the digits.
@@ -147,7 +147,7 @@ class NewHandAnswers:
         )
 
 
-def check_answers(answers: NewHandAnswers) -> None:
+def check_new_hand_answers(answers: NewHandAnswers) -> None:
     """Check the user's answers before the hand file is written.
 
     All other mistakes are found by the checks of the hand file.
@@ -242,12 +242,12 @@ def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can
         given_options: options of a drive of the protocol.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
-    file_sections = [_head_tables(answers, can_fd), _digit_values(answers)]
+    file_sections = [_tables_before_digits(answers, can_fd), _digit_values(answers)]
     file_sections += [_tendon_values(answers), _motor_values(answers, given_options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     digits_per_bus = _digits_per_bus(answers)
-    digits = zip(_digit_names(answers), _mount_places(answers), strict=True)
+    digits = zip(_digit_names(answers), _mount_positions(answers), strict=True)
     for number, ((name, side), z) in enumerate(digits):
         y = (0.5 - side) * answers.palm * 1e-3
         bus = buses[number // digits_per_bus]
@@ -277,7 +277,7 @@ def _digit_names(answers: NewHandAnswers) -> list[tuple[str, int]]:
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
 
-def _mount_places(answers: NewHandAnswers) -> list[float]:
+def _mount_positions(answers: NewHandAnswers) -> list[float]:
     """Return the position of each digit along the axes of the hinges [m]. The fingers come first.
 
     If the sides have different numbers of digits, each digit faces a gap between digits of the
@@ -287,7 +287,7 @@ def _mount_places(answers: NewHandAnswers) -> list[float]:
     spacing_of_passing_digits = answers.width_mm * 2 + DIGIT_SIDE_CLEARANCE_MM
     digit_spacing = max(
         answers.width_mm + DIGIT_SIDE_CLEARANCE_MM,
-        min(spacing_of_passing_digits, ROW_WIDTH_MM / max(1, max(counts) - 1)),
+        min(spacing_of_passing_digits, MAX_DIGIT_ROW_WIDTH_MM / max(1, max(counts) - 1)),
     )
     # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
     # of the distance between its digits. Otherwise, digits of both rows would face each other.
@@ -325,7 +325,7 @@ def _motor_names(answers: NewHandAnswers) -> list[str]:
     return closing if answers.springs == "all" else [*closing, EXTENSOR]
 
 
-def _head_tables(answers: NewHandAnswers, can_fd: bool) -> str:
+def _tables_before_digits(answers: NewHandAnswers, can_fd: bool) -> str:
     """Return the text of the tables before the first digit."""
     tendons = "one tendon per digit" if answers.tendons == "one" else "one tendon per joint"
     if answers.springs == "none":
@@ -421,7 +421,12 @@ def _spring_lines(answers: NewHandAnswers) -> list[str]:
     # If all tensions are at the tension floor, all tendons that cross a joint close it. The spring
     # of the joint must then open the joint against these tendons.
     stiffness = [
-        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD
+        OPENING_TORQUE_RATIO
+        * tendons
+        * 1e-3
+        * answers.joint_moment_arm_mm
+        * TENSION_FLOOR_N
+        / PRELOAD_RAD
         for tendons in _closing_tendons(answers)
     ]
     return [
@@ -448,7 +453,7 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
         answers: the user's answers.
         tendon: index of the tendon among the tendons of the digit.
     """
-    arm = 1e-3 * answers.pulley
+    arm = 1e-3 * answers.joint_moment_arm_mm
     count = len(answers.links_mm)
     if answers.tendons == "one":
         return [arm] * count

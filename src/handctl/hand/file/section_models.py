@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from handctl.hand.file import mesh_values as mesh
-from handctl.hand.file import quantities as qty
+from handctl.hand.file import quantity_types as qty
 from handctl.hand.file.display_units import DisplayUnits
 
 
@@ -374,7 +374,7 @@ class Digit(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_springs(cls, section_content: Any) -> Any:
+    def _add_default_springs(cls, section_content: Any) -> Any:
         """Add return springs with stiffness 0 to a digit without springs.
 
         Antagonistic tendons open such a digit. A digit without revolute joints needs none of the
@@ -447,11 +447,11 @@ class Digit(Section):
         return low, high
 
     @property
-    def displayed_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def displayed_joint_limits(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the smallest and the largest position of each joint in displayed units [deg or mm]."""
         units = self.display_units
         low, high = (
-            tuple(np.where(self.is_prismatic, units.to_displayed(values), values).tolist())
+            tuple(np.where(self.is_prismatic, units.to_display_units(values), values).tolist())
             for values in map(self.joint_values, REVOLUTE_KEYS[:2])
         )
         return low, high
@@ -539,7 +539,7 @@ class Tendon(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _without_floor(cls, section_content: Any) -> Any:
+    def _add_default_tendon_keys(cls, section_content: Any) -> Any:
         """Add keys that a tendon may omit.
 
         A spool pair has a tension floor of 0, because its net tension may be positive or negative.
@@ -561,7 +561,7 @@ class Tendon(Section):
         """Return the entries of R for this tendon by joint: moment arms [m], or ratios for prismatic joints."""
         return {**self.moment_arm_m, **self.excursion_ratio}
 
-    def arm_key(self, joint: str) -> str:
+    def moment_arm_key(self, joint: str) -> str:
         """Return the name of the key that contains the tendon's entry of R for a joint."""
         return "excursion_ratio" if joint in self.excursion_ratio else "moment_arm_m"
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.hand.file.sections import Digit
+from handctl.hand.file.section_models import Digit
 
 Array = NDArray[np.float64]
 
