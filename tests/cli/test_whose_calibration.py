@@ -174,7 +174,7 @@ def test_a_calibration_is_used_for_a_day(work_folder, hours, reason):
         path, bench.commission("made").model_copy(update={"made": made_at.isoformat()})
     )
     bench.peer.close()
-    calibration, why = find_calibration(path, bench.plan.hand, is_file_named=True)
+    calibration, why = find_calibration(path, bench.plan.hand, is_file_given=True)
     assert (calibration is None) == bool(reason)
     assert reason in why
 

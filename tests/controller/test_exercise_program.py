@@ -6,7 +6,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
 from handctl.hand.hand_loading import load_hand
-from handctl.programs.gains_exercise import GENTLE_RISE_N_PER_S, ExerciseProgram
+from handctl.programs.gains_exercise import GENTLE_TENSION_RATE_N_PER_S, ExerciseProgram
 from tests.controller.synthetic_states import empty_readings, estimate_under_tension
 from tests.hand.hand_on_wrist import mount_on_wrist
 
@@ -78,7 +78,7 @@ def test_only_digits_without_springs_close_with_a_slow_rise(hand_name: str) -> N
     stage_before_hold = rates[[stage for stage, _ in rates].index("hold") - 1]
     assert stage_before_hold == (
         "close",
-        {default_rate if hand_name == "jamia" else GENTLE_RISE_N_PER_S},
+        {default_rate if hand_name == "jamia" else GENTLE_TENSION_RATE_N_PER_S},
     )
     assert all(
         rates_of_stage == {default_rate} for stage, rates_of_stage in rates if stage == "hold"

@@ -410,7 +410,7 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
         "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *progress.contact[1:])],
         "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(reference_excursion=np.zeros(4)),
-                 grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(limited=True)],
+                 grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(is_limit_reported=True)],
         "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip

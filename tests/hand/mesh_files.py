@@ -29,10 +29,10 @@ def tetrahedron_triangles() -> NDArray[np.float64]:
     return TETRAHEDRON_CORNERS[TETRAHEDRON_FACES]
 
 
-def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes:
+def tetrahedron_obj(scale: float = 1.0, mixes_face_notations: bool = False) -> bytes:
     """Return the tetrahedron as the text of an OBJ file.
 
-    With ``mixed_face_forms``, the faces of the tetrahedron use all notations that OBJ has for a
+    With ``mixes_face_notations``, the faces of the tetrahedron use all notations that OBJ has for a
     corner. MuJoCo cannot read a file with such a mixture.
     """
     lines = [
@@ -42,7 +42,7 @@ def tetrahedron_obj(scale: float = 1.0, mixed_face_forms: bool = False) -> bytes
         "vn 0 0 1",
     ]
     lines += ["vt 0 0", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1", "f 1/1 4/1 3/1", "f 2 3 4"]
-    if not mixed_face_forms:
+    if not mixes_face_notations:
         lines[-4:] = [
             "f 1//1 3//1 2//1",
             "f -4//1 -3//1 -1//1",

@@ -121,8 +121,8 @@ def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[s
     In some hands, the first digits have only prismatic joints.
     """
     count = len(digit["link_length_m"])
-    slides = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)
-    digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in slides]
+    is_prismatic = random_source.random(count) < (1.0 if random_source.random() < 0.2 else 0.5)
+    digit["joint_type"] = ["prismatic" if slide else "revolute" for slide in is_prismatic]
     values = {
         "joint_min_deg": ("joint_min_m", -0.05, -0.02),
         "joint_max_deg": ("joint_max_m", 0.02, 0.05),
@@ -132,8 +132,10 @@ def make_some_joints_prismatic(random_source: np.random.Generator, digit: dict[s
         "spring_preload_rad": ("spring_preload_m", 0.06, 0.1),
     }
     for key, (sliding, low, high) in values.items():
-        digit[key] = [value for value, slide in zip(digit[key], slides, strict=True) if not slide]
-        digit[sliding] = random_source.uniform(low, high, int(slides.sum())).tolist()
+        digit[key] = [
+            value for value, slide in zip(digit[key], is_prismatic, strict=True) if not slide
+        ]
+        digit[sliding] = random_source.uniform(low, high, int(is_prismatic.sum())).tolist()
         for name in (key, sliding):
             if not digit[name]:
                 del digit[name]

@@ -87,11 +87,11 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
     )
     assert slow_hand.stream != hand.stream
     assert slow_hand.identity == hand.identity
-    for described_hand in (slow_hand, hand):
+    for original_hand in (slow_hand, hand):
         path = tmp_path / "copy.toml"
-        path.write_text(described_hand.to_toml())
-        assert "speed_deg_s" in described_hand.to_toml()
-        assert load_hand(path).stream == described_hand.stream
+        path.write_text(original_hand.to_toml())
+        assert "speed_deg_s" in original_hand.to_toml()
+        assert load_hand(path).stream == original_hand.stream
 
 
 def changeable_numbers(content):

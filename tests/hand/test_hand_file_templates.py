@@ -138,9 +138,9 @@ def test_no_two_sections_share_a_list() -> None:
 
 def test_resolving_templates_does_not_change_its_argument() -> None:
     content = jamia_hand_content()
-    content_before = copy.deepcopy(content)
+    original_content = copy.deepcopy(content)
     resolve_templates(content)
-    assert content == content_before
+    assert content == original_content
 
 
 def test_resolved_content_is_resolved_already() -> None:
@@ -150,11 +150,11 @@ def test_resolved_content_is_resolved_already() -> None:
 
 def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
     content = jamia_hand_content()
-    deep: dict[str, Any] = {}
+    nested_table: dict[str, Any] = {}
     for _ in range(5000):
-        deep = {"a": deep}
-    content["default"]["tendon"]["a"] = deep
-    content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = deep
+        nested_table = {"a": nested_table}
+    content["default"]["tendon"]["a"] = nested_table
+    content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = nested_table
     assert [mistake.where for mistake in validate_content(content)[1]] == [
         "digit_template.finger.tendon.tendon.a",
         "default.tendon.a",

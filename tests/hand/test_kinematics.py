@@ -89,9 +89,9 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
 
 def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
     for digit in digits:
-        straight = joint_points(digit, np.zeros(digit.joint_count))
-        assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
-        bend_vector = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight[-1]
+        straight_points = joint_points(digit, np.zeros(digit.joint_count))
+        assert np.allclose(straight_points[-1] - straight_points[0], [sum(digit.lengths), 0.0, 0.0])
+        bend_vector = joint_points(digit, np.full(digit.joint_count, 0.3))[-1] - straight_points[-1]
         assert bend_vector[1] * digit.mount_position[1] < 0.0
         assert abs(bend_vector[2]) < 1e-12
 
@@ -140,9 +140,9 @@ def test_the_paper_s_finger_at_thirty_degrees():
 
 def test_the_inverse_of_the_palm_frame_gives_the_points_back(digits, rng):
     for digit in digits:
-        own_vectors = rng.normal(size=(20, 3))
+        link_vectors = rng.normal(size=(20, 3))
         assert np.allclose(
-            from_palm_frame(digit, to_palm_frame(digit, own_vectors)), own_vectors, atol=1e-14
+            from_palm_frame(digit, to_palm_frame(digit, link_vectors)), link_vectors, atol=1e-14
         )
 
 
@@ -169,11 +169,11 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
             solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
-            gaps = [
+            distance_errors = [
                 np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max()
                 for s in solutions
             ]
-            assert min(gaps) < 1e-9
+            assert min(distance_errors) < 1e-9
             for solution in solutions:
                 assert np.allclose(planar_tip_pose(digit, solution)[:2], (x, y), atol=1e-15)
 
@@ -221,8 +221,10 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
 
 def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
     digit = DigitModel.from_hand(load_hand("jamia"), "index")
-    scan = np.linspace(*coordinate_limits(digit), 4001)
-    curve = np.array([joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
+    coordinate_grid = np.linspace(*coordinate_limits(digit), 4001)
+    curve = np.array(
+        [joint_points(digit, digit.coupling[:, 0] * theta)[-1] for theta in coordinate_grid]
+    )
     for target in digit.mount_position + rng.uniform(-0.06, 0.06, (100, 3)):
         _, gap = inverse_kinematics_coupled(digit, target)
         nearest = np.linalg.norm(curve - target, axis=1).min()

@@ -59,7 +59,7 @@ def test_a_binary_stl_and_an_obj_have_the_same_triangles() -> None:
         tetrahedron_triangles(), abs=1e-9
     )
     assert mesh_triangles(tetrahedron_obj(), ".OBJ") == pytest.approx(tetrahedron_triangles())
-    assert mesh_triangles(tetrahedron_obj(mixed_face_forms=True), ".obj") == pytest.approx(
+    assert mesh_triangles(tetrahedron_obj(mixes_face_notations=True), ".obj") == pytest.approx(
         tetrahedron_triangles()
     )
 

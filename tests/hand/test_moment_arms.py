@@ -49,13 +49,13 @@ def test_moment_arms_are_the_derivative_of_the_excursion(
 
 @pytest.mark.parametrize("hand_name", PACKAGED_HANDS)
 def test_a_polynomial_of_one_coefficient_is_a_constant_arm(hand_name: str) -> None:
-    constant_hand = load_hand(hand_name)
+    hand_with_constant_arms = load_hand(hand_name)
     hand = hand_with_varying_arms(hand_name, 0.0)
-    np.testing.assert_allclose(hand.moment_arms, constant_hand.moment_arms, rtol=1e-12)
+    np.testing.assert_allclose(hand.moment_arms, hand_with_constant_arms.moment_arms, rtol=1e-12)
     q = np.random.default_rng(1).uniform(-1.0, 2.0, len(hand.joints))
     for digit_name in hand.digit_names:
         digit = DigitModel.from_hand(hand, digit_name)
-        constant_model = DigitModel.from_hand(constant_hand, digit_name)
+        constant_model = DigitModel.from_hand(hand_with_constant_arms, digit_name)
         np.testing.assert_allclose(
             excursions(digit, q[digit.joints]),
             excursions(constant_model, q[digit.joints]),
@@ -76,10 +76,14 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
     hand = hand_with_varying_arms(hand_name, 0.3, polynomial_kind)
     path = tmp_path / "hand.toml"
     path.write_text(hand.to_toml())
-    described = load_simulated(str(path))
-    motors = [motor.name for motor in described.motors]
+    simulated_description = load_simulated(str(path))
+    motors = [motor.name for motor in simulated_description.motors]
     routing = TendonRouting(
-        described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False
+        simulated_description.tendons,
+        simulated_description.joints,
+        motors,
+        [0.005] * len(motors),
+        compiled=False,
     )
     for seed in ANGLE_SEEDS:
         q = np.random.default_rng(seed).uniform(

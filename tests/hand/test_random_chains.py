@@ -34,8 +34,8 @@ from handctl.log.topics.transform_topics import (
 from tests.hand.random_chains import (
     RANDOM_CHAIN_SEEDS,
     SEEDS_WITH_PRISMATIC_JOINTS,
-    random_hand,
     build_random_hand_tree,
+    random_hand,
 )
 from tests.hand.test_dynamics import (
     RELATIVE_TOLERANCE,
@@ -81,9 +81,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             )
         )
         data = model.createData()
-        bare_model = model.copy()
-        bare_model.armature = np.zeros(digit.joint_count)
-        model_data = bare_model.createData()
+        model_without_armature = model.copy()
+        model_without_armature.armature = np.zeros(digit.joint_count)
+        model_data = model_without_armature.createData()
         world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
         for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
@@ -110,7 +110,7 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
             # The kinetic energy in pinocchio 3 includes the armature only for some joint types.
             kinetic_energy = pinocchio.computeKineticEnergy(
-                bare_model, model_data, q, dq
+                model_without_armature, model_data, q, dq
             ) + 0.5 * np.dot(digit.armature, dq**2)
             assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic_energy, rtol=1e-9)
 

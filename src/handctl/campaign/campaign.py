@@ -112,7 +112,7 @@ def campaign_scenarios(
 def run_campaign(
     name: str,
     protocols: Iterable[str],
-    rate_of_hand: Callable[[Hand], float],
+    control_rate_of_hand: Callable[[Hand], float],
     *,
     jobs: int,
     is_quick: bool,
@@ -128,7 +128,7 @@ def run_campaign(
     Args:
         name: name of the hand.
         protocols: drive protocols to test, one after the other.
-        rate_of_hand: function that returns the control rate of a hand [Hz].
+        control_rate_of_hand: function that returns the control rate of a hand [Hz].
         jobs: number of processes that run at the same time.
         is_quick: True to run only a sample of the scenarios.
         fault_free_s: simulated time of the runs without faults, for each protocol [s].
@@ -142,7 +142,7 @@ def run_campaign(
     report = CampaignReport(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
-        rate = report.control_rates_hz[protocol] = rate_of_hand(hand)
+        rate = report.control_rates_hz[protocol] = control_rate_of_hand(hand)
         scenarios_to_run = (
             []
             if fault_free_only

@@ -41,41 +41,44 @@ TITLE_BY_FAULT_ID = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 
 def write_page(path: Path, report: CampaignReport) -> None:
     """Write the report of a campaign as an HTML page."""
-    figures = report.as_json()
+    content = report.as_json()
     title = f"Fault campaign: {html.escape(report.hand)}"
     title_cells = "".join(
         f"<tr><th>{html.escape(label)}</th><td class=n>{value}</td></tr>"
         for label, value in (
-            ("scenarios", figures["scenarios"]),
-            ("failed", figures["late"]),
-            ("without effect (no positive control)", figures["not_felt"]),
-            ("slowest reaction [ticks]", figures["worst_ticks"]),
-            ("slowest reaction, fraction of its bound", f"{figures['worst_share_of_bound']:.2f}"),
-            ("largest true tension [N]", f"{figures['worst_tension_N']:.0f}"),
-            ("false alarms of the fault-free hand", figures["false_alarms"]),
-            ("simulated without faults [s]", f"{figures['false_alarm_run_s']:g}"),
+            ("scenarios", content["scenarios"]),
+            ("failed", content["late"]),
+            ("without effect (no positive control)", content["not_felt"]),
+            ("slowest reaction [ticks]", content["worst_ticks"]),
+            (
+                "slowest reaction, fraction of its bound",
+                f"{content['worst_share_of_bound']:.2f}",
+            ),
+            ("largest true tension [N]", f"{content['worst_tension_N']:.0f}"),
+            ("false alarms of the fault-free hand", content["false_alarms"]),
+            ("simulated without faults [s]", f"{content['false_alarm_run_s']:g}"),
         )
     )
-    page_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
+    html_sections = [f"<h1>{title}</h1><table>{title_cells}</table>"]
     for protocol, results in report.results.items():
         rate = report.control_rates_hz[protocol]
         number = Counter(result.id for result in results)
         table_title = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
-        page_sections.append(
+        html_sections.append(
             f"<h2>{table_title}</h2>{_html_table(_slowest_result_per_row(results), rate, number)}"
         )
         failed_results = [result for result in results if not result.ok]
         if failed_results:
-            page_sections.append(
+            html_sections.append(
                 f"<h2 class=bad>{protocol}: failed</h2>{_html_table(failed_results, rate, number)}"
             )
     rows = "".join(
         f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
         for id_, reason in TEST_PLACE_BY_UNTESTED_FAULT.items()
     )
-    page_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
+    html_sections.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
-    write_text_atomically(path, page + "\n".join(page_sections) + "</html>\n")
+    write_text_atomically(path, page + "\n".join(html_sections) + "</html>\n")
 
 
 def _slowest_result_per_row(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
@@ -123,12 +126,12 @@ def _html_row(result: ScenarioResult, rate_hz: float, number: int) -> str:
 
 def summary_lines(report: CampaignReport) -> list[str]:
     """Return the summary of a campaign's report as lines for a terminal."""
-    figures = report.as_json()
+    content = report.as_json()
     summary = [
-        f"{figures['scenarios']} scenarios, {figures['late']} failed, {figures['not_felt']} without effect",
-        f"slowest reaction {figures['worst_ticks']} ticks, {100 * figures['worst_share_of_bound']:.0f} % of its bound",
-        f"largest true tension {figures['worst_tension_N']:.0f} N",
-        f"{figures['false_alarms']} false alarms in {figures['false_alarm_run_s']:g} s without faults",
+        f"{content['scenarios']} scenarios, {content['late']} failed, {content['not_felt']} without effect",
+        f"slowest reaction {content['worst_ticks']} ticks, {100 * content['worst_share_of_bound']:.0f} % of its bound",
+        f"largest true tension {content['worst_tension_N']:.0f} N",
+        f"{content['false_alarms']} false alarms in {content['false_alarm_run_s']:g} s without faults",
     ]
     return summary + [
         f"{result.scenario}: {result.problem}" for result in report.all_results if not result.ok

@@ -136,7 +136,7 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
             fault_texts_for_hand(hand, chance.choice(rows).fault, period_ms)
             or list(HOST_FAULT_TEXTS)
         )
-        is_brief = (
+        ends_by_itself = (
             not fault.startswith((HOST_FAULT_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
             and chance.random() < BRIEF_FAULT_FRACTION
@@ -144,7 +144,9 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
         steps.append(
             FaultStep(
                 tick,
-                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms" if is_brief else fault,
+                f"{fault} for={chance.randint(*BRIEF_DURATION_RANGE_MS)}ms"
+                if ends_by_itself
+                else fault,
             )
         )
     return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
@@ -288,9 +290,9 @@ def _tension_bound(
     model = simulation.controller.model
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
-    rest_speeds = [0.0] * model.tendon_count
+    zero_speeds = [0.0] * model.tendon_count
     return runaway_tension(
-        model, rest_speeds, rest_speeds, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
+        model, zero_speeds, zero_speeds, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
     )
 
 

@@ -153,16 +153,16 @@ def advance_to_stage(simulation: SimulatedRun, stage: str) -> None:
     Raises:
         ConfigError: the run does not reach the stage, so this hand cannot be tested.
     """
-    free_ticks = 0
+    free_motion_ticks = 0
 
     def is_stage_reached(tick_output: Any) -> bool:
-        nonlocal free_ticks
+        nonlocal free_motion_ticks
         if stage == ARMING_STAGE:
             return bool(tick_output.mode == HandMode.ARMING)
         # A run has reached the grasp stage if at least one digit touches an object and a tendon has
         # at least 16 N.
-        free_ticks += tick_output.phase == "free"
-        is_free_stage = free_ticks * simulation.period_ns > FREE_MOTION_STAGE_DELAY_S * 1e9
+        free_motion_ticks += tick_output.phase == "free"
+        is_free_stage = free_motion_ticks * simulation.period_ns > FREE_MOTION_STAGE_DELAY_S * 1e9
         is_holding = (
             tick_output.phase == "hold"
             and min(tick_output.telemetry.contact.max(), tick_output.telemetry.tension.max() / 16.0)

@@ -142,13 +142,13 @@ def run_scenario(
         # which the host continues.
         start_ns = t_ns if host and i == 0 else start_ns
         tick_output = simulation.run_tick(**inputs)
-        effect_ns = _first_effect_ns(simulation, host, start_ns)
+        first_effect_ns = _first_effect_ns(simulation, host, start_ns)
         _observe_tick(
             result,
             simulation,
             scenario,
             tick_output,
-            reaction_start.update(simulation, effect_ns, t_ns),
+            reaction_start.update(simulation, first_effect_ns, t_ns),
             t_ns,
         )
         if tick_output.mode == HandMode.DONE:
@@ -279,7 +279,7 @@ class ReactionStart:
         """Return False if the motor force has not varied enough for a detection."""
         return not self._force_change_N or self._varied_ns >= 0
 
-    def update(self, simulation: SimulatedRun, effect_ns: int, t_ns: int) -> int:
+    def update(self, simulation: SimulatedRun, first_effect_ns: int, t_ns: int) -> int:
         """Return the instant from which the reaction time counts [ns].
 
         The instant is -1 before the first effect. While the motor force has not varied enough, the
@@ -287,11 +287,11 @@ class ReactionStart:
 
         Args:
             simulation: simulation after the present tick.
-            effect_ns: time of the first effect of the fault [ns], -1 before it.
+            first_effect_ns: time of the first effect of the fault [ns], -1 before it.
             t_ns: time of the present tick [ns].
         """
-        if effect_ns < 0 or not self._force_change_N:
-            return effect_ns
+        if first_effect_ns < 0 or not self._force_change_N:
+            return first_effect_ns
         self._force += self._fraction * (self._motor_force(simulation) - self._force)
         self._smallest = min(self._smallest, self._force)
         self._largest = max(self._largest, self._force)

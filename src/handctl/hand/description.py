@@ -319,13 +319,13 @@ class Hand(Section):
 
         The first name is that of the digit directly before the given digit.
         """
-        carrier = self.digit_named(digit).mount_on
+        carrier_name = self.digit_named(digit).mount_on
         # In an invalid hand file, digits may carry each other in a circle. Later checks refuse such
         # a file.
         carriers: list[str] = []
-        while carrier in self.digit_names and carrier not in carriers:
-            carriers.append(carrier)
-            carrier = self.digit_named(carrier).mount_on
+        while carrier_name in self.digit_names and carrier_name not in carriers:
+            carriers.append(carrier_name)
+            carrier_name = self.digit_named(carrier_name).mount_on
         return tuple(carriers)
 
     def digit_of_tendon(self, tendon: Tendon) -> str | None:
@@ -421,8 +421,8 @@ class Hand(Section):
         content["mount"] = _table_without_keys(content["mount"], PALM_MESH_KEYS)
         # Because the keys are sorted and the separators are fixed, equal content becomes equal
         # text.
-        canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        canonical_json = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(canonical_json.encode()).hexdigest()
 
 
 def _table_without_keys(table_content: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:

@@ -188,7 +188,7 @@ class DigitModel:
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
         # By least squares, the pseudo-inverse of R B converts an excursion to coordinates. The
         # transpose of this pseudo-inverse converts a torque to the tensions of smallest norm.
-        to_coordinates = np.linalg.pinv(arms @ coupling)
+        excursion_to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
             joint_names=digit.joints,
@@ -216,8 +216,8 @@ class DigitModel:
             moment_arms=_read_only_copy(arms),
             coupling=_read_only_copy(coupling),
             reduced_moment_arms=_read_only_copy(arms @ coupling),
-            excursion_to_joints=_read_only_copy(coupling @ to_coordinates),
-            torque_to_tension=_read_only_copy(to_coordinates.T @ coupling.T),
+            excursion_to_joints=_read_only_copy(coupling @ excursion_to_coordinates),
+            torque_to_tension=_read_only_copy(excursion_to_coordinates.T @ coupling.T),
             joints_to_coordinates=_read_only_copy(np.linalg.pinv(coupling)),
             friction=_read_only_copy(
                 [tendon.friction_coefficient for tendon in hand.tendon[tendons]]

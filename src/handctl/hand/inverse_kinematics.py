@@ -120,8 +120,8 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
         # The distance has a minimum where its slope changes from negative to positive.
         if low_slope <= 0.0 <= high_slope:
             candidates.append(brentq(slope, low, high, xtol=1e-14))
-    best = min(candidates, key=distance)
-    return best, distance(best)
+    closest_candidate = min(candidates, key=distance)
+    return closest_candidate, distance(closest_candidate)
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
@@ -237,17 +237,21 @@ def _locally_closest_tip(
         scale = float(curvature.diagonal().max())
         next_coordinates = theta
         while damping < DAMPING_RANGE[1]:
-            trial = theta.copy()
-            trial[is_free] -= np.linalg.solve(
+            trial_coordinates = theta.copy()
+            trial_coordinates[is_free] -= np.linalg.solve(
                 curvature + damping * scale * np.eye(len(curvature)), slope[is_free]
             )
-            trial = np.clip(trial, low, high)
-            distance_vector = joint_points(digit, digit.coupling @ trial)[-1] - target_point
-            start_cost = (START_DISTANCE_WEIGHT_M_PER_RAD * (trial - start_coordinates)) @ (
-                START_DISTANCE_WEIGHT_M_PER_RAD * (trial - start_coordinates)
+            trial_coordinates = np.clip(trial_coordinates, low, high)
+            distance_vector = (
+                joint_points(digit, digit.coupling @ trial_coordinates)[-1] - target_point
             )
-            if (present_cost := float(distance_vector @ distance_vector + start_cost)) < cost:
-                next_coordinates = trial
+            start_distance_cost = (
+                START_DISTANCE_WEIGHT_M_PER_RAD * (trial_coordinates - start_coordinates)
+            ) @ (START_DISTANCE_WEIGHT_M_PER_RAD * (trial_coordinates - start_coordinates))
+            if (
+                present_cost := float(distance_vector @ distance_vector + start_distance_cost)
+            ) < cost:
+                next_coordinates = trial_coordinates
                 gap = distance_vector
                 cost = present_cost
                 damping = max(0.1 * damping, DAMPING_RANGE[0])

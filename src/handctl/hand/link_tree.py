@@ -73,12 +73,12 @@ class LinkTree:
         poses = self.poses(q)
         result = []
         for digit in self.digits:
-            own_poses = poses[digit.joints]
+            digit_poses = poses[digit.joints]
             tip = (
-                joint_positions(own_poses)[-1]
-                + digit.lengths[-1] * link_rotations(own_poses)[-1, :, 0]
+                joint_positions(digit_poses)[-1]
+                + digit.lengths[-1] * link_rotations(digit_poses)[-1, :, 0]
             )
-            result.append(np.vstack((joint_positions(own_poses), tip)))
+            result.append(np.vstack((joint_positions(digit_poses), tip)))
         return tuple(result)
 
     def mass_matrix(self, q: JointValues) -> Array:

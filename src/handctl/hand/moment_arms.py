@@ -61,8 +61,8 @@ def arm_table_residual(arm: MomentArm) -> float:
     For a moment arm without a table, the difference is 0.
     """
     angle, values = moment_arm_table(arm)
-    fitted_arms = np.polynomial.polynomial.polyval(angle, moment_arm_polynomial(arm))
-    return float(np.abs(fitted_arms - values).max(initial=0.0))
+    fitted_moment_arms = np.polynomial.polynomial.polyval(angle, moment_arm_polynomial(arm))
+    return float(np.abs(fitted_moment_arms - values).max(initial=0.0))
 
 
 def is_moment_arm_varying(arm: MomentArm) -> bool:

@@ -126,7 +126,7 @@ def write_link_poses(
                     + second_element * link_table[first_row + JOINT_ORIGIN_ROW + 1, j]
                     + third_element * link_table[first_row + JOINT_ORIGIN_ROW + 2, j]
                 )
-            pose[j, POSE_AXIS_COLUMN + a] = _component_along(
+            pose[j, POSE_AXIS_COLUMN + a] = _palm_frame_component(
                 link_table, first_row + JOINT_AXIS_ROW, pose, j, a
             )
             if link_table[first_row + IS_PRISMATIC_ROW, j] != 0.0:
@@ -135,18 +135,14 @@ def write_link_poses(
 
 
 @kernel_helper
-def _component_along(
+def _palm_frame_component(
     link_table: Array, first_row: int, pose: Array, j: int, axis_index: int
 ) -> float:
     """Convert a vector of the table from the frame of link j to the palm frame, and return one component."""
-    first_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
-    second_product = (
-        pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
-    )
-    third_product = (
-        pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
-    )
-    return first_product + second_product + third_product
+    x_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index] * link_table[first_row, j]
+    y_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 1] * link_table[first_row + 1, j]
+    z_product = pose[j, POSE_ROTATION_COLUMN + 3 * axis_index + 2] * link_table[first_row + 2, j]
+    return x_product + y_product + z_product
 
 
 @kernel_helper
@@ -157,7 +153,9 @@ def write_carried_masses(
     for j in range(len(pose)):
         pose[j, CARRIED_MASS_COLUMN] = link_table[first_row + LINK_MASS_ROW, j]
         for a in range(3):
-            moment = _component_along(link_table, first_row + LINK_FIRST_MOMENT_ROW, pose, j, a)
+            moment = _palm_frame_component(
+                link_table, first_row + LINK_FIRST_MOMENT_ROW, pose, j, a
+            )
             pose[j, CARRIED_MOMENT_COLUMN + a] = (
                 link_table[first_row + LINK_MASS_ROW, j] * pose[j, POSE_POSITION_COLUMN + a]
                 + moment
@@ -637,12 +635,12 @@ def inertia_matrix(link_table: Array, parent: IndexArray, q: Array) -> Array:
     The matrix is exactly symmetric, because the lower triangle is a copy of the upper triangle.
     """
     n = len(q)
-    rest_rates = np.zeros(max(n, 3))
+    zero_rates = np.zeros(max(n, 3))
     unit = np.zeros(n)
     matrix = np.empty((n, n))
     for k in range(n):
         unit[k] = 1.0
-        write_newton_euler(link_table, 0, parent, rest_rates, q, rest_rates, unit, matrix[k])
+        write_newton_euler(link_table, 0, parent, zero_rates, q, zero_rates, unit, matrix[k])
         unit[k] = 0.0
     for k in range(n):
         for i in range(k):

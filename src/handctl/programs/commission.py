@@ -137,7 +137,7 @@ class CommissionProgram:
         if progress.step == 0:
             return self._tare_cells(model, progress, measurements, t)
         if progress.touching[0] == TOUCHING_BEFORE_PULL:
-            return self._advance_rest(model, progress, measurements, t)
+            return self._renew_tare(model, progress, measurements, t)
         if progress.phase == _hold_phase(model, progress.step - 1):
             return self._advance_hold(model, progress, estimate, measurements, t)
         return self._advance_tendon_pull(model, progress, estimate, measurements, t)
@@ -172,7 +172,7 @@ class CommissionProgram:
             model, progress, worst_tendon, f"load cell reads {reading}, which can be tared {bounds}"
         )
 
-    def _advance_rest(
+    def _renew_tare(
         self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Read all load cells without torque, and renew the tare of the present tendon.
@@ -195,15 +195,17 @@ class CommissionProgram:
         if samples * model.period < REST_DURATION_S:
             return _with_commissioning_table(progress, table), ()
         # The new average has as much weight as all earlier readings together.
-        fresh_table = (
+        tendons_with_new_tare = (
             slice(i, i + 1)
             if model.redundancy.is_sprung[i]
             else model.digit_tendons[model.digit_of_tendon[i]]
         )
-        table[fresh_table, TARE_SUM] += (
-            table[fresh_table, REST_SUM] / samples * table[fresh_table, TARE_SAMPLES]
+        table[tendons_with_new_tare, TARE_SUM] += (
+            table[tendons_with_new_tare, REST_SUM]
+            / samples
+            * table[tendons_with_new_tare, TARE_SAMPLES]
         )
-        table[fresh_table, REST_SUM] = 0.0
+        table[tendons_with_new_tare, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_commissioning_table(progress, table))
         if not model.redundancy.is_sprung[i]:
@@ -258,10 +260,10 @@ class CommissionProgram:
         Then pull the tendon.
         """
         i = progress.step - 1
-        own_tendons = model.digit_tendons[model.digit_of_tendon[i]]
-        waiting_tendon = progress.touching[0]
-        if waiting_tendon == 0:
-            if not estimate.is_slack[own_tendons].any():
+        digit_tendons = model.digit_tendons[model.digit_of_tendon[i]]
+        touching_ticks = progress.touching[0]
+        if touching_ticks == 0:
+            if not estimate.is_slack[digit_tendons].any():
                 # From now on, the joints are pressed against their limits. So the filter must treat
                 # the digit as a digit in contact.
                 contact = tuple(d == model.digit_of_tendon[i] for d in range(len(model.digits)))
@@ -270,7 +272,7 @@ class CommissionProgram:
                 ), ()
             if t - progress.since <= HOLD_TIMEOUT_S:
                 return progress, ()
-            slack = own_tendons.start + int(np.flatnonzero(estimate.is_slack[own_tendons])[0])
+            slack = digit_tendons.start + int(np.flatnonzero(estimate.is_slack[digit_tendons])[0])
             return self._refuse_tendon(
                 model, progress, slack, _missing_response_reason(model, measurements)
             )
@@ -278,12 +280,13 @@ class CommissionProgram:
             model.hand.tendons_with_encoders,
             measurements.excursion,
             model.redundancy.excursion_at_lower_limits,
-        )[own_tendons]
+        )[digit_tendons]
         tension = _measured_or_estimated_tensions(model, measurements, estimate)
         is_missing = (
-            np.isnan(tension).any() or np.isnan(measurements.travel[own_tendons] + excursion).any()
+            np.isnan(tension).any()
+            or np.isnan(measurements.travel[digit_tendons] + excursion).any()
         )
-        is_first_tendon = i == own_tendons.start
+        is_first_tendon = i == digit_tendons.start
         if (
             t - progress.since < (HOLD_SETTLING_TIMEOUT_S if is_first_tendon else PULL_SETTLING_S)
             or is_missing
@@ -293,18 +296,18 @@ class CommissionProgram:
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
         if is_first_tendon:
-            stretch = tension[own_tendons] / model.space.stiffness[own_tendons]
-            table[own_tendons, ZERO_COLUMN] += (
-                measurements.travel[own_tendons] - stretch - excursion
-            ) / model.space.spool[own_tendons]
+            stretch = tension[digit_tendons] / model.space.stiffness[digit_tendons]
+            table[digit_tendons, ZERO_COLUMN] += (
+                measurements.travel[digit_tendons] - stretch - excursion
+            ) / model.space.spool[digit_tendons]
         progress = replace(
             _with_commissioning_table(progress, table),
-            touching=(waiting_tendon + 1, *progress.touching[1:]),
+            touching=(touching_ticks + 1, *progress.touching[1:]),
         )
-        if waiting_tendon * model.period < MEASUREMENT_DURATION_S:
+        if touching_ticks * model.period < MEASUREMENT_DURATION_S:
             return progress, ()
         if is_first_tendon:
-            table[own_tendons, ZERO_COLUMN] /= waiting_tendon
+            table[digit_tendons, ZERO_COLUMN] /= touching_ticks
         added_tension = np.zeros(model.tendon_count)
         added_tension[i] = PULL_TENSION_N
         name = model.hand.tendon_names[i]
@@ -332,10 +335,10 @@ class CommissionProgram:
         Wait until it is taut, let its tension settle, and measure the response.
         """
         i = progress.step - 1
-        waiting_tendon = progress.touching[0]
-        if waiting_tendon == 0 and not estimate.is_slack[i]:
+        touching_ticks = progress.touching[0]
+        if touching_ticks == 0 and not estimate.is_slack[i]:
             progress = replace(progress, touching=(1, *progress.touching[1:]), since=t)
-        if waiting_tendon == 0:
+        if touching_ticks == 0:
             is_late = t - progress.since > TAKE_UP_TIMEOUT_S
             return (
                 self._refuse_tendon(
@@ -413,18 +416,20 @@ class CommissionProgram:
         )
         if is_same_digit and not model.redundancy.is_sprung[step - 1]:
             return self._begin_holding_digit(model, replace(progress, step=step), t, is_taut=True)
-        passive_goals = (DigitGoal(),) * len(model.digits)
+        zero_torque_goals = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
-            finished_progress = replace(progress, finished=True, phase="end", goals=passive_goals)
+            finished_progress = replace(
+                progress, finished=True, phase="end", goals=zero_torque_goals
+            )
             return finished_progress, (TickEvent("info", "phase", "", "commissioned"),)
         return replace(
             progress,
             step=step,
             since=t,
-            goals=passive_goals,
+            goals=zero_torque_goals,
             phase="rest",
-            contact=(False,) * len(passive_goals),
-            touching=(TOUCHING_BEFORE_PULL,) * len(passive_goals),
+            contact=(False,) * len(zero_torque_goals),
+            touching=(TOUCHING_BEFORE_PULL,) * len(zero_torque_goals),
         ), ()
 
     def _refuse_tendon(
@@ -461,10 +466,12 @@ def _response_text(model: HandModel, i: int, answer: float, crosstalk: float) ->
         crosstalk: largest response of any other load cell [N].
     """
     has_cell = model.hand.has_cell
-    own_text = f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    response_text = (
+        f"answers {answer:.2f} N" if has_cell[i] else f"taut at {answer:.2f} N by its motor"
+    )
     if (has_cell & (np.arange(model.tendon_count) != i)).any():
-        return f"{own_text}, other load cells {crosstalk:.2f} N"
-    return f"{own_text}; no other load cell, so swapped tendons are not checked"
+        return f"{response_text}, other load cells {crosstalk:.2f} N"
+    return f"{response_text}; no other load cell, so swapped tendons are not checked"
 
 
 def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> str:
@@ -472,12 +479,12 @@ def _missing_response_reason(model: HandModel, measured: TickMeasurements) -> st
 
     Another load cell may respond instead.
     """
-    answer_tensions = np.nan_to_num(measured.tension)
-    other_tendon = int(answer_tensions.argmax())
-    if answer_tensions[other_tendon] < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
+    measured_tensions = np.nan_to_num(measured.tension)
+    other_tendon = int(measured_tensions.argmax())
+    if measured_tensions[other_tendon] < MIN_RESPONSE_FRACTION * PULL_TENSION_N:
         return "does not become taut"
     name = model.hand.tendon_names[other_tendon]
-    return f"does not become taut, but the load cell of {name} reads {answer_tensions[other_tendon]:.1f} N: swapped?"
+    return f"does not become taut, but the load cell of {name} reads {measured_tensions[other_tendon]:.1f} N: swapped?"
 
 
 def _pull_goal(tendons: slice, i: int) -> DigitGoal:

@@ -26,8 +26,8 @@ CLOSED_FRACTION = 0.85
 
 A digit that touches no object therefore stops before its joints reach their limits.
 """
-CLOSING_SPEED = 50.0
-SLIDING_SPEED = 20.0
+CLOSING_SPEED_DEG_S = 50.0
+PRISMATIC_CLOSING_SPEED = 20.0
 """Speed with which digits close [deg/s], and the speed of a hand with prismatic joints [deg/s or mm/s]."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
@@ -98,7 +98,9 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "angle_deg": {
                     name: _closed_angles_deg(hand, name).tolist() for name in closing_digit_names
                 },
-                "speed_deg_s": SLIDING_SPEED if hand.is_prismatic.any() else CLOSING_SPEED,
+                "speed_deg_s": PRISMATIC_CLOSING_SPEED
+                if hand.is_prismatic.any()
+                else CLOSING_SPEED_DEG_S,
                 "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
             },
             {
@@ -237,10 +239,10 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     )
     torque = springs + PRESSING_FORCE_N * reduced_tip_lever(digit, q)
     arms = digit.with_moment_arms_at(q).reduced_moment_arms
-    closing_arm = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
+    closing_moment_arms = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate whose angle stays the same, or that no tendon closes, determines no tension.
-    is_flexed = (half_closed_angles > 0.0) & (closing_arm > 0.0)
-    return float((torque[is_flexed] / closing_arm[is_flexed]).max(initial=0.0))
+    is_flexed = (half_closed_angles > 0.0) & (closing_moment_arms > 0.0)
+    return float((torque[is_flexed] / closing_moment_arms[is_flexed]).max(initial=0.0))
 
 
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:

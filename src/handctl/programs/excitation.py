@@ -121,9 +121,9 @@ class ExciteProgram:
             if elapsed < TAUT_TIMEOUT_S:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
-            passive_goals = (DigitGoal(),) * len(progress.goals)
+            zero_torque_goals = (DigitGoal(),) * len(progress.goals)
             failed_progress = replace(
-                progress, finished=True, failure=f"{step.digit}: {text}", goals=passive_goals
+                progress, finished=True, failure=f"{step.digit}: {text}", goals=zero_torque_goals
             )
             return failed_progress, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:

@@ -53,14 +53,14 @@ class GripState(NamedTuple):
             grip has settled.
         ready: time from which slip is detected [s].
         tension_factor: present factor on the tensions.
-        limited: True after the event which reports that no more tension is allowed.
+        is_limit_reported: True after the event which reports that no more tension is allowed.
     """
 
     tension: Vector
     reference_excursion: Vector
     ready: float
     tension_factor: float = 1.0
-    limited: bool = False
+    is_limit_reported: bool = False
 
     @staticmethod
     def at_start_of_hold(
@@ -169,7 +169,7 @@ def _raise_after_slip(
             TickEvent("warn", "slip", digit, f"{slip_text}: force x {grip.tension_factor:.2f}"),
         )
     refusal_event = TickEvent("warn", "slip", digit, f"{slip_text}; the task allows no more force")
-    return grip._replace(limited=True), () if grip.limited else (refusal_event,)
+    return grip._replace(is_limit_reported=True), () if grip.is_limit_reported else (refusal_event,)
 
 
 def _goals_of_held_grip(

@@ -223,10 +223,10 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
         tension_deficit = floor + FLOOR_MARGIN_N - tension
-        is_short = tension_deficit > 1e-6
-        if not is_short.any():
+        is_tension_too_low = tension_deficit > 1e-6
+        if not is_tension_too_low.any():
             break
-        angles += np.linalg.pinv(slope[is_short]) @ tension_deficit[is_short]
+        angles += np.linalg.pinv(slope[is_tension_too_low]) @ tension_deficit[is_tension_too_low]
     return angles
 
 
@@ -346,7 +346,7 @@ def stop_moving_digits(
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
     t: float,
-    reach: tuple[tuple[Vector, Vector], ...],
+    coordinate_bounds: tuple[tuple[Vector, Vector], ...],
     streamed_digits_only: bool,
 ) -> ProgramProgress:
     """Return the progress with new goals that bring moving digits to rest.
@@ -357,7 +357,7 @@ def stop_moving_digits(
             digit.
         tension: for each digit, the present tension setpoints [N].
         t: time of the program [s].
-        reach: lowest and highest coordinates of each digit [rad].
+        coordinate_bounds: lowest and highest coordinates of each digit [rad].
         streamed_digits_only: True if only the digits that follow a stream shall come to rest.
     """
     goals = list(progress.goals)
@@ -368,10 +368,10 @@ def stop_moving_digits(
             isinstance(goal.trajectory, StreamedTrajectory) or not streamed_digits_only
         ):
             position, rate, _ = reference[d]
-            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
+            end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *coordinate_bounds[d])
             goals[d] = DigitGoal(
                 GoalKind.MOTION,
-                blended_move(reference[d], end, STOP_DURATION_S, reach[d]),
+                blended_move(reference[d], end, STOP_DURATION_S, coordinate_bounds[d]),
                 since=t,
             )
     return replace(progress, goals=tuple(goals))
@@ -384,7 +384,7 @@ _CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 
 
 def blended_move(
-    reference: Vector, end: Vector, duration: float, reach: tuple[Vector, Vector]
+    reference: Vector, end: Vector, duration: float, coordinate_bounds: tuple[Vector, Vector]
 ) -> MinimumJerk:
     """Return a move that begins with the position, rate and acceleration of a reference.
 
@@ -397,7 +397,7 @@ def blended_move(
         reference: (3, n) position, rate and acceleration at the start [rad, s].
         end: (n,) coordinates at the end [rad].
         duration: duration of the move [s].
-        reach: lowest and highest coordinates [rad].
+        coordinate_bounds: lowest and highest coordinates [rad].
     """
     position, rate, acceleration = (row.copy() for row in reference)
     if not rate.any() and not acceleration.any():
@@ -408,8 +408,8 @@ def blended_move(
         sampled_positions = np.array(
             [move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS]
         )
-        is_inside = (sampled_positions >= np.minimum(reach[0], position)).all() and (
-            sampled_positions <= np.maximum(reach[1], position)
+        is_inside = (sampled_positions >= np.minimum(coordinate_bounds[0], position)).all() and (
+            sampled_positions <= np.maximum(coordinate_bounds[1], position)
         ).all()
         if is_inside or blend <= SHORTEST_BLEND_S:
             return move

@@ -104,9 +104,9 @@ class HoldPhase(Document):
     @model_validator(mode="after")
     def _require_one_target(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
-            given_count_text = "neither" if self.tension_N is None else "both"
+            neither_or_both = "neither" if self.tension_N is None else "both"
             raise ValueError(
-                f"{given_count_text} of tension_N and tip_force_N; expected either tension_N or tip_force_N"
+                f"{neither_or_both} of tension_N and tip_force_N; expected either tension_N or tip_force_N"
             )
         return self
 

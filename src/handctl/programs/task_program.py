@@ -100,8 +100,10 @@ class TaskProgram:
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task. The tendons of the hand are already taut."""
-        no_touches = (0,) * len(model.digits)
-        return self._enter_phase(model, replace(progress, step=0, touching=no_touches), estimate, t)
+        zero_contact_ticks = (0,) * len(model.digits)
+        return self._enter_phase(
+            model, replace(progress, step=0, touching=zero_contact_ticks), estimate, t
+        )
 
     def _advance_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
@@ -170,8 +172,8 @@ class TaskProgram:
             if isinstance(phase, HoldPhase) and any(contact)
             else None
         )
-        no_touches = (0,) * len(names)
-        progress = replace(progress, goals=goals, touching=no_touches, grip=grip)
+        zero_contact_ticks = (0,) * len(names)
+        progress = replace(progress, goals=goals, touching=zero_contact_ticks, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _digit_goal(
@@ -433,13 +435,13 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate
     for digit in model.digits:
         angle = digit.coordinate_units.to_display_units(coordinates_by_excursion(digit, estimate))
         joints = digit.coupling @ angle
-        coordinate_places = {
+        angle_and_unit_by_name = {
             digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
             for j in joint_values(phase.angle_deg, digit)
         }
         if digit.name in phase.angle_deg:
-            coordinate_places[digit.name] = angle, digit.coordinate_units.names[0]
-        for name, (present_angle, unit) in coordinate_places.items():
+            angle_and_unit_by_name[digit.name] = angle, digit.coordinate_units.names[0]
+        for name, (present_angle, unit) in angle_and_unit_by_name.items():
             first_angle = phase.angle_deg[name][0]
             if np.abs(present_angle - first_angle).max() > MAX_CURVE_START_DISTANCE_DEG:
                 start = f"the trajectory begins at {first_angle:g} {unit}: move there first"
@@ -492,20 +494,22 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     return margin / float(np.linalg.norm(tension_per_tip_force))
 
 
-def contact_threshold(goal: DigitGoal, joints: int, stated_threshold: float, t: float) -> float:
+def contact_threshold(goal: DigitGoal, joints: int, moving_threshold_N: float, t: float) -> float:
     """Return the smallest tip force that counts as contact [N].
 
     Args:
         goal: goal of the digit.
         joints: number of joints of the digit.
-        stated_threshold: threshold of a moving digit with two joints [N].
+        moving_threshold_N: threshold of a moving digit with two joints [N].
         t: time [s].
     """
-    stated_threshold *= joints / REFERENCE_JOINTS
+    moving_threshold_N *= joints / REFERENCE_JOINTS
     is_moving = (
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
     )
     return (
-        stated_threshold if is_moving else CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL * stated_threshold
+        moving_threshold_N
+        if is_moving
+        else CONTACT_THRESHOLD_FACTOR_AFTER_ARRIVAL * moving_threshold_N
     )

@@ -45,14 +45,14 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
 
 
 def find_calibration(
-    path: Path, hand: Hand, is_file_named: bool, buses: Sequence[str] = ()
+    path: Path, hand: Hand, is_file_given: bool, buses: Sequence[str] = ()
 ) -> tuple[Calibration | None, str]:
     """Return the calibration from a file if it may be used to arm the hand.
 
     Args:
         path: path of the calibration file, which may not exist yet.
         hand: description of the hand that will be armed.
-        is_file_named: True if the operator has named the file. An invalid file is then an error.
+        is_file_given: True if the operator has named the file. An invalid file is then an error.
         buses: buses of the hand that will be armed.
 
     Returns:
@@ -74,7 +74,7 @@ def find_calibration(
                 f"a calibration of the hand on {hardware_buses[0]}: handctl commission",
             )
     except ConfigError as error:
-        if is_file_named:
+        if is_file_given:
             raise
         return None, str(error)
     age_s = time.time() - datetime.datetime.fromisoformat(calibration.made).timestamp()

@@ -400,11 +400,11 @@ def _request_source(
     Streamed targets are not included. If the plan requires it, the first request clears the latched
     errors of the drives.
     """
-    orders = [CLEAR_REQUEST] if plan.clear_faults else []
+    pending_requests = [CLEAR_REQUEST] if plan.clear_faults else []
 
     def take_requests() -> tuple[TickRequest, ...]:
-        first_orders = (orders.pop(),) if orders else ()
-        return first_orders + signals.take_request() + mailbox.read_requests()
+        clear_request = (pending_requests.pop(),) if pending_requests else ()
+        return clear_request + signals.take_request() + mailbox.read_requests()
 
     return take_requests
 

@@ -70,12 +70,12 @@ def task_path(name: Path) -> Path:
     """
     if name.exists():
         return name
-    packaged = {path.stem: path for path in sorted(PACKAGED_TASKS_FOLDER.glob("*.toml"))}
+    packaged_paths = {path.stem: path for path in sorted(PACKAGED_TASKS_FOLDER.glob("*.toml"))}
     is_packaged_name = name.name == str(name) and name.suffix in ("", ".toml")
-    if not is_packaged_name or name.stem not in packaged:
-        names = ", ".join(path.name for path in packaged.values())
+    if not is_packaged_name or name.stem not in packaged_paths:
+        names = ", ".join(path.name for path in packaged_paths.values())
         raise ConfigError("no such task", str(name), f"a task file, or one of {names}")
-    return packaged[name.stem]
+    return packaged_paths[name.stem]
 
 
 def load_trajectory_for_hand(path: Path, hand: Hand) -> Task:

@@ -28,7 +28,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
     Raises:
         ConfigError: an argument or a file is wrong.
     """
-    choice = run_plan.RunOptions(
+    options = run_plan.RunOptions(
         hand=args.hand,
         is_hand_named=args.is_hand_named,
         bus_arguments=None if lockstep else args.bus,
@@ -40,7 +40,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> run_plan.RunP
         clear_faults=args.clear,
     )
     display = None if args.json or is_quiet() else _display_starter
-    plan = replace(run_plan.make_plan(choice, display, print_notice), show_progress=progress_bar)
+    plan = replace(run_plan.make_plan(options, display, print_notice), show_progress=progress_bar)
     if is_verbose():
         _print_plan(args, plan)
     return plan

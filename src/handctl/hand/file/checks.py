@@ -585,19 +585,19 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
         (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
     ):
         value = values[key]
-        value_above = values[upper_limit]
+        upper_limit_value = values[upper_limit]
         # The limit before this one has been reported as too high. Therefore this limit is not also
         # reported as too low.
         is_too_low = lower_limit is not None and value <= values[lower_limit] and not is_too_high
         bounds = (
             [] if lower_limit is None else [f"more than {lower_limit} = {values[lower_limit]:g} N"]
         )
-        if upper_limit == BREAKING_FORCE_KEY or breaking_force < value_above:
+        if upper_limit == BREAKING_FORCE_KEY or breaking_force < upper_limit_value:
             bounds.append(f"at most {BREAKING_FORCE_KEY} = {breaking_force:g} N")
             is_too_high = value > breaking_force
         else:
-            bounds.append(f"less than {upper_limit} = {value_above:g} N")
-            is_too_high = value >= value_above
+            bounds.append(f"less than {upper_limit} = {upper_limit_value:g} N")
+            is_too_high = value >= upper_limit_value
         if is_too_high or is_too_low:
             breaking_text = (
                 f", and the tendon breaks at {breaking_force:g} N" if value > breaking_force else ""

@@ -192,10 +192,10 @@ def _unknown_key_mistake(
             key_path(content, key_location),
             "no mode; one drive: handctl jog --mode",
         )
-    proposal = most_similar_valid_key(
+    similar_key = most_similar_valid_key(
         str(key_location[-1]), _valid_keys_of_table(model, key_location[:-1])
     )
-    return FileMistake("unknown key", key_path(content, key_location), proposal)
+    return FileMistake("unknown key", key_path(content, key_location), similar_key)
 
 
 def with_paths_in_hand_file(
@@ -215,8 +215,10 @@ def with_paths_in_hand_file(
     for mistake in mistakes:
         location = _path_in_file(mistake.where, origin_of_path)
         is_shared = location != mistake.where and mistake.what != "missing"
-        placed_mistake = mistake._replace(where=location)
-        located_mistakes.setdefault(location if is_shared else placed_mistake, placed_mistake)
+        mistake_at_location = mistake._replace(where=location)
+        located_mistakes.setdefault(
+            location if is_shared else mistake_at_location, mistake_at_location
+        )
     return list(located_mistakes.values())
 
 
@@ -254,16 +256,16 @@ def shortened_list(section_names: Sequence[str]) -> str:
     )
 
 
-def lines_by_text(named_texts: Iterable[tuple[str, str]]) -> tuple[str, ...]:
+def lines_by_text(name_text_pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     """Return one line for each different text, with all names that have this text.
 
     The lines are in the order of their first names.
 
     Args:
-        named_texts: pairs of a name and its text.
+        name_text_pairs: pairs of a name and its text.
     """
     names: dict[str, list[str]] = {}
-    for name, text in named_texts:
+    for name, text in name_text_pairs:
         names.setdefault(text, []).append(name)
     return tuple(f"{shortened_list(names[text])}: {text}" for text in names)
 

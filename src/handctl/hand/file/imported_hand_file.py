@@ -208,14 +208,17 @@ def usable_tendons(imported_hand: ImportedHand) -> tuple[list[dict[str, Any]], l
 
 
 def imported_hand_text(
-    imported_hand: ImportedHand, import_answers: ImportAnswers, option_words: str, can_fd: bool
+    imported_hand: ImportedHand,
+    import_answers: ImportAnswers,
+    drive_options_text: str,
+    can_fd: bool,
 ) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
         imported_hand: hand of a robot description.
         import_answers: the user's answers about values that the robot description does not contain.
-        option_words: line with the options of the drives, or an empty text for drives without options.
+        drive_options_text: line with the options of the drives, or an empty text for drives without options.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     tendons, _ = usable_tendons(imported_hand)
@@ -245,16 +248,16 @@ def imported_hand_text(
         import_answers = replace(import_answers, tension_N=largest.pop())
     file_sections.append(_section_text("default.tendon", _tendon_lines(import_answers)))
     file_sections.append(
-        _section_text("default.motor", _motor_lines(import_answers)) + option_words
+        _section_text("default.motor", _motor_lines(import_answers)) + drive_options_text
     )
     nodes: dict[int, int | None] = dict.fromkeys(buses.values(), import_answers.first_node)
     for digit in imported_hand.digits:
-        own_tendons = [tendon for tendon in tendons if tendon["digit"] == digit.name]
+        digit_tendons = [tendon for tendon in tendons if tendon["digit"] == digit.name]
         lines = [
             *_digit_lines(digit, import_answers),
-            *_drive_lines(own_tendons, buses[digit.name], nodes),
+            *_drive_lines(digit_tendons, buses[digit.name], nodes),
         ]
-        if len(own_tendons) < len(digit.joints):
+        if len(digit_tendons) < len(digit.joints):
             lines.append(_todo_line(Digit, "coupling"))
         file_sections.append(
             f"# joints in {imported_hand.source}: {', '.join(digit.joints)}\n"
@@ -317,7 +320,7 @@ def _text_before_digits(
 ) -> str:
     """Return the text of the tables before the first digit."""
     joints = sum(len(digit.joints) for digit in imported_hand.digits)
-    turned_text = (
+    palm_rotation_text = (
         ""
         if np.array_equal(imported_hand.palm, np.eye(3))
         else (
@@ -337,7 +340,7 @@ def _text_before_digits(
     return (
         f"# From {imported_hand.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be "
         "measured or\n"
-        f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned_text}"
+        f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{palm_rotation_text}"
         f'schema = 2\nname = "{import_answers.name or imported_hand.name}"\n'
         f'description = "{len(imported_hand.digits)} digits, {joints} joints, from {imported_hand.source}"\n\n'
         f"[mount]\n{mount}\n{palm_mesh}\n{lines}{_sensor_node(import_answers)}"
@@ -419,8 +422,10 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
     if np.abs(digit.axes - default_axes).max() > ROUNDING_TOLERANCE:
         lines.append(_SectionLine("joint_axis", _number_rows_text(digit.axes)))
     if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
-        turned_text = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
-        lines.append(_SectionLine("joint_rpy_deg", f"[{turned_text}]"))
+        joint_rotations_text = ", ".join(
+            ["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)]
+        )
+        lines.append(_SectionLine("joint_rpy_deg", f"[{joint_rotations_text}]"))
     lines += [
         _SectionLine("link_com_m", _number_rows_text(digit.centres_of_mass)),
         _SectionLine("link_mass_kg", _number_list_text([link.mass for link in links])),
@@ -433,13 +438,13 @@ def _digit_lines(digit: ModelDigit, import_answers: ImportAnswers) -> list[_Sect
     if radii:
         lines.append(_SectionLine("link_radius_m", _number_text(float(np.median(radii)))))
     for slide in sorted(set(are_prismatic)):
-        own_links = [link for link in links if link.is_prismatic == slide]
+        links_of_type = [link for link in links if link.is_prismatic == slide]
         for side, key in enumerate(("joint_min_deg", "joint_max_deg")):
-            limits = [link.range[side] for link in own_links if link.range is not None]
+            limits = [link.range[side] for link in links_of_type if link.range is not None]
             name = _key_for_joint_type(key, slide)
             lines.append(
                 _SectionLine(name, _number_list_text(limits if slide else np.degrees(limits)))
-                if len(limits) == len(own_links)
+                if len(limits) == len(links_of_type)
                 else _todo_line(Digit, name)
             )
     return [*lines, *_joint_lines(digit, import_answers), *_mesh_lines(digit.meshes)]
@@ -616,11 +621,11 @@ def _motor_lines(import_answers: ImportAnswers) -> Iterable[_SectionLine]:
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
     """Return the line for a key whose value is missing, with ``"TODO"`` in place of the value."""
-    verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
+    todo_verb = "set" if key in KEYS_CHOSEN_BY_USER else "measure"
     return _SectionLine(
         key,
         f'"{UNMEASURED_PLACEHOLDER}"',
-        f"{UNMEASURED_PLACEHOLDER} {verb}: {_key_meaning(section, key)}",
+        f"{UNMEASURED_PLACEHOLDER} {todo_verb}: {_key_meaning(section, key)}",
     )
 
 
@@ -646,11 +651,11 @@ def _inertia_moments(inertia: Array) -> Array:
     If the products of inertia are not zero, they follow after the moments.
     """
     products_of_inertia = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
-    principal = np.diag(inertia)
+    diagonal_moments = np.diag(inertia)
     return (
-        principal
-        if np.abs(products_of_inertia).max() < 1e-9 * principal.max()
-        else np.concatenate((principal, products_of_inertia))
+        diagonal_moments
+        if np.abs(products_of_inertia).max() < 1e-9 * diagonal_moments.max()
+        else np.concatenate((diagonal_moments, products_of_inertia))
     )
 
 

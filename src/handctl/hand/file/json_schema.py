@@ -96,15 +96,15 @@ def _add_short_forms_of_digit(digit_schema: dict[str, Any]) -> None:
             kind, f"Each {kind} of this digit, named DIGIT_NAME."
         )
     for key in KEYS_ACCEPTING_ONE_VALUE:
-        lists = properties[key]
+        list_schema = properties[key]
         element_schema = next(
             subschema["items"]
-            for subschema in (lists, *lists.get("anyOf", ()))
+            for subschema in (list_schema, *list_schema.get("anyOf", ()))
             if "items" in subschema
         )
         properties[key] = {
             "anyOf": [element_schema, {"type": "array", "items": element_schema}],
-            "description": lists["description"],
+            "description": list_schema["description"],
         }
 
 

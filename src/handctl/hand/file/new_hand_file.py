@@ -234,16 +234,16 @@ def palm_warnings(answers: NewHandAnswers) -> tuple[str, ...]:
     )
 
 
-def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can_fd: bool) -> str:
+def new_hand_text(answers: NewHandAnswers, drive_options: Mapping[str, Any], can_fd: bool) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
         answers: the user's answers, already checked.
-        given_options: options of a drive of the protocol.
+        drive_options: options of a drive of the protocol.
         can_fd: True if the protocol needs a bus with CAN FD.
     """
     file_sections = [_tables_before_digits(answers, can_fd), _digit_values(answers)]
-    file_sections += [_tendon_values(answers), _motor_values(answers, given_options)]
+    file_sections += [_tendon_values(answers), _motor_values(answers, drive_options)]
     motors = _motor_names(answers)
     buses = _bus_names(answers)
     digits_per_bus = _digits_per_bus(answers)
@@ -253,9 +253,9 @@ def new_hand_text(answers: NewHandAnswers, given_options: Mapping[str, Any], can
         bus = buses[number // digits_per_bus]
         # On each bus, the node numbers begin at 1.
         first_node_id = number % digits_per_bus * len(motors) + 1
-        on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
+        bus_entry_format = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
         ids = ", ".join(
-            f"{motor}.node_id = {first_node_id + i}{on_bus.format(motor)}"
+            f"{motor}.node_id = {first_node_id + i}{bus_entry_format.format(motor)}"
             for i, motor in enumerate(motors)
         )
         roll = 180.0 * (1 - side)
@@ -291,10 +291,10 @@ def _mount_positions(answers: NewHandAnswers) -> list[float]:
     )
     # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
     # of the distance between its digits. Otherwise, digits of both rows would face each other.
-    moved = digit_spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
+    row_offset_mm = digit_spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
     places = []
     for count in counts:
-        offset = moved if count == min(counts) else 0.0
+        offset = row_offset_mm if count == min(counts) else 0.0
         places += [1e-3 * (digit_spacing * ((count - 1) / 2 - i) + offset) for i in range(count)]
     return places
 
@@ -404,13 +404,13 @@ def _digit_values(answers: NewHandAnswers) -> str:
             f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike"
         )
     for i, motor in enumerate(_motor_names(answers)):
-        short = "tendon" if answers.tendons == "one" else f"t{i + 1}"
+        short_name = "tendon" if answers.tendons == "one" else f"t{i + 1}"
         if motor == EXTENSOR:
-            short = EXTENSOR
+            short_name = EXTENSOR
         arms = ", ".join(
             f"j{j + 1} = {_number_text(arm)}" for j, arm in enumerate(_moment_arms(answers, i))
         )
-        lines.append(f'tendon.{short} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
+        lines.append(f'tendon.{short_name} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)
 
 
@@ -464,7 +464,7 @@ def _moment_arms(answers: NewHandAnswers, tendon: int) -> list[float]:
 
 def _tendon_values(answers: NewHandAnswers) -> str:
     """Return the text of the values that are the same for all tendons."""
-    trip = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
+    trip_tension_text = _number_text(TENSION_TRIP_RATIO * answers.tension_N)
     return f"""[default.tendon]
 stiffness_N_per_m = 1.0e5          # ASSUMED: handctl identify measures it
 damping_N_s_per_m = 30.0           # ASSUMED
@@ -476,11 +476,11 @@ wrap_angle_rad = 1.5708            # ASSUMED: before the first joint pulley
 rated_breaking_force_N = {_number_text(answers.strength_N)}
 tension_floor_N = {TENSION_FLOOR_N}
 tension_max_N = {_number_text(answers.tension_N)}
-tension_trip_N = {trip}              # above this one valid sample relaxes the hand
+tension_trip_N = {trip_tension_text}              # above this one valid sample relaxes the hand
 drive_limit_N = {_number_text(DRIVE_LIMIT_RATIO * answers.tension_N)}              # torque_max_N_m / spool_radius_m"""
 
 
-def _motor_values(answers: NewHandAnswers, given_options: Mapping[str, Any]) -> str:
+def _motor_values(answers: NewHandAnswers, drive_options: Mapping[str, Any]) -> str:
     """Return the text of the values that are the same for all motors."""
     torque = DRIVE_LIMIT_RATIO * answers.tension_N * 1e-3 * answers.spool_mm
     return f"""[default.motor]                    # quantities at the spool, after the gear
@@ -497,17 +497,17 @@ position_range_rad = 12.5          # as in the drive's registers
 velocity_range_rad_s = 50.0        # as in the drive's registers
 direction = 1                      # 1 if positive torque winds; handctl commission checks it
 zero_rad = 0.0
-watchdog_ms = 50{options_line(answers.protocol, given_options, answers.cells == "all")}"""
+watchdog_ms = 50{options_line(answers.protocol, drive_options, answers.cells == "all")}"""
 
 
-def options_line(protocol: str, given_options: Mapping[str, Any], has_cells: bool) -> str:
+def options_line(protocol: str, drive_options: Mapping[str, Any], has_cells: bool) -> str:
     """Return the line with the options of the drives.
 
     If the protocol has no options, the line is empty.
 
     Args:
         protocol: protocol of the drives.
-        given_options: options of the drives.
+        drive_options: options of the drives.
         has_cells: True if load cells measure the tension of all tendons.
     """
     if protocol == "odrive":
@@ -517,9 +517,9 @@ def options_line(protocol: str, given_options: Mapping[str, Any], has_cells: boo
             if has_cells
             else f"\noptions = {{ torque_feedback = true }}   # no load cells{line}"
         )
-    if not given_options:
+    if not drive_options:
         return ""
-    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in given_options.items())
+    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in drive_options.items())
     return f"\noptions = {{ {values} }}   # ASSUMED: of your drive"
 
 

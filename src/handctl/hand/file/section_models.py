@@ -23,10 +23,10 @@ class Section(BaseModel):
         pydantic also copies the cached properties, which were computed from the old fields. The
         copy computes them again.
         """
-        copied = super().model_copy(update=update, deep=deep)
-        for name in copied.__dict__.keys() - type(self).model_fields.keys():
-            del copied.__dict__[name]
-        return copied
+        section_copy = super().model_copy(update=update, deep=deep)
+        for name in section_copy.__dict__.keys() - type(self).model_fields.keys():
+            del section_copy.__dict__[name]
+        return section_copy
 
 
 class Mount(Section):

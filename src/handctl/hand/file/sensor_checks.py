@@ -75,11 +75,13 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
             f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen",
         )
     location = "sensor_node.node_ids"
-    repeated_numbers = sorted(
+    duplicate_node_numbers = sorted(
         {number for number in node.node_ids if node.node_ids.count(number) > 1}
     )
-    if repeated_numbers:
-        yield FileMistake(f"0x{repeated_numbers[0]:X} twice", location, "every node number once")
+    if duplicate_node_numbers:
+        yield FileMistake(
+            f"0x{duplicate_node_numbers[0]:X} twice", location, "every node number once"
+        )
     cells, channel_count = len(node.tendons), len(node.node_ids) * node.channels_per_node
     if cells > channel_count:
         problem_text = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"

@@ -207,12 +207,12 @@ class _TemplateResolver:
         for key, values in default.items():
             # If a kind is misspelt, its default is used nevertheless. Otherwise all values of this
             # default would also be reported as missing.
-            misspelt = (
+            is_misspelt = (
                 key not in SECTION_KINDS
                 and section_kind not in default
                 and most_similar_valid_key(key, [*SECTION_KINDS]) == section_kind
             )
-            if isinstance(values, Mapping) and (key == section_kind or misspelt):
+            if isinstance(values, Mapping) and (key == section_kind or is_misspelt):
                 yield ValueLayer(_without_name_and_template(values), f"default.{key}")
         template_layers = [layer for layer in section_layers if "template" in layer.values]
         if not template_layers:
@@ -352,14 +352,14 @@ def join_missing_key_mistakes(
         mistakes: mistakes whose key paths belong to the resolved content.
         content: resolved content.
     """
-    joined_mistakes = list(mistakes)
+    mistake_list = list(mistakes)
     missing_values = [
         KEY_PATH_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None
-        for mistake in joined_mistakes
+        for mistake in mistake_list
     ]
     counts = Counter(match.groups() for match in missing_values if match)
     joined: dict[FileMistake, None] = {}
-    for mistake, match in zip(joined_mistakes, missing_values, strict=True):
+    for mistake, match in zip(mistake_list, missing_values, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
             expected = f"a value, there or in each {match[1]}" + mistake.right.removeprefix(
                 "a value"

@@ -273,7 +273,7 @@ def digits_from_links(
             frames[links[i].parent][0].T @ links[i].rotation @ frames[i][0]
             for i in other_link_indices
         ]
-        own_frames = [frames[i][0] for i in chain.link_indices]
+        link_frames = [frames[i][0] for i in chain.link_indices]
         bodies = [links[i] for i in chain.link_indices]
         digits.append(
             ModelDigit(
@@ -285,21 +285,21 @@ def digits_from_links(
                 turns=np.array(turns).reshape(-1, 3, 3),
                 lengths=np.array([frames[i][1] for i in chain.link_indices]),
                 axes=np.array(
-                    [turn.T @ link.axis for turn, link in zip(own_frames, bodies, strict=True)]
+                    [turn.T @ link.axis for turn, link in zip(link_frames, bodies, strict=True)]
                 ),
                 links=tuple(bodies),
                 centres_of_mass=np.array(
-                    [turn.T @ link.com for turn, link in zip(own_frames, bodies, strict=True)]
+                    [turn.T @ link.com for turn, link in zip(link_frames, bodies, strict=True)]
                 ),
                 inertias=np.array(
                     [
                         turn.T @ link.inertia @ turn
-                        for turn, link in zip(own_frames, bodies, strict=True)
+                        for turn, link in zip(link_frames, bodies, strict=True)
                     ]
                 ),
                 meshes=tuple(
                     link.mesh and link.mesh.seen_from_frame(turn, np.zeros(3))
-                    for turn, link in zip(own_frames, bodies, strict=True)
+                    for turn, link in zip(link_frames, bodies, strict=True)
                 ),
             )
         )
