@@ -30,7 +30,7 @@ from handctl.hand.hand_loading import (
     read_toml,
 )
 from handctl.programs.task import Task, task_from_trajectory_file
-from handctl.session.tasks import check_task_for_hand
+from handctl.session.task_loading import check_task_for_hand
 
 FuzzTarget = Callable[[bytes], bool]
 FileContent = Mapping[str, Any]

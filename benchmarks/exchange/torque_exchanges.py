@@ -55,7 +55,7 @@ def enabled_controller(motor_count):
     from handctl.hand.hand_loading import load_hand
     from handctl.programs.task_program import TaskProgram
     from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
-    from handctl.session.tasks import load_task_for_hand
+    from handctl.session.task_loading import load_task_for_hand
 
     name = {4: "jamia", 11: "jamia11"}[motor_count]
     model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)

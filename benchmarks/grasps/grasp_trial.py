@@ -18,7 +18,7 @@ from handctl.programs.task import HoldPhase
 from handctl.programs.task_program import TaskProgram
 from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
 from handctl.session.run_plan import default_control_rate
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 
 TIMEOUT_S = 120.0
 LOST_DISTANCE_M = 0.3

@@ -16,7 +16,7 @@ from handctl.hand.readiness_checks import displayed_range
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, build_random_hand_tree
 
 

@@ -25,7 +25,7 @@ from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.task_program import TaskProgram
 from handctl.session.lockstep_simulation import SimulatorSettings, homed_controller
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,

@@ -46,7 +46,7 @@ from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
 from handctl.safety.tick_verdict import CountedFault, LatchedFault
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function

@@ -105,7 +105,7 @@ def changeable_numbers(content):
         yield ("digit", 1, "link_mass_kg", i), content["digit"][1]["link_mass_kg"][i]
 
 
-DIGITS_AND_JOINTS = {
+DIGITS_AND_JOINT_COUNT_BY_HAND = {
     "t42": (("left", "right"), 4),
     "n_plus_1": (("index", "middle", "thumb"), 8),
     "orca_like": (("wrist", "index", "middle", "ring", "pinky", "thumb"), 17),
@@ -117,7 +117,9 @@ def test_links_and_joints_have_names_and_places(hand):
     first_digit, last_digit = hand.digit[0], hand.digit[-1]
     assert hand.joints[0] == f"{first_digit.name}_j1"
     assert hand.joints[-1] == f"{last_digit.name}_j{len(last_digit.link_length_m)}"
-    digits, joints = DIGITS_AND_JOINTS.get(hand.name, (("index", "middle", "ring", "thumb"), 11))
+    digits, joints = DIGITS_AND_JOINT_COUNT_BY_HAND.get(
+        hand.name, (("index", "middle", "ring", "thumb"), 11)
+    )
     assert hand.digit_names == digits
     assert hand.moment_arms.shape == (len(hand.tendon_names), joints)
     for tendon, row in zip(hand.tendon, hand.moment_arms, strict=True):

@@ -14,7 +14,7 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, packaged_
 from tests.conftest import NIGHTLY
 
 CONTENT_BY_HAND_NAME = {name: hand_content(name) for name in packaged_hands()}
-SIGNED_KEYS = re.compile(
+SIGNED_KEY_PATTERN = re.compile(
     r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction"
 )
 OPTIONAL_KEYS = {"coupling"}
@@ -120,7 +120,7 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, key_path, wr
         ("12", '"12"'),
         ([1.0], "[1.0]"),
     ]
-    if wrong_number != 0 and not SIGNED_KEYS.search(str(key_path)):
+    if wrong_number != 0 and not SIGNED_KEY_PATTERN.search(str(key_path)):
         wrong_values.append((-wrong_number, str(-wrong_number)))
     for wrong_value, shown_text in wrong_values:
         line = refusal(content_with_value(content, key_path, wrong_value))

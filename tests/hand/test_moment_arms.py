@@ -14,7 +14,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import arm_table_residual, moment_arm_polynomial
+from handctl.hand.moment_arms import moment_arm_polynomial, moment_arm_table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
@@ -115,9 +115,9 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
     np.testing.assert_allclose(
         moment_arm_polynomial(arm), [*cubic_coefficients, 0.0, 0.0], atol=1e-12
     )
-    assert arm_table_residual(arm) < 1e-12
+    assert moment_arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
-    assert 2e-5 < arm_table_residual(arm) < 1e-4
+    assert 2e-5 < moment_arm_table_residual(arm) < 1e-4
     assert (
         moment_arm_polynomial({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4

@@ -32,7 +32,7 @@ from handctl.runtime.socket_paths import faults_path, local_bus_path, run_dir
 from handctl.session.calibration import load_calibration
 from handctl.session.run import make_controller, run_live
 from handctl.session.run_plan import RunPlan, bus_specs
-from handctl.session.tasks import load_task
+from handctl.session.task_loading import load_task
 from tests.runtime.processes import (
     LOCAL_BUS,
     LONG_TASK,

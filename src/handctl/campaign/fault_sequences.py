@@ -62,7 +62,7 @@ ODrive.
 """
 WATCHDOG_S = 0.05
 """Time without a command after which a drive disables itself [s]."""
-REACTION_TICKS = 10
+MAX_RUNAWAY_REACTION_TICKS = 10
 """The controller stops commanding a runaway drive after at most this number of ticks."""
 SHUTDOWN_MODE_ORDER = (
     HandMode.ARMING,
@@ -292,7 +292,10 @@ def _tension_bound(
         return max(*limits.tension_trip, *start_tension)
     zero_speeds = [0.0] * model.tendon_count
     return runaway_tension(
-        model, zero_speeds, zero_speeds, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
+        model,
+        zero_speeds,
+        zero_speeds,
+        WATCHDOG_S + MAX_RUNAWAY_REACTION_TICKS * simulation.period_ns * 1e-9,
     )
 
 

@@ -27,7 +27,7 @@ from handctl.session.lockstep_simulation import SimulatedRun
 
 OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
-FORCE_CHANGE_TIME_S = 8.0
+FORCE_CHANGE_OBSERVATION_S = 8.0
 """Further time for which a run is observed if the detection needs a change of the motor force [s]."""
 FORCE_TIME_CONSTANT_S = 0.02
 """Time constant of the low-pass filter for the motor force whose change a detection needs [s]."""
@@ -127,7 +127,7 @@ def run_scenario(
         if scenario.second_fault.startswith(HOST_FAULT_PREFIX)
         else None
     )
-    observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_TIME_S if row.force_change_N else 0.0)
+    observation_s = OBSERVATION_TIME_S + (FORCE_CHANGE_OBSERVATION_S if row.force_change_N else 0.0)
     for i in range(
         bound + SECOND_FAULT_DELAY_TICKS + round(observation_s * 1e9 / simulation.period_ns)
     ):

@@ -52,7 +52,7 @@ from handctl.runtime.target_socket import TargetSender, stream_name
 from handctl.session.buses import parse_bus_arguments, refuse_default_hand
 from handctl.session.default_hand import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.tasks import load_task_for_hand
+from handctl.session.task_loading import load_task_for_hand
 
 StreamSpace = Literal["joint", "digit", "tension", "tip_force", "fingertip"]
 """Meaning of the values of a target, see ``HandClient.stream``."""

@@ -10,7 +10,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, StreamTarget, TickEvent, Vector
-from handctl.programs.program import ProgramProgress, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, coordinates_from_excursion
 from handctl.programs.requests import OpenStreamRequest
 from handctl.programs.stream_plans import (
     TARGET_UNIT_BY_SPACE,
@@ -93,7 +93,7 @@ def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int,
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
             # If a digit has no reference, its motion starts at rest from the present angles.
-            reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
+            reference[d][0] = coordinates_from_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.coordinate_limits)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.coordinate_limits

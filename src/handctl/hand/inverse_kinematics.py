@@ -13,9 +13,9 @@ SCAN_INTERVAL_COUNT = 64
 """Number of intervals in a scan along a coupled digit's path for the point closest to a target."""
 REACH_TOLERANCE = 1e-12
 """Relative tolerance for rounding errors when a squared distance is compared with the squared reach."""
-MAX_STEPS = 60
+MAX_SEARCH_STEPS = 60
 """Largest number of steps in the search for the closest tip position."""
-MIN_STEP_RAD = 1e-10
+MIN_SEARCH_STEP_RAD = 1e-10
 """The search ends after a step in which no coordinate changes by more than this value [rad]."""
 START_DISTANCE_WEIGHT_M_PER_RAD = 1e-5
 """Weight of the distance from the start coordinates [m/rad].
@@ -225,7 +225,7 @@ def _locally_closest_tip(
     gap = joint_points(digit, digit.coupling @ theta)[-1] - target_point
     cost = float(gap @ gap)
     damping = 1e-3
-    for _ in range(MAX_STEPS):
+    for _ in range(MAX_SEARCH_STEPS):
         jacobian = tip_jacobian(digit, digit.coupling @ theta) @ digit.coupling
         slope = jacobian.T @ gap + START_DISTANCE_WEIGHT_M_PER_RAD**2 * (theta - start_coordinates)
         is_free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
@@ -259,6 +259,6 @@ def _locally_closest_tip(
             damping *= 10.0
         step = float(np.abs(next_coordinates - theta).max())
         theta = next_coordinates
-        if step < MIN_STEP_RAD:
+        if step < MIN_SEARCH_STEP_RAD:
             break
     return ClosestTip(theta, float(np.linalg.norm(gap)))

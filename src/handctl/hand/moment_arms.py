@@ -55,7 +55,7 @@ def moment_arm_table(arm: MomentArm) -> tuple[Array, Array]:
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
 
 
-def arm_table_residual(arm: MomentArm) -> float:
+def moment_arm_table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
     For a moment arm without a table, the difference is 0.

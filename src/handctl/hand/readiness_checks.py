@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
 from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.section_models import PRISMATIC_KEYS, REVOLUTE_KEYS, Bus, Digit
-from handctl.hand.moment_arms import arm_table_residual, moment_arm_table, moment_arms_at
+from handctl.hand.moment_arms import moment_arm_table, moment_arm_table_residual, moment_arms_at
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
@@ -24,7 +24,7 @@ Source: ISO 11898-2.
 """
 MAX_TORQUE_RESIDUAL = 1e-6
 """Largest torque that counts as 0, as a fraction of the torque of 1 N at the largest moment arm."""
-CHECKED_POSTURES = 11
+CHECKED_POSTURE_COUNT = 11
 """Number of postures at which a digit is checked, if its moment arms depend on joint angles."""
 SPRING_STIFFNESS = REVOLUTE_KEYS.index("spring_stiffness_N_m_per_rad")
 SPRING_PRELOAD = REVOLUTE_KEYS.index("spring_preload_rad")
@@ -104,7 +104,9 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
         postures = list(
-            moment_arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES))
+            moment_arms_at(
+                polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURE_COUNT)
+            )
             @ coupling
         )
     arms = postures[0]  # moment arms of the digit when it is open
@@ -139,7 +141,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     yield FileMistake(problem_text, f"digit[{digit.name}].{key}", expected)
 
 
-def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
+def moment_arm_fit_lines(hand: Hand) -> tuple[str, ...]:
     """Return lines that report the differences between polynomials and tables of moment arms.
 
     There is one line for each tendon with a table.
@@ -153,7 +155,7 @@ def arm_table_fit_lines(hand: Hand) -> tuple[str, ...]:
         }
         if tables:
             differences_text = ", ".join(
-                f"{1e3 * arm_table_residual(arm):.2g} mm at {joint}"
+                f"{1e3 * moment_arm_table_residual(arm):.2g} mm at {joint}"
                 for joint, arm in tables.items()
             )
             lines.append(

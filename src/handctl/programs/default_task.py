@@ -31,9 +31,9 @@ PRISMATIC_CLOSING_SPEED = 20.0
 """Speed with which digits close [deg/s], and the speed of a hand with prismatic joints [deg/s or mm/s]."""
 LARGEST_CLOSED_DEG = 120.0
 """Largest angle of a closed coordinate [deg]."""
-HOLD_FRACTION = 0.3
+HOLD_TENSION_FRACTION = 0.3
 """Tension of a hold divided by ``tension_max_N``, if as many digits close from one side as from the other."""
-MAX_HOLD_FRACTION = 0.7
+MAX_HOLD_TENSION_FRACTION = 0.7
 """Largest tension of a hold divided by ``tension_max_N``."""
 MIN_FORCE_BALANCE_FACTOR = 0.1
 """Smallest factor on the tension of a digit that may be used to balance the forces on an object.
@@ -42,9 +42,9 @@ If the balance requires a smaller factor, the tensions do not balance the forces
 """
 PRESSING_FORCE_N = 1.0
 """Smallest force with which a hold presses at the tip of a half-closed digit, against its springs [N]."""
-CONTACT_FRACTION = 0.16
+CONTACT_TENSION_FRACTION = 0.16
 """Tension of a digit in contact divided by ``tension_max_N``, in the time until all digits hold."""
-RELEASE_MARGIN_N = 6.0
+RELEASE_TENSION_MARGIN_N = 6.0
 """Tension of a release above the highest ``tension_floor_N`` of the hand [N]."""
 OPENING_DURATION_S = 1.2
 """Duration of the last phase, in which the hand opens [s].
@@ -101,7 +101,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "speed_deg_s": PRISMATIC_CLOSING_SPEED
                 if hand.is_prismatic.any()
                 else CLOSING_SPEED_DEG_S,
-                "contact_tension_N": round(max(CONTACT_FRACTION * largest, floor + 1.0), 1),
+                "contact_tension_N": round(max(CONTACT_TENSION_FRACTION * largest, floor + 1.0), 1),
             },
             {
                 "kind": "hold",
@@ -116,7 +116,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
             {
                 "kind": "release",
                 "name": "release",
-                "tension_N": min(floor + RELEASE_MARGIN_N, largest),
+                "tension_N": min(floor + RELEASE_TENSION_MARGIN_N, largest),
                 "rate_N_per_s": 60.0,
             },
             {
@@ -211,15 +211,18 @@ def _hold_tensions(hand: Hand, name: str, tension_fraction: float) -> float | li
     """
     if hand.is_pair[hand.digit_tendons[name]].any():
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
-        return round(min(HOLD_FRACTION * tension_fraction, MAX_HOLD_FRACTION) * largest, 1)
+        return round(
+            min(HOLD_TENSION_FRACTION * tension_fraction, MAX_HOLD_TENSION_FRACTION) * largest, 1
+        )
     pressing_tension = _pressing_tension(hand, name)
     arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
             min(
-                tension_fraction * max(HOLD_FRACTION * tendon.tension_max_N, pressing_tension),
-                MAX_HOLD_FRACTION * tendon.tension_max_N,
+                tension_fraction
+                * max(HOLD_TENSION_FRACTION * tendon.tension_max_N, pressing_tension),
+                MAX_HOLD_TENSION_FRACTION * tendon.tension_max_N,
             )
             if arm > 0.0
             else EXTENSOR_TENSION_FACTOR * tendon.tension_floor_N,
@@ -259,7 +262,9 @@ def grasp_warnings(hand: Hand) -> tuple[str, ...]:
         )
     for name in opposed:
         tendons = hand.tendon[hand.digit_tendons[name]]
-        max_hold_tension = MAX_HOLD_FRACTION * min(tendon.tension_max_N for tendon in tendons)
+        max_hold_tension = MAX_HOLD_TENSION_FRACTION * min(
+            tendon.tension_max_N for tendon in tendons
+        )
         if (tension := _pressing_tension(hand, name)) > max_hold_tension:
             warnings.append(
                 f"{name}: pressing with {PRESSING_FORCE_N:g} N at its tip takes {tension:.0f} N of tension, "
@@ -284,7 +289,7 @@ def default_scene(hand: Hand) -> str:
         return CYLINDER_SCENE
     shape = CYLINDER_SCENE if are_digits_parallel else SPHERE_SCENE
     longest_digit_mm = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
-    free_space_mm = 1e3 * _largest_object(hand, is_ball=shape == SPHERE_SCENE)
+    free_space_mm = 1e3 * _largest_object_diameter(hand, is_ball=shape == SPHERE_SCENE)
     diameter = max(
         SMALLEST_OBJECT_MM,
         min(OBJECT_DIAMETER_RATIO * longest_digit_mm, free_space_mm - CLEARANCE_MM),
@@ -298,7 +303,7 @@ def default_scene(hand: Hand) -> str:
     )
 
 
-def _largest_object(hand: Hand, is_ball: bool) -> float:
+def _largest_object_diameter(hand: Hand, is_ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
     tree = LinkTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])

@@ -31,11 +31,11 @@ SLIP_DETECTION_PAUSE_S = 0.4
 
 In this time, the fingers adapt to the object.
 """
-RAISE_PAUSE_S = 0.1
+TENSION_RAISE_PAUSE_S = 0.1
 """Shortest time between two rises of the tension [s]."""
 TENSION_RAISE_FACTOR = 1.2
 """Factor by which slip raises every tension of the grip."""
-RAISE_RATE_N_PER_S = 300.0
+TENSION_RAISE_RATE_N_PER_S = 300.0
 """Rate at which tensions rise after slip [N/s].
 
 The rate is high, because slip is faster than the closing of a grasp.
@@ -134,7 +134,7 @@ def advance_grip(
             np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
         )
         if opening_travel.max() > SLIP_EXCURSION_M:
-            grip, events = _raise_after_slip(model, grip, plan, opening_travel, t)
+            grip, events = _raise_tension_after_slip(model, grip, plan, opening_travel, t)
     if not (is_slip_judged or is_settled) or not (events or plan.stiffness):
         return grip, goals, events
     return (
@@ -144,7 +144,7 @@ def advance_grip(
     )
 
 
-def _raise_after_slip(
+def _raise_tension_after_slip(
     model: HandModel, grip: GripState, plan: GripPlan, opening_distances: Vector, t: float
 ) -> tuple[GripState, tuple[TickEvent, ...]]:
     """Raise the tensions of a grip after slip, within the limits of the task."""
@@ -154,7 +154,7 @@ def _raise_after_slip(
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst_digit < tendons.stop
     )
-    grip = grip._replace(ready=t + RAISE_PAUSE_S)
+    grip = grip._replace(ready=t + TENSION_RAISE_PAUSE_S)
     slip_text = f"{digit} is pushed open, {1e6 * opening_distances[worst_digit]:.0f} um of tendon"
     # The tendon that is farthest below its limit determines the largest possible factor. All
     # tensions are multiplied by the same factor.
@@ -197,6 +197,6 @@ def _goals_of_held_grip(
     return tuple(
         goal
         if np.isnan(target[tendons]).any()
-        else replace(goal, tension=target[tendons], rate=RAISE_RATE_N_PER_S)
+        else replace(goal, tension=target[tendons], rate=TENSION_RAISE_RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)
     )

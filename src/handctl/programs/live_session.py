@@ -18,7 +18,7 @@ from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     ProgramProgress,
     ProgressAndEvents,
-    coordinates_by_excursion,
+    coordinates_from_excursion,
     goal_to_move_to_angle,
     pull_tensions,
     slack_tendons,
@@ -164,7 +164,7 @@ def _refusal_of_fast_first_move(
         angle = end_angles(
             first_move.angle_deg,
             digit,
-            digit.coordinate_units.to_display_units(coordinates_by_excursion(digit, estimate)),
+            digit.coordinate_units.to_display_units(coordinates_from_excursion(digit, estimate)),
         )
         if angle is None:
             continue
@@ -318,7 +318,7 @@ def _end_coordinates_of_move(
         return f"{name} and {joints[next(iter(angles))]}, expected either the digit or its joints"
     present_angles = digit.coordinate_units.to_display_units(
         np.clip(
-            start if isinstance(start, np.ndarray) else coordinates_by_excursion(digit, start),
+            start if isinstance(start, np.ndarray) else coordinates_from_excursion(digit, start),
             *digit.coordinate_limits,
         )
     )
@@ -371,7 +371,7 @@ def _reach_problem(
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} {unit}, expected from {low:g} to {high:g} {unit}"
     travel = np.abs(
-        end_coordinates - units.to_display_units(coordinates_by_excursion(digit, estimate))
+        end_coordinates - units.to_display_units(coordinates_from_excursion(digit, estimate))
     )
     worst_coordinate = int(np.argmax(travel / units.displayed_per_degree))
     peak = PEAK_SPEED_RATIO * float(travel[worst_coordinate]) / duration

@@ -169,7 +169,7 @@ def tension_goal(
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
-    coordinates = coordinates_by_excursion(model.digits[d], estimate)
+    coordinates = coordinates_from_excursion(model.digits[d], estimate)
     return DigitGoal(
         GoalKind.TENSION,
         MinimumJerk(coordinates, coordinates, HOLD_STILL_DURATION_S),
@@ -202,7 +202,7 @@ def slack_tendons(model: HandModel, estimate: HandEstimate) -> list[str]:
     return [name for name, ok in zip(model.hand.tendon_names, is_taut, strict=True) if not ok]
 
 
-def coordinates_by_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
+def coordinates_from_excursion(digit: DigitModel, estimate: HandEstimate) -> Vector:
     """Return the coordinates (n_c,) of a digit, computed from the excursions of its tendons [rad].
 
     During contact, the joints may turn further than the excursions show.
@@ -217,7 +217,7 @@ def goal_to_move_to_angle(
 
     The target is one angle for all coordinates, or one angle for each coordinate [rad].
     """
-    start = coordinates_by_excursion(digit, estimate)
+    start = coordinates_from_excursion(digit, estimate)
     return DigitGoal(
         GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t
     )

@@ -25,7 +25,7 @@ If the next target is late by less than this time, the motion does not stop.
 """
 STOP_DURATION_S = 0.15
 """Duration of the motion with which a streamed digit comes to rest [s]."""
-MIN_HOLD_PERIODS = 2
+MIN_STREAM_PERIODS_BEFORE_HOLD = 2
 """Smallest number of stream periods without a target after which the hand holds.
 
 A single lost target therefore causes no hold.
@@ -184,7 +184,7 @@ def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> Stre
     """Return the stream that a request opens, or the reason why the request is refused."""
     if reason := stream_refusal_reason(model, request):
         return reason
-    min_rate_hz = MIN_HOLD_PERIODS * 1e3 / model.hand.stream.hold_after_ms
+    min_rate_hz = MIN_STREAM_PERIODS_BEFORE_HOLD * 1e3 / model.hand.stream.hold_after_ms
     max_rate_hz = 1.0 / model.period
     if not min_rate_hz <= request.rate_Hz <= max_rate_hz:
         limits = "stream.hold_after_ms of the hand file, and the control rate"
@@ -195,7 +195,7 @@ def stream_plan_or_refusal(model: HandModel, request: OpenStreamRequest) -> Stre
     )  # fmt: skip
 
 
-FLOOR_MARGIN_N = 0.5
+TENSION_FLOOR_MARGIN_N = 0.5
 """Margin of the tensions above the floor in a posture that counts as holdable [N]."""
 MAX_NEWTON_STEPS = 4
 """Largest number of Newton steps towards a holdable posture.
@@ -222,7 +222,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         torque_to_tension = digit.with_moment_arms_at(digit.coupling @ angles).torque_to_tension
         slope = torque_to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = torque_to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
-        tension_deficit = floor + FLOOR_MARGIN_N - tension
+        tension_deficit = floor + TENSION_FLOOR_MARGIN_N - tension
         is_tension_too_low = tension_deficit > 1e-6
         if not is_tension_too_low.any():
             break

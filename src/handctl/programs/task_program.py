@@ -20,7 +20,7 @@ from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     ProgramProgress,
     ProgressAndEvents,
-    coordinates_by_excursion,
+    coordinates_from_excursion,
     goal_to_move_to_angle,
     pull_tensions,
     released_tensions,
@@ -50,7 +50,7 @@ MAX_TENSION_ABOVE_RELEASE_N = 2.0
 """Distance above the tension of a release within which a tendon counts as released [N]."""
 RELEASE_TIMEOUT_S = 10.0
 """Longest time that a release may take [s]."""
-REFERENCE_JOINTS = 2
+REFERENCE_JOINT_COUNT = 2
 """Number of joints of the digit to which the contact threshold refers.
 
 Each further joint adds its friction to the estimated tip force. On fingers of three joints that
@@ -157,7 +157,9 @@ class TaskProgram:
         contact = (False,) * len(model.digits) if is_free_motion else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
-        if isinstance(phase, FollowPhase) and (error := _distance_error(model, phase, estimate)):
+        if isinstance(phase, FollowPhase) and (
+            error := _curve_start_problem(model, phase, estimate)
+        ):
             return replace(progress, finished=True, failure=error), (
                 TickEvent("error", "phase", "", error),
             )
@@ -194,7 +196,7 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_display_units(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_from_excursion(digit, estimate)),
             )
             return (
                 previous_goal
@@ -208,12 +210,12 @@ class TaskProgram:
             angle = end_angles(
                 phase.angle_deg,
                 digit,
-                units.to_display_units(coordinates_by_excursion(digit, estimate)),
+                units.to_display_units(coordinates_from_excursion(digit, estimate)),
             )
             if angle is None or progress.contact[d]:
                 return previous_goal
             # A speed in deg/s for hinges is used in mm/s for prismatic joints.
-            travel_to_goal = units.si(angle) - coordinates_by_excursion(digit, estimate)
+            travel_to_goal = units.si(angle) - coordinates_from_excursion(digit, estimate)
             travel = float(np.abs(units.as_equivalent_angles(travel_to_goal)).max())
             duration = minimum_jerk_duration(
                 travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
@@ -427,13 +429,13 @@ def _grip_plan(
     return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
 
-def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
+def _curve_start_problem(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
     """Return a message if a digit is too far from the start of its curve.
 
     Otherwise return an empty text.
     """
     for digit in model.digits:
-        angle = digit.coordinate_units.to_display_units(coordinates_by_excursion(digit, estimate))
+        angle = digit.coordinate_units.to_display_units(coordinates_from_excursion(digit, estimate))
         joints = digit.coupling @ angle
         angle_and_unit_by_name = {
             digit.joint_names[j]: (joints[j : j + 1], digit.joint_units.names[j])
@@ -467,7 +469,7 @@ def _curve_of_digit(
     goal_angles = joint_values(phase.angle_deg, digit)
     if not goal_angles:
         return None
-    present_coordinates = coordinates_by_excursion(digit, estimate)
+    present_coordinates = coordinates_from_excursion(digit, estimate)
     si_factor = digit.joint_units.si_factor[list(goal_angles)]
     points = [
         digit.with_joint_angles(
@@ -503,7 +505,7 @@ def contact_threshold(goal: DigitGoal, joints: int, moving_threshold_N: float, t
         moving_threshold_N: threshold of a moving digit with two joints [N].
         t: time [s].
     """
-    moving_threshold_N *= joints / REFERENCE_JOINTS
+    moving_threshold_N *= joints / REFERENCE_JOINT_COUNT
     is_moving = (
         goal.trajectory is not None
         and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S

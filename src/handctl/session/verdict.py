@@ -20,7 +20,7 @@ from handctl.session.notices import NoticeCallback
 from handctl.session.run import RunOutcome
 from handctl.session.run_plan import RunPlan
 
-TRUTH_MARGIN_NS = 1_000_000_000
+TRUE_VALUES_MARGIN_NS = 1_000_000_000
 """Time before and after a run for which the true values are kept [ns]."""
 
 
@@ -102,7 +102,7 @@ def _copy_truth(
     truth_path = truth_path_of(log)
     if truth == truth_path:
         return truth_path
-    start_ns, end_ns = times_ns[0] - TRUTH_MARGIN_NS, times_ns[1] + TRUTH_MARGIN_NS
+    start_ns, end_ns = times_ns[0] - TRUE_VALUES_MARGIN_NS, times_ns[1] + TRUE_VALUES_MARGIN_NS
     try:
         if not copy_truth(truth, truth_path, start_ns, end_ns):
             return None

@@ -43,7 +43,7 @@ from handctl.hand.hand_loading import (
     parse_toml,
     read_toml,
 )
-from handctl.hand.readiness_checks import arm_table_fit_lines
+from handctl.hand.readiness_checks import moment_arm_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
@@ -63,7 +63,7 @@ from handctl.session.run_plan import (
     highest_control_rate,
     protocol_hint_lines,
 )
-from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
+from handctl.session.task_loading import PACKAGED_TASKS_FOLDER, load_task_for_hand, task_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -221,7 +221,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
                 "bus_load": load,
                 "caveats": list(unverified_protections(make_drives(hand))),
                 "warnings": warnings,
-                "moment_arm_tables": list(arm_table_fit_lines(hand)),
+                "moment_arm_tables": list(moment_arm_fit_lines(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -241,7 +241,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# hint: {text}")
     for text in warnings:
         print(f"# warning: {text}")
-    for text in arm_table_fit_lines(hand):
+    for text in moment_arm_fit_lines(hand):
         print(f"# {text}")
     bus_loads_text = ", ".join(
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()

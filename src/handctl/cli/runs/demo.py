@@ -45,7 +45,7 @@ from handctl.session.run import (
     run_lockstep,
 )
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.tasks import load_task_for_hand, scene_for_hand
+from handctl.session.task_loading import load_task_for_hand, scene_for_hand
 
 SIMULATOR_PACKAGE = "firmware_sim"
 START_TIMEOUT_S = 20.0

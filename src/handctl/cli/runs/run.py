@@ -20,7 +20,7 @@ from handctl.runtime.socket_paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.run_plan import RunPlan, commissioning_log_path, default_log_path
-from handctl.session.tasks import load_task_for_hand, load_trajectory_for_hand
+from handctl.session.task_loading import load_task_for_hand, load_trajectory_for_hand
 from handctl.session.time_scale_advice import late_run_advice
 
 

@@ -14,7 +14,7 @@ from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, 
 from handctl.drives.motor_description import check_protocol_given
 from handctl.hand.hand_loading import load_hand
 from handctl.session.gains import gain_assignments
-from handctl.session.tasks import scene_for_hand
+from handctl.session.task_loading import scene_for_hand
 
 
 def run(args: argparse.Namespace) -> int:

@@ -25,9 +25,9 @@ from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_
 from handctl.hand.link_geometry import link_inertia
 from handctl.hand.moment_arms import (
     MOMENT_ARM_FIT_DEGREE,
-    arm_table_residual,
     is_moment_arm_varying,
     moment_arm_polynomial,
+    moment_arm_table_residual,
     moment_arms_at,
 )
 
@@ -40,11 +40,11 @@ SMALLEST_MOMENT_ARM_M = 1e-4
 """Smallest accepted absolute moment arm of a tendon at a joint [m]."""
 LARGEST_MOMENT_ARM_M = 0.05
 """Largest accepted absolute moment arm of a tendon at a joint [m]."""
-ARM_SAMPLES = 181
+MOMENT_ARM_SAMPLE_COUNT = 181
 """Number of joint angles at which a moment arm that depends on the joint angle is checked."""
 MAX_TABLE_RESIDUAL_FRACTION = 0.1
 """Largest difference between a table of moment arms and its polynomial, as a fraction of the largest arm."""
-ROUTING_SAMPLES = 11
+ROUTING_POSTURE_COUNT = 11
 """Number of postures at which tendon routing is checked, in a digit whose moment arms depend on joint angles."""
 ROUNDING_DEG = 1e-6
 """Tolerance for angles that were converted from rad [deg]."""
@@ -73,7 +73,7 @@ It applies to the length of a unit vector and to the triangle inequality of iner
 """
 BREAKING_FORCE_KEY = "rated_breaking_force_N"
 """Key of a tendon's breaking force."""
-LIMIT_KEYS = (
+TENSION_LIMIT_KEYS = (
     "tension_floor_N",
     "tension_max_N",
     "tension_trip_N",
@@ -489,7 +489,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
             f"a table over {range_text}",
         )
         return
-    angle = np.linspace(low, high, ARM_SAMPLES)
+    angle = np.linspace(low, high, MOMENT_ARM_SAMPLE_COUNT)
     values = np.polynomial.polynomial.polyval(np.radians(angle), moment_arm_polynomial(arm))
     smallest_index = int(np.argmin(np.abs(values)))
     size = float(np.abs(values).max())
@@ -513,7 +513,7 @@ def _check_moment_arm_range(hand: Hand, tendon: Tendon, joint: str) -> MistakeIt
             location,
             f"0.0001 to 0.05 m over {range_text}",
         )
-    elif (residual := arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
+    elif (residual := moment_arm_table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
         degree_text = f"the polynomial of degree {MOMENT_ARM_FIT_DEGREE}"
         problem_text = f"{degree_text} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
@@ -533,7 +533,7 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
     rank = _moment_arm_rank(arms @ coupling)
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, joints]
-        postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
+        postures = np.linspace(limits[0], limits[1], ROUTING_POSTURE_COUNT)
         rank = min(
             _moment_arm_rank(moment_arm @ coupling)
             for moment_arm in moment_arms_at(
@@ -578,11 +578,11 @@ def _moment_arm_rank(arm_matrix: NDArray[np.float64]) -> int:
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
     """Check that the tension limits of a tendon increase in the order from the floor to the breaking force."""
-    values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
+    values = {key: getattr(tendon, key) for key in TENSION_LIMIT_KEYS}
     breaking_force = tendon.rated_breaking_force_N
     is_too_high = False
     for lower_limit, key, upper_limit in zip(
-        (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
+        (None, *TENSION_LIMIT_KEYS), TENSION_LIMIT_KEYS[:-1], TENSION_LIMIT_KEYS[1:], strict=False
     ):
         value = values[key]
         upper_limit_value = values[upper_limit]

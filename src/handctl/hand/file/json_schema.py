@@ -75,7 +75,7 @@ def hand_schema() -> dict[str, Any]:
     schema["required"] = [key for key in schema["required"] if key not in optional_sections]
     return {
         "$schema": SCHEMA_DRAFT,
-        **_in_draft_vocabulary(schema),
+        **_convert_to_draft_7(schema),
         "title": "Hand file of handctl",
     }
 
@@ -122,13 +122,13 @@ def _schema_reference(name: str) -> dict[str, Any]:
     return {"$ref": f"#/definitions/{name}"}
 
 
-def _in_draft_vocabulary(schema_node: Any) -> Any:
+def _convert_to_draft_7(schema_node: Any) -> Any:
     """Convert a JSON Schema to the keywords of draft 7.
 
     Titles that only repeat a key are removed from the schema.
     """
     if isinstance(schema_node, list):
-        return [_in_draft_vocabulary(entry) for entry in schema_node]
+        return [_convert_to_draft_7(entry) for entry in schema_node]
     if not isinstance(schema_node, dict):
         return schema_node
     if "prefixItems" in schema_node:
@@ -140,7 +140,7 @@ def _in_draft_vocabulary(schema_node: Any) -> Any:
     return {
         key: value.replace("``", "`")
         if key == "description" and isinstance(value, str)
-        else _in_draft_vocabulary(value)
+        else _convert_to_draft_7(value)
         for key, value in schema_node.items()
         if key != "title" or not isinstance(value, str) or value.endswith("Values")
     }

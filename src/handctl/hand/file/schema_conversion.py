@@ -124,7 +124,7 @@ def convert_to_schema_2(text: str, source_name: str) -> str:
         header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
         lines += ["", *block.comments_before, header, *_table_lines(block, name)]
     for kind in SECTION_KINDS:
-        lines += _kind_lines(
+        lines += _lines_of_section_kind(
             kind, defaults[kind], templates if kind == "digit" else {}, sections[kind]
         )
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
@@ -345,7 +345,7 @@ def _remove_values_to_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTa
     return templates
 
 
-def _kind_lines(
+def _lines_of_section_kind(
     section_kind: str,
     default_entries: Sequence[TomlEntry],
     table_of_template: dict[str, TomlTable],

@@ -7,7 +7,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from handctl.hand.file import mesh_values as mesh
+from handctl.hand.file import mesh_value_types as mesh
 from handctl.hand.file import quantity_types as qty
 from handctl.hand.file.display_units import DisplayUnits
 
@@ -222,7 +222,7 @@ MAX_LINKS = 8
 """Largest number of links of a digit."""
 SPRING_KEYS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of the return springs of a digit. A digit without springs has neither of them."""
-LINEAR_SPRINGS = ("spring_stiffness_N_per_m", "spring_preload_m")
+PRISMATIC_SPRING_KEYS = ("spring_stiffness_N_per_m", "spring_preload_m")
 """Keys of the return springs of prismatic joints. A digit without such springs has neither of them."""
 REVOLUTE_KEYS = (
     "joint_min_deg",
@@ -237,7 +237,7 @@ PRISMATIC_KEYS = (
     "joint_max_m",
     "joint_damping_N_s_per_m",
     "joint_armature_kg",
-    *LINEAR_SPRINGS,
+    *PRISMATIC_SPRING_KEYS,
 )
 """Keys of a digit with a value per prismatic joint, in the order of the keys for revolute joints."""
 PRISMATIC = "prismatic"
@@ -392,8 +392,8 @@ class Digit(Section):
             filled |= dict.fromkeys(REVOLUTE_KEYS, ())
         elif not section_content.keys() & set(SPRING_KEYS):
             filled |= dict.fromkeys(SPRING_KEYS, (0.0,) * max(count - prismatic_count, 0))
-        if prismatic_count and not section_content.keys() & set(LINEAR_SPRINGS):
-            filled |= dict.fromkeys(LINEAR_SPRINGS, (0.0,) * prismatic_count)
+        if prismatic_count and not section_content.keys() & set(PRISMATIC_SPRING_KEYS):
+            filled |= dict.fromkeys(PRISMATIC_SPRING_KEYS, (0.0,) * prismatic_count)
         return filled | section_content
 
     @property

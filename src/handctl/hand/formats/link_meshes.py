@@ -14,7 +14,7 @@ import numpy as np
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.mesh_values import MESH_SUFFIXES
+from handctl.hand.file.mesh_value_types import MESH_SUFFIXES
 from handctl.hand.formats.mesh_file import mesh_triangles
 from handctl.hand.link_geometry import rotation_of_rpy
 

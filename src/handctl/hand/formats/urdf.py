@@ -35,7 +35,7 @@ NO_MESHES: Mapping[str, LinkMesh] = {}
 """Meshes of a hand that is exported with primitive shapes only."""
 PALM_THICKNESS_M = 0.010
 """Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
-PALM_MARGIN_M = 0.010
+PALM_BOX_MARGIN_M = 0.010
 """Extent of the box beyond the mounts of the outermost digits [m]."""
 
 
@@ -82,8 +82,8 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
         carrier: digit whose last link carries the digits, None for the palm.
     """
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on == carrier])
-    low = mounts.min(axis=0) - PALM_MARGIN_M
-    high = mounts.max(axis=0) + PALM_MARGIN_M
+    low = mounts.min(axis=0) - PALM_BOX_MARGIN_M
+    high = mounts.max(axis=0) + PALM_BOX_MARGIN_M
     high[0] = 0.0 if carrier is None else mounts[:, 0].min()
     low[0] = high[0] - PALM_THICKNESS_M
     return (low + high) / 2, high - low
