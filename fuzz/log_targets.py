@@ -20,13 +20,13 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
 from handctl.log.topics.clock_pair_topic import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
-from handctl.log.topics.hash_chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.hash_chain import HASH_CHAIN_TOPIC as HASH_CHAIN_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic_run
 
 FuzzTarget = Callable[[bytes], bool]
 MAX_EDITS = 4
-FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
+FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, HASH_CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 """Topics that stay in the fuzzed log. The reader skips /rosout and decodes the other topics."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that a log has after its chunks, one record for each topic."""

@@ -20,7 +20,7 @@ EXAMPLE_BY_COMMAND = {
     for folder in VERBS_BY_FOLDER
     for words, example in importlib.import_module(
         f"handctl.cli.{folder}.arguments"
-    ).EXAMPLES.items()
+    ).COMMAND_EXAMPLES.items()
 }
 COMMANDS_WITH_FINDINGS = {"doctor", "bus doctor"}
 """Commands that may exit with code 1, because they may find a defect of the machine that runs the test."""

@@ -42,7 +42,7 @@ class CalibratedBench:
         from handctl.cli.console.options import add_run_options
 
         parser = argparse.ArgumentParser()
-        add_run_options(parser, bus_required=False)
+        add_run_options(parser, is_bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.work_folder = make_plan(self.args, lockstep=True), work_folder
         self.peer = load_simulator(

@@ -10,7 +10,7 @@ from pathlib import Path
 import lz4.frame
 import zstandard
 
-from handctl.log.container import MCAP_MAGIC
+from handctl.log.mcap_container import MCAP_MAGIC
 from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 

@@ -19,7 +19,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import pack_snapshot, pack_tick_record
 from handctl.log.topics.can_frame_topics import encode_fd_frame
 from handctl.log.topics.event_topics import (
-    encode_labelled_number,
+    encode_enum_message,
     encode_parameter_event,
     encode_rosout,
 )
@@ -135,10 +135,10 @@ LABEL_VALUE = {"header": {"stamp": STAMP_VALUE, "frame_id": ""}, "name": "hold"}
         ),
         (
             "handctl_msgs/GraspPhase",
-            encode_labelled_number(T_NS, 6, "hold"),
+            encode_enum_message(T_NS, 6, "hold"),
             LABEL_VALUE | {"phase": 6},
         ),
-        ("handctl_msgs/Mode", encode_labelled_number(T_NS, 6, "hold"), LABEL_VALUE | {"mode": 6}),
+        ("handctl_msgs/Mode", encode_enum_message(T_NS, 6, "hold"), LABEL_VALUE | {"mode": 6}),
         (
             "ros2_socketcan_msgs/FdFrame",
             encode_fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),

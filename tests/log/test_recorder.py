@@ -25,7 +25,7 @@ from handctl.log.write.disk_syncer import DiskSyncer
 from handctl.log.write.log_writer import LogWriter
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
 from handctl.log.write.recorder_process import RECORDER_NICE_VALUE
-from handctl.log.write.recorder_start import recorder_process_started_in_advance
+from handctl.log.write.recorder_start import prestarted_recorder_process
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 FEEDER_KILLS, PARALLEL_KILLS = 100 if NIGHTLY else 8, 4
@@ -98,7 +98,7 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
 def test_a_process_started_ahead_records_the_first_run(
     start_recorder: Callable[..., Recorder], tmp_path: Path
 ) -> None:
-    with recorder_process_started_in_advance():
+    with prestarted_recorder_process():
         (waiting,) = recorder_start._started_ahead
         first_recorder = start_recorder("first.mcap")
         second_recorder = start_recorder("second.mcap")
@@ -110,7 +110,7 @@ def test_a_process_started_ahead_records_the_first_run(
 
 
 def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
-    with recorder_process_started_in_advance():
+    with prestarted_recorder_process():
         (waiting,) = recorder_start._started_ahead
     assert waiting.child.returncode is not None
     assert recorder_start._started_ahead == []

@@ -54,12 +54,12 @@ def test_a_scan_in_steps_equals_a_scan_at_once(seed: int, small_log: Path, tmp_p
         scan_records(file, scan)
         file.close()
         assert scan == _scan_log(path)
-        assert scan.problem.startswith(f"ends at byte {size}") or scan.complete
+        assert scan.problem.startswith(f"ends at byte {size}") or scan.is_complete
     file = LogFile(small_log)
     scan_records(file, scan)
     file.close()
     assert scan == _scan_log(small_log)
-    assert scan.complete
+    assert scan.is_complete
     assert scan.problem == ""
 
 

@@ -15,7 +15,7 @@ import pytest
 from handctl.errors import HandctlError
 from handctl.hand.hand_loading import load_hand
 from handctl.paper import sections
-from handctl.paper.bench import experiments, force_displacement, payload, pool
+from handctl.paper.bench import experiments, force_displacement, payload, worker_pool
 from handctl.report.truth_record import TruthRecord
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
@@ -79,7 +79,7 @@ def test_slip_is_creep_or_displacement(fall_speed: float, expected_end: str, tim
 def test_a_worker_that_ends_is_an_error() -> None:
     progress_reports: list[tuple[str, bool]] = []
     with (
-        pool.worker_pool(
+        worker_pool.worker_pool(
             2, lambda job, done: progress_reports.append((job["do"], done))
         ) as workers,
         pytest.raises(HandctlError, match="worker"),
@@ -90,7 +90,7 @@ def test_a_worker_that_ends_is_an_error() -> None:
 
 
 def test_workers_do_not_outlive_their_owner() -> None:
-    with pool.worker_pool(1, lambda job, done: None):
+    with worker_pool.worker_pool(1, lambda job, done: None):
         pass
     listed = subprocess.run(
         ["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True
@@ -98,7 +98,7 @@ def test_workers_do_not_outlive_their_owner() -> None:
     own_workers = [
         line
         for line in listed.splitlines()
-        if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
+        if line.split()[:1] == [str(os.getpid())] and worker_pool.WORKER_MODULE in line
     ]
     assert not own_workers
 
@@ -120,7 +120,7 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     items: list[dict[str, Any]] = json.loads(done.stdout)
     stored_values = {
         item.id: item.computed
-        for item in sections.page_items(experiments.load_results(RESULTS_FILE))
+        for item in sections.page_errata(experiments.load_results(RESULTS_FILE))
     }
     payloads = [
         item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))

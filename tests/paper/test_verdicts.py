@@ -11,11 +11,11 @@ from handctl.paper.errata_item import ErrataVerdict
 from handctl.paper.verdicts import (
     last_digit_value,
     rounding_interval,
+    verdict_of_ambiguous_statement,
     verdict_of_contradiction,
     verdict_of_derived_number,
     verdict_of_lower_bound,
     verdict_of_number,
-    verdict_of_readings,
     verdict_of_statement,
 )
 
@@ -108,9 +108,15 @@ def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
 
 
 def test_verdict_of_readings_and_contradictions() -> None:
-    assert verdict_of_readings([True]) == verdict_of_statement(True) == ErrataVerdict.EQUAL
-    assert verdict_of_readings([False, False]) == verdict_of_statement(False) == ErrataVerdict.WRONG
-    assert verdict_of_readings([True, False]) == ErrataVerdict.UNDECIDABLE
+    assert (
+        verdict_of_ambiguous_statement([True]) == verdict_of_statement(True) == ErrataVerdict.EQUAL
+    )
+    assert (
+        verdict_of_ambiguous_statement([False, False])
+        == verdict_of_statement(False)
+        == ErrataVerdict.WRONG
+    )
+    assert verdict_of_ambiguous_statement([True, False]) == ErrataVerdict.UNDECIDABLE
     assert verdict_of_contradiction(["200", "250"], None) == ErrataVerdict.UNDECIDABLE
     assert verdict_of_contradiction(["200", "200"], None) == ErrataVerdict.EQUAL
     assert verdict_of_contradiction(["200", "250"], 200.0) == ErrataVerdict.WRONG

@@ -12,7 +12,7 @@ from handctl.errors import IncomparableError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,

@@ -29,9 +29,13 @@ from handctl.programs.live_session import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTensionRequest, MoveDigitsRequest
 from handctl.replay import controller_rebuild as rebuilding
+from handctl.replay.commands_with_other_gains import (
+    CommandCollector,
+    command_differences,
+    draw_commands,
+)
 from handctl.replay.controller_rebuild import logged_gains, rebuild_controller
-from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
-from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
+from handctl.replay.log_execution import execute_log, is_within_tolerance, relative_error
 from handctl.replay.tick_difference import (
     TelemetryColumns,
     are_outputs_equal,
@@ -236,7 +240,7 @@ def test_other_gains_give_other_commands_and_a_figure(
         commands = CommandCollector()
         execute_log(log, stiff_gains, commands.add_tick)
         ticks = commands.comparable_ticks(log)
-        change = command_change(log, commands, ticks)
+        change = command_differences(log, commands, ticks)
         assert commands.motor_torques.shape == log.field("motor_torque_goal").shape
         draw_commands(tmp_path / "change.png", log, commands, ticks, "a run with other gains")
     assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())

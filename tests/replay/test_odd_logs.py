@@ -23,8 +23,8 @@ from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.log_writer import LogWriter
-from handctl.replay.execute import execute_log
 from handctl.replay.limits_judgement import judge_by_limits
+from handctl.replay.log_execution import execute_log
 from handctl.replay.motion_replay import (
     active_interval,
     compare_replay,

@@ -24,7 +24,7 @@ from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
 from handctl.replay import parallel_execution
 from handctl.replay.controller_rebuild import rebuild_controller
-from handctl.replay.execute import LogExecution, execute_log
+from handctl.replay.log_execution import LogExecution, execute_log
 from handctl.replay.tick_difference import state_difference
 
 StateChange = Callable[[ControllerState, TickIn], None]

@@ -14,7 +14,7 @@ import pytest
 
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.replay.execute import execute_log
+from handctl.replay.log_execution import execute_log
 from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     LOCAL_BUS,

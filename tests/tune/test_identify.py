@@ -247,7 +247,7 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
         0.04,
         0.08,
     ]
-    assert tuned_hand.factor_spread.keys() == {"friction"}
+    assert tuned_hand.half_width_by_factor.keys() == {"friction"}
     assert load_tuned_hand("jamia", None).identified_hand.identity == hand.identity
     write_calibration(path, calibration)
     with pytest.raises(ConfigError, match="holds nothing identified"):

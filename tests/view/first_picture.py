@@ -23,7 +23,7 @@ def main() -> None:
     os.environ.setdefault("RUST_LOG", "error")  # handctl view also sets this variable
     from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
-    from handctl.view.browse import browse_log
+    from handctl.view.log_browser import browse_log
     from handctl.view.scene.run_info import RunInfo
     from handctl.view.viewer import software_vulkan
 

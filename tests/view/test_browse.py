@@ -18,8 +18,8 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
 from handctl.log.tick_record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.log_writer import LogWriter
-from handctl.view.browse import browse_log
 from handctl.view.dashboard_picture import connect_client, wait_until_loaded
+from handctl.view.log_browser import browse_log
 from handctl.view.rerun_conversion import chunks_of_run
 from handctl.view.scene.chunk_arrays import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo

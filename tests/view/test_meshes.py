@@ -99,17 +99,17 @@ def test_a_link_has_a_mesh_or_capsules(
 def test_the_live_view_sends_the_same_meshes(
     mesh_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from handctl.view import follow
+    from handctl.view import log_follower
 
     sent: list[str] = []
     monkeypatch.setattr(
-        follow.rr,
+        log_follower.rr,
         "send_chunks",
         lambda chunks, recording: sent.extend(chunk.entity_path for chunk in chunks),
     )
-    monkeypatch.setattr(follow, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
+    monkeypatch.setattr(log_follower, "FLUSH_TIMEOUT_S", 0.05)  # no viewer listens, so wait briefly
     run = run_info_of(mesh_log)
-    follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
+    follower = log_follower.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()
     links = {path.split("/")[2] for path in sent if path.endswith("/mesh")}
     assert links == {mesh.link for mesh in meshes_of_hand(run.hand)}

@@ -15,8 +15,8 @@ from rrd_entities import entities_of_file, read_entities, run_info_of
 from handctl.cli.main import main
 from handctl.errors import LogError
 from handctl.report.truth_record import TruthRecord, read_truth
+from handctl.view.scene.object_and_table import object_and_table_chunks
 from handctl.view.scene.run_info import RunInfo
-from handctl.view.scene.true_shapes import true_shape_chunks
 
 SCENE_SHAPES: dict[str, Any] = {
     "object": {"shape": "cylinder", "size_m": [0.04, 0.04, 0.09]},
@@ -47,7 +47,7 @@ def drawn_entities(log_path: Path, truth: TruthRecord | None, offset_ns: int = 0
     header = replace(
         run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
     )
-    return read_entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
+    return read_entities(object_and_table_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_log_path: Path) -> None:

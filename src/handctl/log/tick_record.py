@@ -96,7 +96,7 @@ _SHORT_DATA_BYTES = 8
 """Number of data bytes in a frame of a Tick message."""
 _MAX_DATA_BYTES = 64
 """Number of data bytes in the longest CAN FD frame."""
-_DATA_MASKS = np.array(
+_DATA_MASK_BY_LENGTH = np.array(
     [(1 << 8 * length) - 1 for length in range(_SHORT_DATA_BYTES + 1)], np.uint64
 )
 """Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
@@ -119,7 +119,7 @@ This function is faster than the constructor of the named tuple.
 """
 _COUNT_STRUCT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT_STRUCT.pack(0)
-_SHORT_LENGTHS = bytes(range(9))
+_SHORT_DATA_LENGTHS = bytes(range(9))
 """Payload lengths of frames without long bytes."""
 
 
@@ -146,7 +146,7 @@ def record_bytes(kind: int, body: bytes) -> bytes:
     return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
 
 
-def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
+def _long_data_mask(records: RecordArray) -> NDArray[np.bool_]:
     """Return a mask (n, 56) for the payload bytes after the eighth byte of n frames.
 
     The mask is True for the bytes that belong to the payload of their frame.
@@ -156,11 +156,11 @@ def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
 
 def _long_data(records: RecordArray) -> bytes:
     """Return the payload bytes after the eighth byte of all frames, in order."""
-    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_mask(records)].tobytes())
+    return bytes(records["data"][:, _SHORT_DATA_BYTES:][_long_data_mask(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
-def _tail_without_events(phase: str) -> bytes:
+def _eventless_message_tail(phase: str) -> bytes:
     """Return the end of a Tick message without events: the phase and three empty sequences.
 
     The bytes depend only on the phase, if the offset of the end in the message is divisible by
@@ -230,7 +230,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
     lengths = b"".join(
         [frame_records[_LENGTH_OFFSET::FRAME_RECORD_BYTES] for frame_records in frame_starts]
     )
-    if lengths.strip(_SHORT_LENGTHS):
+    if lengths.strip(_SHORT_DATA_LENGTHS):
         long_data = _long_data(received_records) + _long_data(sent_records)
         long_payload_bytes = (
             _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
@@ -254,7 +254,7 @@ def pack_tick(tick_in: TickIn, tick_output: TickOut) -> bytes:
             )
         )
     else:
-        message_fields.append(_tail_without_events(tick_output.phase))
+        message_fields.append(_eventless_message_tail(tick_output.phase))
     return b"".join(message_fields)
 
 
@@ -357,7 +357,7 @@ def _decode_frames(frame_starts: bytes, long_data: bytes) -> tuple[Frames, bytes
     if lengths.count(_SHORT_DATA_BYTES) < count:
         _zero_unused_bytes(records)
     if max_length > _SHORT_DATA_BYTES:
-        long_payload_mask = _long_mask(records)
+        long_payload_mask = _long_data_mask(records)
         size = int(long_payload_mask.sum())
         if size > len(long_data):
             raise ValueError("less data than frames")
@@ -374,17 +374,17 @@ def _zero_unused_bytes(records: RecordArray) -> None:
     In a bad file, these bytes may have any value.
     """
     words = records.getfield(_DATA_WORD_DTYPE, _DATA_OFFSET)
-    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA_BYTES)]
+    words &= _DATA_MASK_BY_LENGTH[np.minimum(records["length"], _SHORT_DATA_BYTES)]
 
 
 @functools.lru_cache(maxsize=256)
-def _phase_without_events(message_tail: bytes) -> str | None:
+def _phase_of_eventless_tail(message_tail: bytes) -> str | None:
     """Return the phase at the end of a Tick message, if the message has no events.
 
     If the message has events, return None.
     """
     phase = CdrReader(ENCAPSULATION_HEADER + message_tail).read_string()
-    return phase if _tail_without_events(phase) == message_tail else None
+    return phase if _eventless_message_tail(phase) == message_tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
@@ -430,7 +430,7 @@ def _build_tick(
         message: the whole Tick message.
         tail_offset: offset of the phase in the message [bytes].
     """
-    phase = _phase_without_events(message[tail_offset:])
+    phase = _phase_of_eventless_tail(message[tail_offset:])
     if phase is not None:
         return _tick_without_events(tick_head, received_frames, sent_frames, phase)
     k, t_ns, lateness_ns, state_hash, mode, action, _ = tick_head

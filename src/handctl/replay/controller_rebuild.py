@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
 from handctl.log.code_identity import UNKNOWN_IDENTITY, code_identity
-from handctl.log.read.log_hand import described_hand
+from handctl.log.read.hand_in_log import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.printing import printable_text
 

@@ -52,9 +52,9 @@ def _check_counters(log: RunLog) -> Iterator[str]:
 
 def _check_clock(log: RunLog) -> Iterator[str]:
     """Check the times and the lateness of the ticks, and yield a line for each defect."""
-    is_off_grid = log.t_ns != log.k * log.header.period_ns
-    if is_off_grid.any():
-        yield f"the time of tick {int(log.k[is_off_grid][0])} is not its number times the period"
+    is_time_wrong = log.t_ns != log.k * log.header.period_ns
+    if is_time_wrong.any():
+        yield f"the time of tick {int(log.k[is_time_wrong][0])} is not its number times the period"
     invalid_ticks = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
     if invalid_ticks.any():
         lateness = f"the lateness of tick {int(log.k[invalid_ticks][0])} is {int(log.late_ns[invalid_ticks][0])} ns"

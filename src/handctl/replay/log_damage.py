@@ -13,7 +13,7 @@ from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.reader import VALUES_END_OFFSET, VALUES_START_OFFSET
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
-from handctl.log.topics.hash_chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
+from handctl.log.topics.hash_chain import HASH_CHAIN_TOPIC, HASH_SIZE, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
@@ -93,7 +93,7 @@ def _channel_ids(content: bytes) -> tuple[int, ...]:
     """Return the channel numbers of the tick messages, the telemetry and the chain hashes in a chunk."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
     return tuple(
-        channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC)
+        channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, HASH_CHAIN_TOPIC)
     )
 
 

@@ -56,7 +56,7 @@ def summarise_run(
     Returns:
         the numbers and texts, by name.
     """
-    truth = truth if truth and truth.covers_any_time(log.t_ns + offset_ns) else None
+    truth = truth if truth and truth.contains_any_time(log.t_ns + offset_ns) else None
     lateness_us = log.late_ns / 1e3
     active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {

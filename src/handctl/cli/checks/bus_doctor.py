@@ -185,8 +185,8 @@ def _event_findings(result: BusScan) -> list[LinkFinding]:
     ]
 
 
-def _answers_text(node_and_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
-    node, trip = node_and_trip
+def _answers_text(node_and_round_trip: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
+    node, trip = node_and_round_trip
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
         return LinkFinding(

@@ -14,7 +14,7 @@ from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
-from handctl.report.load_table import BUS_LOAD_ROWS, TABLE_RATES_HZ
+from handctl.report.bus_load_table import BUS_LOAD_RATES_HZ, BUS_LOAD_ROWS
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_plan import bus_specs, highest_rate_of_buses
 
@@ -126,7 +126,7 @@ def _print_split(buses: list[list[str]]) -> None:
 
 
 def _print_table() -> None:
-    rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
+    rates = " / ".join(f"{rate:g}" for rate in BUS_LOAD_RATES_HZ)
     print(
         "worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it"
     )
@@ -134,7 +134,7 @@ def _print_table() -> None:
         f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}"
     )
     for row in BUS_LOAD_ROWS:
-        loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
+        loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in BUS_LOAD_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"
               f"{MAX_BUS_LOAD / row.tick_s:>6.0f}")  # fmt: skip

@@ -33,7 +33,7 @@ A high bus load may lower the rate further.
 """
 REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
-LINE_PERIOD_S = 1.0
+TABLE_PRINT_PERIOD_S = 1.0
 """Time between two tables that go to a pipe or file [s]."""
 MAX_WATCH_S = 86400.0
 
@@ -104,7 +104,7 @@ def _show_readings(
     start_time_s = time.monotonic()
     end = start_time_s + (math.inf if args.duration is None else args.duration)
     redraws_in_place = sys.stdout.isatty() and not args.json
-    print_period_s = REFRESH_PERIOD_S if args.json or redraws_in_place else LINE_PERIOD_S
+    print_period_s = REFRESH_PERIOD_S if args.json or redraws_in_place else TABLE_PRINT_PERIOD_S
     next_print_time = start_time_s + print_period_s
     with ExitStack() as stack:
         live_display = None

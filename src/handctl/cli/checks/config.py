@@ -69,7 +69,7 @@ from handctl.session.tasks import PACKAGED_TASKS_FOLDER, load_task_for_hand, tas
 def run(args: argparse.Namespace) -> int:
     """Run the selected subcommand of ``config``, and return the exit code."""
     if args.what == "list":
-        return _list_packaged(args.json)
+        return _print_packaged_files(args.json)
     if args.what == "init":
         from handctl.cli.checks.config_init import run as init
 
@@ -400,7 +400,7 @@ def _convert_file(args: argparse.Namespace) -> int:
     return 0
 
 
-def _list_packaged(as_json: bool) -> int:
+def _print_packaged_files(as_json: bool) -> int:
     """Print the packaged hands and tasks."""
     tasks = sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml"))
     if as_json:

@@ -12,7 +12,7 @@ import numpy as np
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
@@ -188,7 +188,7 @@ def _ask_questions(tendon_answers: ImportAnswers, known_keys: set[str]) -> Impor
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
     for question in IMPORT_QUESTIONS:
-        if question.answer_field == SPRING_FIELD and tendon_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and tendon_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         if (
             getattr(tendon_answers, question.answer_field) is None

@@ -7,7 +7,7 @@ from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     DRIVE_AND_SENSOR_QUESTIONS,
     SCHEMA_FILE,
-    SPRING_FIELD,
+    SPRING_ANSWER_FIELD,
     TENDON_QUESTIONS,
     HandQuestion,
     ask_motor_type,
@@ -128,7 +128,7 @@ def _ask_questions(args: argparse.Namespace, hand_answers: NewHandAnswers) -> Ne
     for question in HAND_QUESTIONS:
         if getattr(args, question.answer_field) is not None:
             continue
-        if question.answer_field == SPRING_FIELD and hand_answers.tendons == "one":
+        if question.answer_field == SPRING_ANSWER_FIELD and hand_answers.tendons == "one":
             continue  # if only one tendon closes a digit, springs must open it
         default = getattr(
             hand_answers, SCALED_DEFAULT_BY_KEY.get(question.answer_field, question.answer_field)

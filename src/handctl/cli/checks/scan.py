@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     for name, spec in buses.items():
         opened_bus = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan_bus(opened_bus, args.force, partial(_print_note_of_bus, spec))
+            scans[name] = scan_bus(opened_bus, args.force, partial(_print_bus_note, spec))
         finally:
             opened_bus.close()
         if not scans[name].foreign_frames:
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _print_note_of_bus(spec: str, text: str) -> None:
+def _print_bus_note(spec: str, text: str) -> None:
     """Print the name of a bus and a note about the bus."""
     print_note(f"{spec}: {text}")
 
@@ -148,9 +148,7 @@ def _frame_text(frame: Frame) -> str:
     )
 
 
-def _print_scans(
-    buses: dict[str, str], scan_of_bus: dict[str, BusScan], hand_file_piece: str
-) -> None:
+def _print_scans(buses: dict[str, str], scan_of_bus: dict[str, BusScan], snippet: str) -> None:
     for name, result in scan_of_bus.items():
         print(
             f"{name} ({buses[name]}): {len(result.found_nodes)} nodes, {result.frame_count} frames received"
@@ -171,7 +169,7 @@ def _print_scans(
             _print_drive(drive)
     print(undiscoverable_protocols_text())
     if any(result.found_nodes for result in scan_of_bus.values()):
-        print(f"\n{hand_file_piece}", end="")
+        print(f"\n{snippet}", end="")
 
 
 def undiscoverable_protocols_text() -> str:

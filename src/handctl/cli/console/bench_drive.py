@@ -51,9 +51,9 @@ new RobStride motor has the factory setting of the host number.
 """
 TEXT_VALUED_OPTIONS = ("firmware", "motor_type")
 """Options whose value is always text, even if it looks like a number, as in firmware=0.5."""
-UNQUOTED_TEXT = re.compile(r"[A-Za-z0-9][\w.-]*")
+UNQUOTED_VALUE_PATTERN = re.compile(r"[A-Za-z0-9][\w.-]*")
 """Pattern of an option's value that needs no quotes."""
-ASSUMED_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+DEFAULT_DRIVE_OPTIONS = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """Defaults of options whose values a CiA 402 drive may not report.
 
 If the rated torque is wrong, handctl notices this when it reads back the settings, and refuses the
@@ -71,11 +71,11 @@ def parse_options(option_words: list[str]) -> dict[str, Any]:
     """
     options: dict[str, Any] = {}
     for word in option_words:
-        options |= _option_from_word(word)
+        options |= _parse_option(word)
     return options
 
 
-def _option_from_word(word: str) -> dict[str, Any]:
+def _parse_option(word: str) -> dict[str, Any]:
     key, _, value = word.partition("=")
     quoted = f'{key}="{value}"'
     if key.strip() in TEXT_VALUED_OPTIONS and value[:1] not in ('"', "'"):
@@ -84,7 +84,7 @@ def _option_from_word(word: str) -> dict[str, Any]:
         return parse_toml(word, "--option")
     except ConfigError as error:
         if (
-            UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
+            UNQUOTED_VALUE_PATTERN.fullmatch(value) and not value.isdecimal()
         ):  # TOML refuses a number that has too many digits
             return parse_toml(quoted, "--option")
         expected = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
@@ -117,7 +117,7 @@ def describe_drive(
     """
     reported_options: dict[str, Any] = dict(node.options) if node else {}
     if args.protocol == "cia402":
-        reported_options = ASSUMED_OPTIONS | reported_options
+        reported_options = DEFAULT_DRIVE_OPTIONS | reported_options
     reported_options = _bench_options(args.protocol, reported_options | options) | reported_options
     _check_motor_type(args.protocol, reported_options | options)
     settings = {

@@ -11,7 +11,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the HTML page about a run, and return the exit code."""
     from handctl.log.read.reader import RunLog
     from handctl.replay.controller_rebuild import logged_hand
-    from handctl.report.run_page import write_page
+    from handctl.report.run_report_page import write_page
     from handctl.report.truth_record import find_truth, truth_path_of
 
     output_path = args.output or path_with_suffix(args.log, ".html")

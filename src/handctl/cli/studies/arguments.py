@@ -15,7 +15,7 @@ from handctl.cli.console.options import (
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 
-EXAMPLES = {
+COMMAND_EXAMPLES = {
     "fault": CommandExample("handctl fault campaign --row N04 --calm 0"),
     "fault inject": CommandExample(
         "handctl fault inject 'drop node=3 p=0.05 at=3s for=2s' --bus local:demo", (SIMULATED_HAND,)
@@ -39,7 +39,7 @@ def fault(parser: VerbParser) -> None:
     )
 
     def add_action(name: str, text: str) -> VerbParser:
-        return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
+        return add_sub_verb(actions, name, text, COMMAND_EXAMPLES[f"fault {name}"])
 
     inject = add_action("inject", "start a fault in a running simulator")
     inject.description = FAULT_SYNTAX_HELP
@@ -53,8 +53,10 @@ def fault(parser: VerbParser) -> None:
         text = "bus of the simulator (default: that of the only running simulator)"
         sub.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(sub)
-    _declare_campaign(add_action("campaign", "inject every fault of the fault matrix in lockstep"))
-    _declare_sequences(
+    _add_campaign_options(
+        add_action("campaign", "inject every fault of the fault matrix in lockstep")
+    )
+    _add_sequence_options(
         add_action(
             "sequences", "inject random sequences of faults in lockstep, and check the safety rules"
         )
@@ -87,7 +89,7 @@ def paper(parser: argparse.ArgumentParser) -> None:
     add_jobs_option(parser, 2, "number of experiments at a time")
 
 
-def _declare_campaign(parser: argparse.ArgumentParser) -> None:
+def _add_campaign_options(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     text = "protocol of the drives (default: mit)"
@@ -116,7 +118,7 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _declare_sequences(parser: argparse.ArgumentParser) -> None:
+def _add_sequence_options(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     parser.add_argument(

@@ -22,9 +22,9 @@ from handctl.paper.bench.experiments import (
     rounded_results,
     run_experiments,
 )
-from handctl.paper.bench.pool import worker_pool
+from handctl.paper.bench.worker_pool import worker_pool
 from handctl.paper.errata_item import ErrataVerdict
-from handctl.paper.figures.gallery import draw_all_figures
+from handctl.paper.figures.all_figures import draw_all_figures
 from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, value_text
 from handctl.paper.sections import PageSection, count_by_verdict, page_sections
 from handctl.session.exit_codes import ExitCode

@@ -20,7 +20,7 @@ from handctl.cli.console.plan import (
     refuse_bus_options,
 )
 from handctl.cli.console.verbosity import is_verbose, print_note
-from handctl.cli.tuning.tune_files import hand_option_words
+from handctl.cli.tuning.tune_files import hand_arguments
 from handctl.core.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -53,7 +53,7 @@ from handctl.tune.identify.identify import (
     utc_now_text,
 )
 
-BLOCKED_HINT = (
+BLOCKED_DIGIT_HINT = (
     "expected a digit that touches nothing: remove the object "
     "that it touches, or correct the springs in the hand file"
 )
@@ -319,7 +319,7 @@ def _print_refusals(
         )
     for digit, reason in reason_of_tendon.items():
         print_escaped(
-            f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_HINT}",
+            f"handctl: springs and friction of {digit} are not kept: {reason}; {BLOCKED_DIGIT_HINT}",
             error=True,
         )
     if incoherent_tendons:
@@ -336,7 +336,7 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     The options of this command line select the same hand.
     """
     words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
-    return shlex.join(words + hand_option_words(args))
+    return shlex.join(words + hand_arguments(args))
 
 
 def _draw_pictures(

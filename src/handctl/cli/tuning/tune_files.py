@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.cli.console.options import checked_count, perturb_option_words
+from handctl.cli.console.options import check_count, perturb_arguments
 from handctl.cli.console.plan import check_perturb
 from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.core.identified_parameters import identified_hand
@@ -42,7 +42,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
 
 
 def ensemble_of_tuned_hand(
-    args: argparse.Namespace, spread_of_factor: dict[str, float], maximum: int
+    args: argparse.Namespace, half_width_by_factor: dict[str, float], maximum: int
 ) -> tuple[dict[str, float], ...]:
     """Return the factors by which each simulated plant multiplies the parameters of the hand to tune.
 
@@ -56,7 +56,7 @@ def ensemble_of_tuned_hand(
     """
     perturb = check_perturb(args, is_simulated=True)
     plants = sample_ensemble(
-        checked_count(args.plants, "--plants", maximum), args.seed, spread_of_factor
+        check_count(args.plants, "--plants", maximum), args.seed, half_width_by_factor
     )
     if args.fit:
         return plants
@@ -73,15 +73,15 @@ def verify_command(args: argparse.Namespace, gains_path: Path) -> str:
     """
     words = ["handctl", "tune", "verify", str(gains_path), "--lockstep", "--hand", str(args.hand)]
     words += ["--calibration", str(args.fit)] if args.fit else []
-    return shlex.join(words + hand_option_words(args))
+    return shlex.join(words + hand_arguments(args))
 
 
-def hand_option_words(args: argparse.Namespace) -> list[str]:
+def hand_arguments(args: argparse.Namespace) -> list[str]:
     """Return the options that give a later command the same gains, control rate and simulated plant."""
     words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
-    return words + perturb_option_words(args)
+    return words + perturb_arguments(args)
 
 
 def write_gains(
@@ -103,13 +103,13 @@ class TunedHand(NamedTuple):
         identified_hand: hand with identified parameters in place of the parameters in the file.
             This hand is the model of the controller, as in a run with the same calibration. This
             hand is also the centre of the ensemble of simulated plants.
-        factor_spread: half width of the ensemble for each parameter, from the identification, see
+        half_width_by_factor: half width of the ensemble for each parameter, from the identification, see
             ``sample_ensemble``.
     """
 
     hand: Hand
     identified_hand: Hand
-    factor_spread: dict[str, float]
+    half_width_by_factor: dict[str, float]
 
 
 def load_tuned_hand(name: str, fit: Path | None) -> TunedHand:

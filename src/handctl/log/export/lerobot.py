@@ -41,9 +41,9 @@ from handctl.log.export.camera_video import (
     write_episode_video,
 )
 from handctl.log.export.element_names import position_names
-from handctl.log.read.log_hand import prismatic_joints
+from handctl.log.read.hand_in_log import prismatic_joints
 from handctl.log.read.reader import RunLog
-from handctl.log.read.timeline import check_order
+from handctl.log.read.timeline import check_tick_times
 from handctl.printing import printable_text
 
 DATA_PATH_PATTERN = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -263,7 +263,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     active = np.flatnonzero(log.mode == int(HandMode.ACTIVE))
     if len(active) < 2:
         raise LogError("the hand was never active in this log", "the log", "a run that moved")
-    check_order(log.t_ns, log.header.period_ns)
+    check_tick_times(log.t_ns, log.header.period_ns)
     start = int(log.t_ns[active[0]])
     end = int(log.t_ns[active[-1]])
     frames = (end - start) * fps // 10**9 + 1

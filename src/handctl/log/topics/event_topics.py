@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from handctl.core.tick_types import GAIN_EVENT, HandMode
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
 from handctl.log.tick_batch import TickBatch
 from handctl.log.tick_record import TickRecord
@@ -82,7 +82,7 @@ def encode_parameter_event(
     return writer.finished_message()
 
 
-def encode_labelled_number(t_ns: int, number: int, name: str) -> bytes:
+def encode_enum_message(t_ns: int, number: int, name: str) -> bytes:
     """Encode a message of type GraspPhase, Mode or Action from handctl_msgs, with header, number and name."""
     writer = _stamped_writer(t_ns)
     writer.put_string("")
@@ -139,7 +139,7 @@ class EventTopics:
         for channel, states in lanes:
             indexes = _changed_indexes(states, self._last.get(channel))
             messages = [
-                encode_labelled_number(int(stamps.log_times[index]), *states[index])
+                encode_enum_message(int(stamps.log_times[index]), *states[index])
                 for index in indexes
             ]
             blocks.append(

@@ -7,7 +7,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from handctl.log.cdr import MessageTemplate
-from handctl.log.container import MESSAGE_STRUCT, MessageBlock
+from handctl.log.mcap_container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.message_types import schema_name, schema_text
 
 TimeArray = NDArray[np.uint64]

@@ -7,7 +7,7 @@ import struct
 from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
-from handctl.log.container import MessageBlock
+from handctl.log.mcap_container import MessageBlock
 from handctl.log.topics.message_streams import TopicRegistry, stamps_at, variable_length_block
 
 SNAPSHOT_TOPIC = "/controller/snapshot"

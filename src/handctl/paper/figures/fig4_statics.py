@@ -6,7 +6,7 @@ A force on the tip causes some of these moments. The tendon causes the others.
 from typing import Any
 
 from handctl.hand.file.sections import Digit
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 
 STATICS_FIGURE_SIZE_IN = (9.6, 4.2)
@@ -23,7 +23,7 @@ def draw_statics_figure(figure: Any) -> None:
 
 def _draw_digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     """Draw the moments that balance the tip force at a digit's joints, and the moments of the tendon."""
-    tip_levers = [float(lever) for lever in src.levers_mm(digit)]
+    tip_levers = [float(lever) for lever in src.tip_distances_mm(digit)]
     positions = [tip_levers[0] - lever for lever in tip_levers]
     tendon_moment = tip_levers[0]
     axes.plot(

@@ -7,7 +7,7 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse_kinematics
 from handctl.hand.kinematics import from_palm_frame, joint_points
-from handctl.paper import sources as src
+from handctl.paper import paper_data as src
 from handctl.paper.errata_item import ErrataItem
 from handctl.paper.model.expression import Expression
 from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, relative_deviation
@@ -29,7 +29,7 @@ def points_in_plane(model: DigitModel, q: Array) -> Array:
     return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
-def kinematics_items() -> list[ErrataItem]:
+def kinematics_errata() -> list[ErrataItem]:
     """Return the errata items about kinematics: Eq. 1-2, the meaning of their angles, and the inverse kinematics."""
     return [
         _check_hinges(),
