@@ -99,7 +99,7 @@ class EscapedStream:
         """The original stream.
 
         The package ``rich`` writes escapes directly to the original stream, see
-        ``cli.console.screen``.
+        ``cli.console.rich_console``.
         """
 
     def write(self, text: str) -> int:

@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from handctl.cli.console.options import print_escaped, print_json
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.main import VERB_HELP, main
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError

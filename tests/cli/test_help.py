@@ -213,7 +213,7 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, is_re
 
     for name in (
         "_check_priority",
-        "_check_memory",
+        "_check_locked_memory",
         "_check_wakeups",
         "_check_socketcan",
         "_check_interfaces",
@@ -222,7 +222,9 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, is_re
         "_check_disk_space",
     ):
         monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
-    monkeypatch.setattr(doctor, "_check_memory", lambda: ("locked memory", is_ready, "allow it"))
+    monkeypatch.setattr(
+        doctor, "_check_locked_memory", lambda: ("locked memory", is_ready, "allow it")
+    )
     assert main(["doctor"]) == (0 if is_ready else 1)
     assert main(["doctor", "--json"]) == (0 if is_ready else 1)
 

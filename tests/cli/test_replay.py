@@ -232,7 +232,7 @@ def test_text_of_a_log_cannot_become_markup() -> None:
 def test_a_report_begins_with_faults_and_contacts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handctl.report.run_report_page.MAX_EVENTS", 3)
+    monkeypatch.setattr("handctl.report.run_report_page.MAX_LISTED_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN_FOLDER / "jamia-fault.mcap"), "--output", str(out)]) == 0
     text = out.read_text()

@@ -14,7 +14,7 @@ from contextlib import closing
 import pytest
 
 from handctl.cli.console.process_termination import TerminationRequested, terminate_on_signals
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.main import main
 from handctl.paper.bench.worker_pool import worker_pool
 from handctl.tune.search.workers import ProcessPool

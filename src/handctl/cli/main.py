@@ -29,7 +29,7 @@ from handctl.cli.console.process_termination import (
 )
 from handctl.cli.console.standard_streams import discard_output, flush_stdout, open_standard_streams
 from handctl.cli.console.verbosity import apply_verbosity, is_verbose, print_detail
-from handctl.cli.parsing.completion import is_completing, print_completions
+from handctl.cli.parsing.completion import is_shell_completion, print_completions
 from handctl.cli.parsing.optional_packages import optional_packages
 from handctl.cli.parsing.parser import VerbParser, check_command_line, did_you_mean
 from handctl.errors import (
@@ -141,7 +141,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        if is_completing():
+        if is_shell_completion():
             print_completions(parser_of_all_verbs())
         install_excepthook()
     use_portable_kernels()

@@ -473,8 +473,10 @@ def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
     Raises:
         ValueError: an element is not a Tick message.
     """
-    quick = _unpack_short_ticks(messages)
-    return quick if quick is not None else [unpack_tick(message) for message in messages]
+    short_ticks = _unpack_short_ticks(messages)
+    return (
+        short_ticks if short_ticks is not None else [unpack_tick(message) for message in messages]
+    )
 
 
 def _unpack_short_ticks(messages: list[bytes]) -> list[TickRecord] | None:

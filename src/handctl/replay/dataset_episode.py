@@ -90,7 +90,7 @@ def find_episode(
             )
         units = hand.display_units
         slowest = np.where(units.is_prismatic, units.scale, 1.0)
-        angles = _limit_rate(angles, np.radians(speed_deg_s) * slowest / rate)
+        angles = _limit_angle_steps(angles, np.radians(speed_deg_s) * slowest / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
 
@@ -246,7 +246,7 @@ def _clip_to_range(angles_of_frames: Array, hand: Hand, episode_name: str) -> Ar
     return np.clip(angles_of_frames, low, high)
 
 
-def _limit_rate(angles: Array, max_step: Array) -> Array:
+def _limit_angle_steps(angles: Array, max_step: Array) -> Array:
     """Limit the change of joint angles per frame.
 
     The returned angles (frames, J) follow the given angles, but change by at most `max_step` (J,)

@@ -424,7 +424,7 @@ def angle_source(hand: Hand, name: str) -> str:
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
 
 
-ANGLE_SOURCE_TEXTS = {
+TEXT_BY_ANGLE_SOURCE = {
     "excursion": "measured by the tendons",
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
@@ -443,7 +443,7 @@ def angle_rows(angle_summaries: dict[str, dict[str, Any]]) -> list[tuple[str, st
         digits = 1 if unit == "deg" else 2
         if angle["error_deg"] == angle["error_deg"]:  # a number that equals itself is not NaN
             error = f", {angle['error_deg']:.{digits}f} {unit} rms error"
-        source = ANGLE_SOURCE_TEXTS[angle["source"]]
+        source = TEXT_BY_ANGLE_SOURCE[angle["source"]]
         text = f"{source}: sigma {angle['sigma_deg']:.{digits}f} {unit}{error}"
         rows.append((f"{name} joint {'angles' if unit == 'deg' else 'positions'}", text))
     return rows

@@ -15,7 +15,7 @@ from handctl.report.frame_counts import frame_counts
 from handctl.report.lift_judgement import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
 from handctl.report.run_summary import summarise_run
-from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_path_of
+from handctl.report.truth_record import TruthRecord, copy_truth, read_truth, truth_file_path
 from handctl.session.notices import NoticeCallback
 from handctl.session.run import RunOutcome
 from handctl.session.run_plan import RunPlan
@@ -99,7 +99,7 @@ def _copy_truth(
         times_ns: first and last time of the run on the simulator's clock [ns].
         show_notice: function that shows a notice to the operator.
     """
-    truth_path = truth_path_of(log)
+    truth_path = truth_file_path(log)
     if truth == truth_path:
         return truth_path
     start_ns, end_ns = times_ns[0] - TRUTH_MARGIN_NS, times_ns[1] + TRUTH_MARGIN_NS

@@ -59,7 +59,7 @@ def config(parser: VerbParser) -> None:
         dest="what", required=True, metavar="init|show|check|list|schema|convert|export"
     )
 
-    def add_kind(name: str, text: str) -> VerbParser:
+    def add_config_verb(name: str, text: str) -> VerbParser:
         subparser = add_sub_verb(subparsers, name, text, COMMAND_EXAMPLES[f"config {name}"])
         add_json_option(subparser)
         if name not in ("init", "list", "schema", "convert"):
@@ -67,26 +67,30 @@ def config(parser: VerbParser) -> None:
         return subparser
 
     _add_init_options(
-        add_kind("init", "write a new hand file from a few answers, or from a robot description")
+        add_config_verb(
+            "init", "write a new hand file from a few answers, or from a robot description"
+        )
     )
-    show_parser = add_kind("show", "show a hand, and the source of each value")
+    show_parser = add_config_verb("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show_parser.add_argument("--graph", action="store_true", help=text)
     add_output_option(show_parser, "picture of --graph: a new .svg, .png or .pdf")
     _add_file_arguments(show_parser)
-    check = add_kind("check", "check a hand with its files")
+    check = add_config_verb("check", "check a hand with its files")
     _add_file_arguments(check)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
     check.add_argument("--scene", metavar="NAME|FILE", help=text)
-    add_kind("list", "list the packaged hands and tasks")
-    schema = add_kind("schema", "print the JSON Schema of hand files, for completion in an editor")
+    add_config_verb("list", "list the packaged hands and tasks")
+    schema = add_config_verb(
+        "schema", "print the JSON Schema of hand files, for completion in an editor"
+    )
     add_output_option(schema, "a new file (default: standard output)")
-    convert = add_kind(
+    convert_parser = add_config_verb(
         "convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept"
     )
-    convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
-    add_output_option(convert, "a new file", required=True)
-    export = add_kind("export", "write the buses or the links of a hand for other tools")
+    convert_parser.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
+    add_output_option(convert_parser, "a new file", required=True)
+    export = add_config_verb("export", "write the buses or the links of a hand for other tools")
     format_group = export.add_mutually_exclusive_group()
     format_group.add_argument(
         "--dbc", action="store_true", help="the frames of each bus, as a CAN database"

@@ -84,7 +84,7 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     rows = _check_interface(channel, expected) if kind == "socketcan" else []
     round_trips: list[tuple[DiscoveredNode, RoundTrip]] = []
     if not any(finding.is_bus_unusable for finding in rows):
-        node_findings, round_trips = _check_nodes(spec, expected, hand)
+        node_findings, round_trips = _check_node_round_trips(spec, expected, hand)
         rows += node_findings
     return {
         "bus": spec,
@@ -120,7 +120,7 @@ def _check_interface(channel: str, expected: BusSection) -> list[LinkFinding]:
     return rows + adapter_findings(channel, adapter, link.kind, other_channels)
 
 
-def _check_nodes(
+def _check_node_round_trips(
     spec: str, expected: BusSection, hand: Hand | None
 ) -> tuple[list[LinkFinding], list[tuple[DiscoveredNode, RoundTrip]]]:
     """Open a bus, scan for nodes, and measure the time from a request to its reply for each node.

@@ -113,10 +113,10 @@ def _print_loads(bus_plan: dict[str, Any], with_details: bool) -> None:
     for line in bus_plan["wrong_bit_rates"]:
         print(line)
     if not bus_plan["fits"]:
-        _print_split(bus_plan["split"])
+        _print_bus_split(bus_plan["split"])
 
 
-def _print_split(buses: list[list[str]]) -> None:
+def _print_bus_split(buses: list[list[str]]) -> None:
     if not buses:
         print("does not fit, even with one motor per bus")
         return

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from handctl.cli.console.options import print_json_line
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import Drive, DriveState

@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         tendon_answers = _ask_questions(
             tendon_answers, {"tendons", "pulley_mm"} if tendons else set()
         )
-    _check_answers(tendon_answers)
+    _check_tendon_answers(tendon_answers)
     if not tendons:
         check_springs(tendon_answers.tendons, tendon_answers.springs)
     check_protocol_given(tendon_answers.protocol, tendon_answers.motor_type)
@@ -204,7 +204,7 @@ def _ask_questions(tendon_answers: ImportAnswers, known_keys: set[str]) -> Impor
     )
 
 
-def _check_answers(tendon_answers: ImportAnswers) -> None:
+def _check_tendon_answers(tendon_answers: ImportAnswers) -> None:
     """Raise an error if a hand file cannot be written with these answers.
 
     All other mistakes are found when the new hand file is checked.

@@ -87,13 +87,13 @@ def run(args: argparse.Namespace) -> int:
     options = options_with_motor_type(hand_answers.protocol, hand_answers.motor_type)
     can_fd = PROTOCOL_TRAITS[hand_answers.protocol].can_fd
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(hand_answers, options, can_fd)
-    inspected = inspect_content(parse_toml(text, str(args.output)))
-    if inspected.mistakes or inspected.hand is None:
-        raise inspected.mistakes[0].error("the answers")
+    inspected_hand = inspect_content(parse_toml(text, str(args.output)))
+    if inspected_hand.mistakes or inspected_hand.hand is None:
+        raise inspected_hand.mistakes[0].error("the answers")
     warnings = [
         *opposition_warnings(hand_answers),
         *palm_warnings(hand_answers),
-        *grasp_warnings(inspected.hand),
+        *grasp_warnings(inspected_hand.hand),
     ]
     schema = write_with_schema(args.output, text)
     assumed_count = sum("ASSUMED" in line for line in text.splitlines()) - 1

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """
     findings = [
         _check_priority(),
-        _check_memory(),
+        _check_locked_memory(),
         _check_wakeups(),
         _check_socketcan(),
         _check_interfaces(),
@@ -115,7 +115,7 @@ def _check_priority() -> DoctorFinding:
     )
 
 
-def _check_memory() -> DoctorFinding:
+def _check_locked_memory() -> DoctorFinding:
     is_memory_locked = _granted_priority().memory_locked
     return (
         "locked memory",

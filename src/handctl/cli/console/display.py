@@ -15,7 +15,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.core.tick_types import GAIN_EVENT, HandMode, TickEvent, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.report.run_summary import angle_rows, tracking_text
 from handctl.session.run_plan import RunPlan
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.progress import progress_bar
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.errors import ConfigError
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text

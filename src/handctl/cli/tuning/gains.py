@@ -166,8 +166,8 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
         update={key: value for key, value in options.items() if value}
     )
     store = GainsStore(hand.name, hand.identity)
-    _rename_unusable(store)
-    return _report_done(args, store, store.apply_gains(file.gains, provenance).provenance)
+    _rename_unusable_gains(store)
+    return _report_stored_gains(args, store, store.apply_gains(file.gains, provenance).provenance)
 
 
 def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
@@ -179,11 +179,11 @@ def _roll_back(args: argparse.Namespace, hand: Hand) -> int:
     store = GainsStore(hand.name, hand.identity)
     entries = store.history_entries()
     newest = entries[-1].number if entries else 0
-    to = newest if _rename_unusable(store) and args.to is None else args.to
-    return _report_done(args, store, store.roll_back(to).provenance)
+    to = newest if _rename_unusable_gains(store) and args.to is None else args.to
+    return _report_stored_gains(args, store, store.roll_back(to).provenance)
 
 
-def _rename_unusable(store: GainsStore) -> bool:
+def _rename_unusable_gains(store: GainsStore) -> bool:
     """Rename the file of the present gains if it is unusable, and report its new name.
 
     Return True if a file was renamed.
@@ -196,7 +196,9 @@ def _rename_unusable(store: GainsStore) -> bool:
     return bool(renamed_path)
 
 
-def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance) -> int:
+def _report_stored_gains(
+    args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance
+) -> int:
     if args.json:
         print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:

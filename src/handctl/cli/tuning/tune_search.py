@@ -11,7 +11,7 @@ from typing import Any
 
 from handctl.cli.console.options import check_count, print_json
 from handctl.cli.console.plan import layered_gains
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import is_quiet
 from handctl.cli.tuning.tune_files import (
     ensemble_of_tuned_hand,

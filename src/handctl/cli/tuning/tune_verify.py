@@ -14,7 +14,7 @@ from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import check_count, print_escaped, print_json
 from handctl.cli.console.plan import check_perturb, find_calibration, make_plan, refuse_bus_options
-from handctl.cli.console.screen import rich_console
+from handctl.cli.console.rich_console import rich_console
 from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
 from handctl.session.calibration import (
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(amplitudes)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=amplitudes)
     log = args.log or default_log_path(plan.hand, "verify")
-    plan = _with_gains(plan, gains_with_new_filter, args.candidate)
+    plan = _plan_with_gains(plan, gains_with_new_filter, args.candidate)
     first_seed = args.seed
     runs = []
     for seed in range(
@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     return _report_verification(args, runs, outcome)
 
 
-def _with_gains(plan: RunPlan, gains: Any, candidate_path: Path) -> RunPlan:
+def _plan_with_gains(plan: RunPlan, gains: Any, candidate_path: Path) -> RunPlan:
     from dataclasses import replace
 
     return replace(

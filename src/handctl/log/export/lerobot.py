@@ -51,7 +51,7 @@ EPISODES_PATH_PATTERN = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:
 STATISTICS_PERCENTILES = (1, 10, 50, 90, 99)
 """Percentiles in the statistics of a feature."""
 
-SIGMA_FIELDS = ("q_sigma", "tension_sigma")
+STANDARD_DEVIATION_FIELDS = ("q_sigma", "tension_sigma")
 """Telemetry fields with the standard deviations of the values in `observation.state`.
 
 Logs of version 0.1 lack `q_sigma`.
@@ -276,8 +276,8 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
 def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
     """Return the element names and the values (frames, n) of each vector feature."""
     header = log.header
-    q = _without_nan(log, "q", rows)
-    tension = _without_nan(log, "tension", rows)
+    q = _fill_missing_values(log, "q", rows)
+    tension = _fill_missing_values(log, "tension", rows)
     angle_commands = log.field("q_goal")[rows]
     tension_commands = log.field("tension_goal")[rows]
     names = list(position_names(header.joints, prismatic_joints(header)))
@@ -292,12 +292,14 @@ def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[lis
         "observation.state": (names, np.hstack([q, tension])),
         "observation.tip_force": (
             [f"{digit}.force_N" for digit in header.digits],
-            _without_nan(log, "tip_force", rows),
+            _fill_missing_values(log, "tip_force", rows),
         ),
         "action": (names, commands),
     }
-    if SIGMA_FIELDS[0] in log.fields:
-        sigma = np.hstack([_without_nan(log, name, rows) for name in SIGMA_FIELDS])
+    if STANDARD_DEVIATION_FIELDS[0] in log.fields:
+        sigma = np.hstack(
+            [_fill_missing_values(log, name, rows) for name in STANDARD_DEVIATION_FIELDS]
+        )
         vector_features["observation.sigma"] = (
             [_standard_deviation_name(name) for name in names],
             sigma,
@@ -311,7 +313,7 @@ def _standard_deviation_name(name: str) -> str:
     return f"{quantity}_sigma_{unit}"
 
 
-def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
+def _fill_missing_values(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     """Return a telemetry field (frames, n) in which each NaN is replaced by a number.
 
     A NaN is replaced by the last number above it in the same column. If there is no number above,

@@ -150,7 +150,7 @@ class RunLog:
             with LogErrorContext(self._file.name):
                 self.header = _read_header(scan)
             self.end = scan.metadata.get("handctl.end", {})
-            self._tick, self._values, self._others = self._channels()
+            self._tick, self._values, self._others = self._read_channel_ids()
         except LogError:
             self._file.close()
             raise
@@ -172,7 +172,7 @@ class RunLog:
         """Close the log file."""
         self._file.close()
 
-    def _channels(self) -> tuple[int, int, dict[str, int]]:
+    def _read_channel_ids(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel id of the Tick messages, the channel id of the telemetry, and all channel ids by topic."""
         with LogErrorContext(self._file.position_text(self._chunks[0].offset)):
             definitions_of_log: ChunkDefinitions = schemas_and_channels(
@@ -375,7 +375,7 @@ class RunLog:
 
     def tick_messages(self) -> Iterator[bytes]:
         """Yield the bytes of the Tick message of each tick, as the file contains them."""
-        yield from (message for _, message in self._messages())
+        yield from (message for _, message in self._located_messages())
 
     def tick_digests(self) -> Iterator[bytes]:
         """Yield the hash of each tick in the hash chain.
@@ -435,7 +435,7 @@ class RunLog:
         """Return the names of the columns of a telemetry field."""
         return self.header.axis_names(TELEMETRY_AXES[field])
 
-    def _messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
+    def _located_messages(self) -> Iterator[tuple[ChunkLocation, bytes]]:
         """Yield each Tick message, together with the location of its chunk."""
         for chunk, rows in self._message_rows(self._tick):
             yield from ((chunk, message) for message in rows.messages())
@@ -472,7 +472,7 @@ class RunLog:
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         phase_of_tail: dict[bytes, str] = {}
-        for index, (chunk, message) in enumerate(self._messages()):
+        for index, (chunk, message) in enumerate(self._located_messages()):
             with LogErrorContext(self._file.position_text(chunk.offset)):
                 # All ticks of one phase without events end with the same bytes: the phase and empty
                 # lists. Because of the cache, these bytes are not decoded again.

@@ -155,7 +155,7 @@ def scan_records(
             scan.end = end  # most records are message indexes, whose content the scan does not use
             continue
         if code == Opcode.DATA_END:
-            _check_end(file, scan, at, end, is_checked)
+            _check_end_record(file, scan, at, end, is_checked)
             return
         try:
             with LogErrorContext(file.position_text(at)):
@@ -287,7 +287,7 @@ def _read_string_map(fields: _RecordFieldReader) -> dict[str, str]:
     return values
 
 
-def _check_end(
+def _check_end_record(
     file: LogFile, scan: RecordScan, offset: int, end_offset: int, is_checked: bool
 ) -> None:
     """Compare the checksums of the data section and of the summary with the content of the file."""

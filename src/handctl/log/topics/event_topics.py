@@ -156,7 +156,7 @@ class EventTopics:
         gains = []
         for index, tick in batch.ticks_with_events.items():
             t_ns = int(stamps.log_times[index])
-            for level, name, text in _log_lines(tick):
+            for level, name, text in _rosout_lines(tick):
                 line_indexes.append(index)
                 lines.append(encode_rosout(t_ns, level, f"handctl.{name}", text))
             text_by_bus = {
@@ -178,7 +178,7 @@ def _index_array(values: list[int]) -> NDArray[np.intp]:
     return np.array(values, np.intp)
 
 
-def _log_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
+def _rosout_lines(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
     """Yield the level, the name and the text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""

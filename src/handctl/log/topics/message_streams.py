@@ -78,7 +78,7 @@ class MessageStamps:
         return MessageStamps(self.log_times[index], self.sequence[index])
 
 
-def stamps_at(log_ns: int, k: int) -> MessageStamps:
+def single_message_stamps(log_ns: int, k: int) -> MessageStamps:
     """Return the log time and sequence number of a single message.
 
     Args:

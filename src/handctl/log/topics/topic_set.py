@@ -15,7 +15,7 @@ from handctl.log.topics.health_topics import HealthTopics
 from handctl.log.topics.message_streams import (
     MessageStamps,
     TopicRegistry,
-    stamps_at,
+    single_message_stamps,
     variable_length_block,
 )
 from handctl.log.topics.snapshot_topic import ControllerSnapshot, SnapshotTopic
@@ -102,7 +102,9 @@ class TopicSet:
             wall_ns: reading of the wall clock [ns].
             monotonic_ns: reading of the monotonic clock [ns].
         """
-        return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
+        return self._clocks.block(
+            single_message_stamps(self._log_ns(t_ns), k), wall_ns, monotonic_ns
+        )
 
     def snapshot(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
         """Return a message with the controller's state after the tick at time `t_ns`."""

@@ -10,13 +10,13 @@ import itertools
 import os
 from contextlib import suppress
 
-_READ_BYTES = 1 << 10
+_MAX_READ_BYTES = 1 << 10
 """Largest number of waiting sync requests that one read takes. Each request is one byte."""
 _MAX_FILE_DESCRIPTORS = 1 << 16
 """Upper limit of the file descriptors that are closed. All open descriptors are below it."""
 
 
-def sync_now(descriptor: int) -> None:
+def sync_to_disk(descriptor: int) -> None:
     """Sync a file to disk, and wait until the sync is done.
 
     Raises:
@@ -84,9 +84,9 @@ def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
 
     A single sync serves all requests that are waiting.
     """
-    while os.read(requests, _READ_BYTES):
+    while os.read(requests, _MAX_READ_BYTES):
         try:
-            sync_now(descriptor)
+            sync_to_disk(descriptor)
         except OSError as error:
             os.write(errors, bytes([min(error.errno or 255, 255)]))
             return

@@ -19,7 +19,7 @@ from handctl.log.tick_record import SNAPSHOT_HEAD_STRUCT
 from handctl.log.topics.clock_pair_topic import CLOCK_PAIR_PERIOD_NS
 from handctl.log.topics.snapshot_topic import ControllerSnapshot
 from handctl.log.topics.topic_set import TopicSet
-from handctl.log.write.disk_syncer import sync_now
+from handctl.log.write.disk_syncer import sync_to_disk
 
 CHUNK_SPAN_NS = 250_000_000
 """Longest time span of a chunk [ns].
@@ -108,7 +108,7 @@ class LogWriter:
         report: ReportFunction,
         min_free_bytes: int,
         clocks: ClockFunction = _read_both_clocks,
-        sync_file: Callable[[int], None] = sync_now,
+        sync_file: Callable[[int], None] = sync_to_disk,
     ) -> None:
         """Create the file, and write the header.
 

@@ -56,7 +56,7 @@ AVERAGED_ROW_COUNT = 100
 
 There is a row for each millisecond.
 """
-SCENE_TEXT = """name = "payload"
+SCENE_TOML_TEMPLATE = """name = "payload"
 [object]
 shape = "cylinder"
 diameter_m = {diameter}
@@ -75,7 +75,7 @@ rate_N_per_s = {rate}
 """Template of the scene file."""
 
 
-def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
+def search_grip_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit for a grip with 6 N per finger, and the start time of the grip.
 
     The search increases the tension in steps. The result is interpolated between these steps.
@@ -193,7 +193,7 @@ def _grip_cylinder(
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
-    text = SCENE_TEXT.format(
+    text = SCENE_TOML_TEMPLATE.format(
         diameter=diameter, mass=CYLINDER_MASS_KG, friction=float(src.FRICTION_COEFFICIENT), x=diameter / 2 + 0.002,
         direction=list(LOAD_DIRECTIONS[load_axis]), start=load_start_s, rate=LOAD_RATE_N_PER_S)  # fmt: skip
     scene.write_text(text, encoding="utf-8")
@@ -273,7 +273,7 @@ def payload_errata(payload_results: Sequence[Mapping[str, Any]]) -> list[ErrataI
         reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
-            f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is "
+            f"{TEXT_BY_CRITERION[result['ended']]}. Coulomb's bound by all normal forces is "
             f"{friction_bound_kg(result):.2f} kg."
         )
         rows.append(
@@ -318,7 +318,7 @@ def payload_table(payload_results: Sequence[Mapping[str, Any]]) -> tuple[tuple[s
     return (column_titles, *rows)
 
 
-CRITERION_TEXTS = {
+TEXT_BY_CRITERION = {
     "moved": "it had moved by 2 mm",
     "creep": "it crept faster than 1 mm/s",
     "held": "it still held at the end",

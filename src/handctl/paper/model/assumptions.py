@@ -31,7 +31,7 @@ def assumption_errata() -> list[ErrataItem]:
     return [
         *_check_one_tendon(),
         *_check_coupling(),
-        *_check_balance(),
+        *_check_grip_balance(),
         *_check_two_sided_payload(),
         _check_bending(),
         _check_lift_off(),
@@ -92,7 +92,7 @@ def _check_coupling() -> list[ErrataItem]:
     ]  # fmt: skip
 
 
-def _check_balance() -> list[ErrataItem]:
+def _check_grip_balance() -> list[ErrataItem]:
     """Check whether three fingers with 6 N each and a thumb with 10 N are in balance."""
     fingers = src.FINGER_COUNT * src.FINGER_GRIP_FORCE_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())

@@ -23,7 +23,7 @@ CLOSING_DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motions whose torques are drawn [s]."""
 SAMPLE_COUNT = 301
 """Number of samples of a motion."""
-TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
+TORQUE_CAUSES = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 """Causes of the torque. The first three are effects of the links alone."""
 
 
@@ -87,7 +87,7 @@ def closing_torques(name: str, duration_s: float) -> ClosingTorques:
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
     return ClosingTorques(
-        name, duration_s, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever
+        name, duration_s, times, dict(zip(TORQUE_CAUSES, columns, strict=True)), lever
     )
 
 
@@ -144,7 +144,7 @@ def _check_completeness() -> ErrataItem:
     The paper mentions neither springs nor the inertia of the actuator.
     """
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
-    links = sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
+    links = sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_CAUSES[:3])
     link_and_motor_torque = links + torques.torque_by_cause["motor inertia"]
     links_peak, driven_peak = (
         float(np.abs(torque).max()) / torques.moment_arm_m
@@ -169,7 +169,7 @@ def _check_torque_value() -> ErrataItem:
     torques = closing_torques("index", CLOSING_DURATIONS_S[-1])
     peak = 1000.0 * float(
         np.abs(
-            sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_PARTS[:3])
+            sum(torques.torque_by_cause[torque_cause] for torque_cause in TORQUE_CAUSES[:3])
         ).max()
     )
     terms = [

@@ -25,11 +25,11 @@ def statics_errata() -> list[ErrataItem]:
     """Return the errata items about all numbers and formulas of the statics."""
     return [
         *_check_joint_moments(),
-        *_check_labels(),
+        *_check_moment_labels(),
         *_check_formulas(),
         *_check_finger(),
         *_check_payload(),
-        *_check_wire(),
+        *_check_wire_diameters(),
         *_check_knee(),
         *_check_thumb(),
     ]
@@ -104,7 +104,7 @@ Joints are counted from the palm, beginning with 0.
 """
 
 
-def _check_labels() -> list[ErrataItem]:
+def _check_moment_labels() -> list[ErrataItem]:
     """Check the labels of the moments in the paper.
 
     Some labels name several joints. Such a label states that the moments at these joints are equal.
@@ -235,7 +235,7 @@ def _check_payload() -> list[ErrataItem]:
     ]  # fmt: skip
 
 
-def _check_wire() -> list[ErrataItem]:
+def _check_wire_diameters() -> list[ErrataItem]:
     """Check the printed diameters of the wire."""
     tension = src.FINGER_GRIP_FORCE_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
@@ -279,8 +279,8 @@ def _check_knee() -> list[ErrataItem]:
     )
     knee, knee_abstract = src.KNEE_TENSIONS_N
     stress_mpa = src.wire_stress_mpa(knee, diameter)
-    claims = [str(value) for value in src.KNEE_TENSIONS_N]
-    verdict = verdict_of_contradiction(claims, None)
+    printed_tensions = [str(value) for value in src.KNEE_TENSIONS_N]
+    verdict = verdict_of_contradiction(printed_tensions, None)
     reason = "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     return [
         ErrataItem(
