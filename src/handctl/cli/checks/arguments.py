@@ -76,22 +76,24 @@ def config(parser: VerbParser) -> None:
     show_parser.add_argument("--graph", action="store_true", help=text)
     add_output_option(show_parser, "picture of --graph: a new .svg, .png or .pdf")
     _add_file_arguments(show_parser)
-    check = add_config_verb("check", "check a hand with its files")
-    _add_file_arguments(check)
+    check_parser = add_config_verb("check", "check a hand with its files")
+    _add_file_arguments(check_parser)
     text = "scene to check with the simulated hand, as in demo: cylinder:40, or a scene file"
-    check.add_argument("--scene", metavar="NAME|FILE", help=text)
+    check_parser.add_argument("--scene", metavar="NAME|FILE", help=text)
     add_config_verb("list", "list the packaged hands and tasks")
-    schema = add_config_verb(
+    schema_parser = add_config_verb(
         "schema", "print the JSON Schema of hand files, for completion in an editor"
     )
-    add_output_option(schema, "a new file (default: standard output)")
+    add_output_option(schema_parser, "a new file (default: standard output)")
     convert_parser = add_config_verb(
         "convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept"
     )
     convert_parser.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
     add_output_option(convert_parser, "a new file", required=True)
-    export = add_config_verb("export", "write the buses or the links of a hand for other tools")
-    format_group = export.add_mutually_exclusive_group()
+    export_parser = add_config_verb(
+        "export", "write the buses or the links of a hand for other tools"
+    )
+    format_group = export_parser.add_mutually_exclusive_group()
     format_group.add_argument(
         "--dbc", action="store_true", help="the frames of each bus, as a CAN database"
     )
@@ -101,7 +103,7 @@ def config(parser: VerbParser) -> None:
     format_group.add_argument(
         "--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo"
     )
-    add_output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
+    add_output_option(export_parser, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
 def _add_init_options(parser: argparse.ArgumentParser) -> None:
@@ -228,18 +230,18 @@ def bus(parser: VerbParser) -> None:
     """
     subparsers = parser.add_subparsers(dest="what", required=True, metavar="plan|doctor|up|watch")
     text = "compute the worst-case load of each bus of a hand, stuff bits included"
-    plan = add_sub_verb(subparsers, "plan", text, COMMAND_EXAMPLES["bus plan"])
+    plan_parser = add_sub_verb(subparsers, "plan", text, COMMAND_EXAMPLES["bus plan"])
     text = "check buses from the interface to the drives, and name the command that repairs each finding"
-    doctor = add_sub_verb(subparsers, "doctor", text, COMMAND_EXAMPLES["bus doctor"])
+    doctor_parser = add_sub_verb(subparsers, "doctor", text, COMMAND_EXAMPLES["bus doctor"])
     text = "print the commands that set up the interfaces of a hand, or run them (--yes, as root)"
-    up = add_sub_verb(subparsers, "up", text, COMMAND_EXAMPLES["bus up"])
+    up_parser = add_sub_verb(subparsers, "up", text, COMMAND_EXAMPLES["bus up"])
     text = "show angle, velocity, temperature and tension of every drive and load cell live, without torque"
-    watch = add_sub_verb(subparsers, "watch", text, COMMAND_EXAMPLES["bus watch"])
+    watch_parser = add_sub_verb(subparsers, "watch", text, COMMAND_EXAMPLES["bus watch"])
     defaults = (
-        (plan, "jamia"),
-        (doctor, "none"),
-        (up, "none"),
-        (watch, "jamia on a simulated bus"),
+        (plan_parser, "jamia"),
+        (doctor_parser, "none"),
+        (up_parser, "none"),
+        (watch_parser, "jamia on a simulated bus"),
     )
     for subcommand, default in defaults:
         bus_argument = subcommand.add_argument(
@@ -249,18 +251,20 @@ def bus(parser: VerbParser) -> None:
         add_bus_option(subcommand, required=False)
         add_json_option(subcommand)
     text = "control rate (default: the highest at which no bus is overloaded)"
-    plan.add_argument("--rate", type=float, metavar="HZ", help=text)
-    plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
-    for subcommand in (doctor, up):
+    plan_parser.add_argument("--rate", type=float, metavar="HZ", help=text)
+    plan_parser.add_argument(
+        "--table", action="store_true", help="compare the protocols, without a hand"
+    )
+    for subcommand in (doctor_parser, up_parser):
         add_bitrate_options(
             subcommand,
             "without a hand: bit rate of the bus",
             "without a hand: bit rate of CAN FD's data phase",
         )
-    up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
+    up_parser.add_argument("--yes", action="store_true", help="run the commands now; needs root")
     text = "end after this time (default: Ctrl-C)"
-    watch.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
-    add_time_scale_option(watch)
+    watch_parser.add_argument("--for", dest="duration", type=float, metavar="S", help=text)
+    add_time_scale_option(watch_parser)
 
 
 def scan(parser: argparse.ArgumentParser) -> None:

@@ -35,7 +35,7 @@ REFRESH_PERIOD_S = 0.1
 """Time between two lines of JSON, or between two tables in a terminal [s]."""
 TABLE_PRINT_PERIOD_S = 1.0
 """Time between two tables that go to a pipe or file [s]."""
-MAX_WATCH_S = 86400.0
+MAX_WATCH_DURATION_S = 86400.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -85,8 +85,10 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
     """
     if not args.bus:
         raise ConfigError("missing", "--bus", "the bus of the hand, such as --bus socketcan:can0")
-    if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_S:
-        raise ConfigError(f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_S:g}")
+    if args.duration is not None and not 0.0 < args.duration <= MAX_WATCH_DURATION_S:
+        raise ConfigError(
+            f"{args.duration:g}", "--for", f"more than 0, at most {MAX_WATCH_DURATION_S:g}"
+        )
     if args.hand is None:
         refuse_default_hand([text.rpartition("=")[2] for text in args.bus], "--hand")
     hand = load_hand(args.hand or DEFAULT_HAND)
@@ -117,7 +119,7 @@ def _show_readings(
             if now < next_print_time:
                 continue
             next_print_time = max(next_print_time + print_period_s, now)
-            readings = readings_of(hand, watch)
+            readings = bus_readings(hand, watch)
             if live_display is not None:
                 live_display.update(_readings_table(readings), refresh=True)
             elif args.json:
@@ -127,7 +129,7 @@ def _show_readings(
                 sys.stdout.flush()
 
 
-def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
+def bus_readings(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     """Return the present readings of all drives and load cells of a hand.
 
     A reading that is older than ``STALE_AFTER_S`` becomes NaN.

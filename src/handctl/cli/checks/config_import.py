@@ -18,7 +18,7 @@ from handctl.cli.console.questions import (
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import (
     PROTOCOL_TRAITS,
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     )
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
     missing_values = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing_values, args.output)]
     joints = sum(len(digit.joints) for digit in described_hand.digits)
     if args.json:

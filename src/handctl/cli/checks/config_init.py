@@ -13,7 +13,7 @@ from handctl.cli.console.questions import (
     ask_motor_type,
     ask_question,
     check_terminal,
-    write_with_schema,
+    write_new_hand_file,
 )
 from handctl.drives.motor_description import PROTOCOL_TRAITS, options_with_motor_type
 from handctl.errors import ConfigError
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
         *palm_warnings(hand_answers),
         *grasp_warnings(inspected_hand.hand),
     ]
-    schema = write_with_schema(args.output, text)
+    schema = write_new_hand_file(args.output, text)
     assumed_count = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
         print_json(

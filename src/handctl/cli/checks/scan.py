@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     """Scan each bus on the command line for nodes. If no node was found, return 1."""
     buses = named_buses(args.bus)
     if args.dry_run:
-        return _print_requests(args.json)
+        return _print_scan_requests(args.json)
     scans: dict[str, BusScan] = {}
     for name, spec in buses.items():
         opened_bus = open_bus(spec, 0, args.bitrate)
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
             opened_bus.close()
         if not scans[name].foreign_frames:
             scans[name] = scans[name]._replace(
-                found_nodes=add_identities(scans[name].found_nodes, spec, args.bitrate)
+                found_nodes=add_node_identities(scans[name].found_nodes, spec, args.bitrate)
             )
     snippet = hand_file_snippet(
         {name: result.found_nodes for name, result in scans.items()},
@@ -65,7 +65,7 @@ def _print_bus_note(spec: str, text: str) -> None:
     print_note(f"{spec}: {text}")
 
 
-def add_identities(
+def add_node_identities(
     nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
 ) -> tuple[DiscoveredNode, ...]:
     """Return the nodes that a scan has found, with additional data about CANopen nodes.
@@ -80,13 +80,13 @@ def add_identities(
     print_note(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, canopen_ids))}")
     identities = identify_nodes(spec, bitrate, canopen_ids)
     return tuple(
-        _add_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
+        _add_node_identity(drive, identities[drive.node_id].numbers, identities[drive.node_id].texts)
         if drive.protocol == "cia402" else drive
         for drive in nodes
     )  # fmt: skip
 
 
-def _add_identity(
+def _add_node_identity(
     drive: DiscoveredNode, identity_numbers: dict[str, int], identity_texts: dict[str, str]
 ) -> DiscoveredNode:
     power = (
@@ -195,7 +195,7 @@ def _print_drive(drive: DiscoveredNode) -> None:
         print(f"                {line}")
 
 
-def _print_requests(as_json: bool) -> int:
+def _print_scan_requests(as_json: bool) -> int:
     questions = [_frame_text(frame) for frame in requests_without_answers()]
     if as_json:
         print_json({"questions": questions})

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from handctl.cli.checks.scan import add_identities
+from handctl.cli.checks.scan import add_node_identities
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
@@ -190,7 +190,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
         bus.close()
     if result.foreign_frames:
         raise BusError("another host controls this bus", args.bus, "no other host: stop it")
-    for node in add_identities(result.found_nodes, args.bus, args.bitrate):
+    for node in add_node_identities(result.found_nodes, args.bus, args.bitrate):
         if (node.protocol, node.node_id) == (args.protocol, args.node):
             if node.twins:
                 raise DriveError(

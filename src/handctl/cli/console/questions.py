@@ -77,7 +77,7 @@ DRIVE_AND_SENSOR_QUESTIONS = (
 """Questions about the sensors, springs and drives of every new hand, in order."""
 
 
-def write_with_schema(output_path: Path, text: str) -> Path:
+def write_new_hand_file(output_path: Path, text: str) -> Path:
     """Write a new hand file.
 
     If the folder contains no JSON Schema of hand files yet, write the schema there too. Return the

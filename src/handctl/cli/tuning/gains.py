@@ -228,7 +228,7 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
         return ExitCode.DONE
     for entry in entries:
         present_mark = "*" if entry.number == _number_text(present) else " "
-        print_escaped(f"{present_mark} {entry.number:>4}  {_entry_line(entry, entries)}")
+        print_escaped(f"{present_mark} {entry.number:>4}  {_history_line(entry, entries)}")
     print(
         f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}"
     )
@@ -239,7 +239,7 @@ def _number_text(present_value: Any) -> int:
     return present_value.provenance.number if present_value else 0
 
 
-def _entry_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
+def _history_line(entry: StoredGains, stored_gains: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     gains_by_number = {
         stored_entry.number: stored_entry.file.gains for stored_entry in stored_gains

@@ -275,7 +275,7 @@ def _report_results(
     pictures = _draw_pictures(
         hand, results_of_log, print_note
     )  # the calibration is written first, so that it is not lost if the drawing fails
-    _print_refusals(blocked_events, blocked_results, incoherent_names)
+    _print_rejected_parameters(blocked_events, blocked_results, incoherent_names)
     exit_code = ExitCode.FAILED if blocked_events or blocked_results else ExitCode.DONE
     if args.json:
         print_json(
@@ -302,7 +302,7 @@ def _report_results(
     return exit_code
 
 
-def _print_refusals(
+def _print_rejected_parameters(
     blocked_digits: dict[str, str], reason_of_tendon: dict[str, str], incoherent_tendons: list[str]
 ) -> None:
     """Print the parameters that are not kept, and the reason for each.

@@ -113,7 +113,7 @@ def export_lerobot(
         )
     episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
-        _check_same_dataset(
+        _check_same_hand_and_rate(
             first_log, log, episodes[0].element_names == episode.element_names, f"log {i + 1}"
         )
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
@@ -230,7 +230,7 @@ def _video_feature(episode_videos: Sequence[EpisodeVideo], fps: int) -> dict[str
     }
 
 
-def _check_same_dataset(
+def _check_same_hand_and_rate(
     first_log: RunLog, log: RunLog, has_same_names: bool, log_name: str
 ) -> None:
     """Check that a log has the same hand and the same control rate as the first log of the dataset.

@@ -40,10 +40,10 @@ def assumption_errata() -> list[ErrataItem]:
 
 def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of a straight finger at the same time."""
-    tip_levers = src.tip_distances_mm(src.paper_finger())
+    tip_distances = src.tip_distances_mm(src.paper_finger())
     given_ratio = src.tension_per_newton(src.paper_finger()) * src.PULLEY_RADIUS_MM
     rows = []
-    for i, required in enumerate(tip_levers):
+    for i, required in enumerate(tip_distances):
         radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
             ErrataItem(
@@ -65,17 +65,17 @@ def _check_coupling() -> list[ErrataItem]:
 
     With equal angles, the work of the tendon must equal the work of the tip force.
     """
-    tip_levers = src.tip_distances_mm(src.paper_finger())
+    tip_distances = src.tip_distances_mm(src.paper_finger())
     # If all joint angles are equal, the principle of virtual work gives T times 3 r_p = F times the
     # sum of the levers. Here T is the tension, and F is the force at the tip.
-    tension = sum(tip_levers, Fraction(0)) / (len(tip_levers) * src.PULLEY_RADIUS_MM)
+    tension = sum(tip_distances, Fraction(0)) / (len(tip_distances) * src.PULLEY_RADIUS_MM)
     force = src.FINGER_GRIP_FORCE_N * tension
     torque = src.FINGER_GRIP_FORCE_N * tension * src.SPOOL_RADIUS_MM / 1000
     arms = src.paper_hand().moment_arms[
         src.paper_hand().digit_tendons["index"], src.paper_hand().digit_joints["index"]
     ]
     # `free` is the number of joint motions that no tendon controls.
-    free_dimensions = len(tip_levers) - int(np.linalg.matrix_rank(arms))
+    free_dimensions = len(tip_distances) - int(np.linalg.matrix_rank(arms))
     return [
         ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",

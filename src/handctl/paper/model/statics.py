@@ -111,14 +111,14 @@ def _check_moment_labels() -> list[ErrataItem]:
     """
     rows = []
     for id, location, printed_label, digit, joint, named_joint in FIGURE_LABELS:
-        tip_levers = src.tip_distances_mm(digit())
-        levers_text = ", ".join(f"{tip_levers[i]}F" for i in named_joint)
+        tip_distances = src.tip_distances_mm(digit())
+        moments_text = ", ".join(f"{tip_distances[i]}F" for i in named_joint)
         rows.append(
             ErrataItem(
                 id, location, printed_label, f"moment at joint {joint + 1}", "",
-                verdict_of_statement(all(tip_levers[i] == tip_levers[joint] for i in named_joint)),
-                f"{tip_levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
-                f"At the joints that the label names it is {levers_text}.", STATICS_TAG,
+                verdict_of_statement(all(tip_distances[i] == tip_distances[joint] for i in named_joint)),
+                f"{tip_distances[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
+                f"At the joints that the label names it is {moments_text}.", STATICS_TAG,
             )
         )  # fmt: skip
     return rows
