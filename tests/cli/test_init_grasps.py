@@ -122,7 +122,7 @@ THREE_LINK_CASES = [
     ("55,40,25", ("each", "none", "none", "none"), 1),
 ]
 """Three defects, each with the link lengths [mm], the answers as in ``SENSOR_CASES``, and the seed."""
-ALL_THREE_LINK_CASES = [
+NIGHTLY_THREE_LINK_CASES = [
     (links, case, seed)
     for links in ("18,12,10", "50,30,20", "55,40,25")
     for case in SENSOR_CASES
@@ -133,7 +133,7 @@ ALL_THREE_LINK_CASES = [
 
 @pytest.mark.parametrize(
     ("link_lengths_mm", "sensor_case", "seed"),
-    ALL_THREE_LINK_CASES if NIGHTLY else THREE_LINK_CASES,
+    NIGHTLY_THREE_LINK_CASES if NIGHTLY else THREE_LINK_CASES,
 )
 def test_three_links_without_load_cells_grasp(
     work_folder: Path,

@@ -278,8 +278,8 @@ def test_drives_that_a_scan_cannot_find_are_named(capsys):
 
 
 def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
-    beside = {"mit": True, "cia402": False}
-    for protocol, is_sensor_node_found in beside.items():
+    sensor_found_by_protocol = {"mit": True, "cia402": False}
+    for protocol, is_sensor_node_found in sensor_found_by_protocol.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
         result = scan_bus(BenchBus(bench.simulated_hand.world), listen_function=advance_and_listen)
         bench.simulated_hand.close()
@@ -331,8 +331,8 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
         for bus in result["buses"]
         for node in bus["nodes"]
     ]
-    near = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
-    assert nodes == [*near, ("far", "odrive", 17), ("far", "odrive", 18)]
+    lab_nodes = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
+    assert nodes == [*lab_nodes, ("far", "odrive", 17), ("far", "odrive", 18)]
     for node in (node for bus in result["buses"] for node in bus["nodes"]):
         assert node["serial"]
         assert node["firmware"]
