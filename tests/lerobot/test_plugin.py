@@ -22,11 +22,11 @@ from tests.lerobot.conftest import TIME_SCALE
 from tests.runtime.processes import HOMED_OPTIONS, LOCAL_BUS
 
 PLUGIN_FOLDER = Path(__file__).parents[2] / "lerobot_robot_handctl"
-MISSING_REASON = (
+SKIP_REASON = (
     "needs lerobot and lerobot_robot_handctl in an environment of its own, "
     "see lerobot_robot_handctl/README.md"
 )
-NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=MISSING_REASON)
+NEEDS_LEROBOT = pytest.mark.skipif(find_spec("lerobot") is None, reason=SKIP_REASON)
 
 
 def test_the_distribution_has_the_name_and_version_that_lerobot_and_users_look_for() -> None:

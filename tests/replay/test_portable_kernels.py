@@ -13,7 +13,7 @@ import pytest
 from handctl import blas_kernels
 from handctl.blas_kernels import KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS, cpu_features
 
-WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
+CPUINFO_WITH_AVX2 = "processor : 0\nflags\t\t: fpu fma avx avx2\nprocessor : 1\n"
 PROGRAM_THAT_PRINTS_KERNELS = (
     "import os, sys; import handctl.cli.main as cli; print('numpy' in sys.modules); "
     f"cli.use_portable_kernels(); print(os.environ.get('{KERNELS_VARIABLE}'))"
@@ -21,15 +21,20 @@ PROGRAM_THAT_PRINTS_KERNELS = (
 
 
 def test_features_are_those_of_the_first_processor() -> None:
-    assert cpu_features(WITH_AVX2.splitlines(keepends=True)) == {"fpu", "fma", "avx", "avx2"}
+    assert cpu_features(CPUINFO_WITH_AVX2.splitlines(keepends=True)) == {
+        "fpu",
+        "fma",
+        "avx",
+        "avx2",
+    }
     assert cpu_features(["processor : 0\n", "Features : fp asimd\n"]) == set()
 
 
 @pytest.mark.parametrize(
-    ("description", "chosen_before", "kernels"),
+    ("description", "preset_kernels", "kernels"),
     [
-        (WITH_AVX2, None, PORTABLE_MATRIX_KERNELS),
-        (WITH_AVX2, "Zen", "Zen"),
+        (CPUINFO_WITH_AVX2, None, PORTABLE_MATRIX_KERNELS),
+        (CPUINFO_WITH_AVX2, "Zen", "Zen"),
         ("flags : fpu avx\n", None, None),
         ("Features : fp asimd\n", None, None),
         (None, None, None),
@@ -37,7 +42,7 @@ def test_features_are_those_of_the_first_processor() -> None:
 )
 def test_kernels_are_chosen_where_the_processor_can_execute_them(
     description: str | None,
-    chosen_before: str | None,
+    preset_kernels: str | None,
     kernels: str | None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -47,10 +52,10 @@ def test_kernels_are_chosen_where_the_processor_can_execute_them(
     if description is not None:
         path.write_text(description)
     monkeypatch.setattr(blas_kernels, "CPU_DESCRIPTION", path)
-    if chosen_before is None:
+    if preset_kernels is None:
         monkeypatch.delenv(KERNELS_VARIABLE, raising=False)
     else:
-        monkeypatch.setenv(KERNELS_VARIABLE, chosen_before)
+        monkeypatch.setenv(KERNELS_VARIABLE, preset_kernels)
     blas_kernels.use_portable_kernels()
     assert os.environ.get(KERNELS_VARIABLE) == kernels
 
