@@ -77,14 +77,14 @@ def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
             arms = [arm | {f"{carrier}_j1": float(rng.uniform(1e-3, 5e-3))} for arm in arms]
         joints += digit_joints
         for moment_arm in arms:
-            varied_constants = {
+            random_tendon_constants = {
                 key: tendon[key] * rng.uniform(0.8, 1.2)
                 for key in ("stiffness_N_per_m", "friction_coefficient")
             }
             number = len(entries)
             entries.append(
                 tendon
-                | varied_constants
+                | random_tendon_constants
                 | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm}
             )
     motors = [
@@ -154,13 +154,13 @@ def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dic
 
 
 def _random_digit(
-    finger: dict[str, Any], name: str, size: int, coupled: bool, rng: RandomGenerator
+    finger: dict[str, Any], name: str, size: int, is_coupled: bool, rng: RandomGenerator
 ) -> dict[str, Any]:
     cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
            for key, value in finger.items()}  # fmt: skip
     cut |= {"name": name, "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist()}
     cut["spring_preload_rad"] = rng.uniform(0.4, 0.8, size).tolist()
-    return cut | ({"coupling": [[1.0]] * size} if coupled else {})
+    return cut | ({"coupling": [[1.0]] * size} if is_coupled else {})
 
 
 def _message_payload(

@@ -156,7 +156,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
         assert len(set(compiled_hashes_of_hand)) == TICKS_PER_HAND, "all ticks differ"
 
 
-def hash_of_segments() -> str:
+def hash_of_motion_segments() -> str:
     """Return a hash of the state blocks after the start of 200 random motions to streamed targets."""
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
@@ -179,9 +179,9 @@ def hash_of_segments() -> str:
 
 def test_interpreted_kernels_begin_the_same_motions() -> None:
     with run_without_compiler(
-        "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
+        "-c", f"from {__name__} import hash_of_motion_segments; print(hash_of_motion_segments())"
     ) as other_process_result:
-        compiled_hash = hash_of_segments()
+        compiled_hash = hash_of_motion_segments()
         output, _ = other_process_result.communicate(timeout=120)
     assert output.strip() == compiled_hash
 

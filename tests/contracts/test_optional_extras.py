@@ -161,15 +161,15 @@ def test_the_doctor_names_what_is_installed(
     assert "not installed: view\n" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("with_controller", [True, False])
-def test_no_verb_s_help_or_module_needs_an_extra(with_controller: bool) -> None:
+@pytest.mark.parametrize("has_controller_extra", [True, False])
+def test_no_verb_s_help_or_module_needs_an_extra(has_controller_extra: bool) -> None:
     modules = [
         f"handctl.cli.{folder}.{verb}"
         for folder, verbs in VERBS_BY_FOLDER.items()
         for verb in verbs
-        if with_controller or verb in VERBS_WITHOUT_CONTROLLER
+        if has_controller_extra or verb in VERBS_WITHOUT_CONTROLLER
     ]
-    missing = set(EXTRA_BY_MODULE.values()) - ({"controller"} if with_controller else set())
+    missing = set(EXTRA_BY_MODULE.values()) - ({"controller"} if has_controller_extra else set())
     code = (
         f"{hide_packages_code(missing)}import importlib\nfrom handctl.cli.main import main\n"
         f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"

@@ -254,8 +254,10 @@ def replayed_readings(tendon_index: int, repeated_readings: int) -> TickInput:
     return state_rows(past=past_readings, same={(15, tendon_index): repeated_readings - 1})
 
 
-def input_of_first_bus_mode(other_node_heard: bool) -> TickInput:
-    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], other_node_heard)
+def unacknowledged_frames_input(is_other_node_heard: bool) -> TickInput:
+    reports = filter_error_frames(
+        [("error_frame", "can0 no acknowledge", 3.0)], is_other_node_heard
+    )
     return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
@@ -323,7 +325,7 @@ CASE_BY_FAULT = {
                      late_motor_frames(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1,
                      RELAX, True, True),
     "B18": FaultCase(
-        input_of_first_bus_mode(False), input_of_first_bus_mode(True), "can0 no acknowledge", 20, RELAX, True),
+        unacknowledged_frames_input(False), unacknowledged_frames_input(True), "can0 no acknowledge", 20, RELAX, True),
     "N01": FaultCase(drive_error(1, DriveFaultCause.DROPPED_OUT), drive_error(1, DriveFaultCause.OTHER), "m1", 1,
                      RELAX, True, True),
     "N02": FaultCase(late_sensor_frames(t1=6),

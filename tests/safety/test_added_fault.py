@@ -35,7 +35,7 @@ print(json.dumps({
 """
 
 
-def add_fault_of_page(package_folder: Path) -> None:
+def add_example_fault(package_folder: Path) -> None:
     """Add the example fault of the how-to page to a copy of the package."""
     declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package_folder / "safety" / "faults" / "tendon.py"
@@ -62,7 +62,7 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
     shutil.copytree(
         REPOSITORY / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__")
     )
-    add_fault_of_page(package)
+    add_example_fault(package)
     path = os.pathsep.join(map(str, (tmp_path, REPOSITORY)))
     added_variables = {
         "PYTHONPATH": path,

@@ -52,9 +52,9 @@ def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[in
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_age: int) -> None:
     rows = noisy_readings(seed, 300, 0.5)
-    late_rows = rows.copy()
-    late_rows[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
-    k, repetitions = first_repetition_tick(late_rows)
+    rows_with_repetition = rows.copy()
+    rows_with_repetition[200:, 2] = rows[200 - repetition_age : 300 - repetition_age, 2]
+    k, repetitions = first_repetition_tick(rows_with_repetition)
     assert 207 <= k < 200 + min(repetition_age, 24)
     assert repetitions == [(2, repetition_age)]
 
