@@ -19,7 +19,7 @@ CODE_MARKS_BY_PART = {
     "law: goals, inverse dynamics, allocation": ("core/control_law/", "handctl/hand/", "tick.py/_command_drives"),
     "program": ("handctl/programs/",),
     "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge_faults"),
-    "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_values"),
+    "hash of the state": ("controller/controller_state", "core/identity_cache", "core/plain_data"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/", "handctl/core/"),
     "reading a log": ("handctl/log/", "handctl/replay/"),

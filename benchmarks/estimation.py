@@ -167,7 +167,7 @@ def _squared_quantities(record: TrialRecord, regime: str) -> dict[str, np.ndarra
         f"average {w:g}": exponential_average(raw_tension, float(w)) - true_tension
         for w in AVERAGE_WEIGHTS
     }
-    noise = float(model.space.tension_noise[0])
+    noise = float(model.tendon_constants.tension_noise[0])
     result |= {
         f"cell alone {r:g}": cell_only_estimate(raw_tension, period, noise, float(r)) - true_tension
         for r in TENSION_RATE_NOISES

@@ -17,7 +17,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
-from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.estimation.filter_types import FilterDesign
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import TELEMETRY_FIELDS, HandMode, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -173,7 +173,7 @@ def _filtered_tension(
             tick.
     """
     result = []
-    states = controller_state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
+    states = controller_state.tendon[s.SPOOL_TRAVEL : s.STRETCH_OFFSET + 1].T
     for i, (kind, x) in enumerate(
         zip(controller_state.tendon_int[s.FILTER_KIND], states, strict=True)
     ):

@@ -49,7 +49,7 @@ def reference_sigma(
         with_joint_encoder: True if the filter uses both the encoder of the motor and the load cell. False if
             the filter uses only the load cell.
     """
-    space = model.space
+    space = model.tendon_constants
     arm = float(np.abs(model.hand.moment_arms[tendon_index]).sum())
     spring = CONTACT_N_M_PER_RAD / arm**2 if is_digit_held else space.load_stiffness[tendon_index]
     k = space.stiffness[tendon_index]

@@ -24,7 +24,7 @@ from handctl.core.tick_types import (
     HandMode,
     IoEvent,
     PackedTelemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickIn,
     TickOut,
     TickRequest,
@@ -112,7 +112,7 @@ def packed_tick(tick_in: TickIn, tick_output: TickOut) -> TickInputAndOutput:
 
     The control loop converts its ticks in the same way.
     """
-    telemetry_places = TelemetryPlaces()
+    telemetry_places = TelemetrySlices()
     at = 0
     for name, values in zip(TELEMETRY_FIELDS, tick_output.telemetry, strict=True):
         telemetry_places[name] = slice(at, at + len(values))

@@ -246,7 +246,7 @@ class RandomHand:
                 for feedback_message in drive.cyclic_messages.feedback
             ]
         sensors = self.controller.sensors
-        counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_table_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = rng.random() < CORRUPT_FRACTION
             given_quantities = {

@@ -171,7 +171,7 @@ def hash_of_segments() -> str:
         duration = draw.uniform(0.002, 0.05)
         apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
         is_clipped = begin_segments(
-            block, layout.places, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
+            block, layout.offsets, aim, held_targets, draw.normal(), duration, apart, 5.0, i % 2
         )
         digest.update(block.tobytes() + bytes([bool(is_clipped)]))
     return digest.hexdigest()
@@ -243,7 +243,7 @@ folder = compiled._CACHE_FOLDER
 before = [] if folder is None else list(folder.rglob("probe.misses-*.nbi"))
 compiled.compile_kernels()
 assert (not misses.stats.cache_misses) == (folder is not None), "compiled by another process, and loaded by this one"
-print(bool(misses(block, layout.places)), len(before), folder is not None)
+print(bool(misses(block, layout.offsets)), len(before), folder is not None)
 """
 
 

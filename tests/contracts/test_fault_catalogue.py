@@ -11,7 +11,7 @@ from handctl.campaign.fault_matrix import FAULT_MATRIX, UNTESTED_ROWS
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import (
     CHECKED_BY_FAULT_TABLE,
-    INDIRECT_FAULT_SIGN,
+    INDIRECTLY_VISIBLE,
     INVISIBLE_FAULT,
     VISIBLE_FAULT,
 )
@@ -21,7 +21,7 @@ from handctl.safety.faults.markdown import (
     fault_sections,
     fault_table_markdown,
     hardware_checklist,
-    late_reaction_rows,
+    late_reactions_markdown,
     reacts_too_late,
 )
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
@@ -83,7 +83,7 @@ def test_every_row_has_its_visibility_in_each_protocol() -> None:
     for entry in FAULT_CATALOGUE:
         for visibility in map(entry.visibility, VERIFIABLE_PROTOCOLS):
             verdict, _, why = visibility.partition(": ")
-            assert verdict in (VISIBLE_FAULT, INDIRECT_FAULT_SIGN, INVISIBLE_FAULT), entry.id
+            assert verdict in (VISIBLE_FAULT, INDIRECTLY_VISIBLE, INVISIBLE_FAULT), entry.id
             assert why or verdict == VISIBLE_FAULT, f"{entry.id}: replaced by what, or lost why?"
 
 
@@ -140,7 +140,7 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 def test_the_pages_agree_with_the_code() -> None:
     evidence = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
     assert catalogue_markdown() in evidence
-    assert late_reaction_rows() in evidence
+    assert late_reactions_markdown() in evidence
     assert hardware_checklist() in evidence
     reference = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
     assert fault_table_markdown() in reference

@@ -12,7 +12,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.estimation.filter_prediction import predict_filter_states
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, TendonRegime, X
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.synthetic_states import (
@@ -101,16 +101,16 @@ The seven filter states and the covariance have no entry.
 
 def write_filter_state(state: ControllerState, filter_state: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filter_state.filter_states.reshape(
-        -1, STATE_COUNT
-    ).T
+    state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = (
+        filter_state.filter_states.reshape(-1, STATE_COUNT).T
+    )
     for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items():
         state.view(row)[...] = getattr(filter_state, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filter_state.doubt_time_s > 0.0)
-    state.set_run_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
+    state.set_run_table_integer(s.COVARIANCE_PROPAGATED, filter_state.covariance is not None)
     if filter_state.covariance is not None:
         state.view("covariance")[...] = filter_state.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_run_integer(s.FILTER_STARTED, filter_state.started)
+    state.set_run_table_integer(s.FILTER_STARTED, filter_state.started)
 
 
 def filter_state_of(state: ControllerState) -> FilterState:
@@ -123,9 +123,9 @@ def filter_state_of(state: ControllerState) -> FilterState:
         for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
     }
     covariances = None
-    if state.run_integer(s.COVARIANCE_PROPAGATED):
+    if state.run_table_integer(s.COVARIANCE_PROPAGATED):
         covariances = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
-    x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
+    x = state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **field_values, covariance=covariances, started=state.has_started)
 
 
@@ -170,14 +170,14 @@ def run_filter_tick(
     controller_state.view("planned_contact")[...] = digit_contact
     if friction_state is not None:
         controller_state.view("friction_state")[...] = friction_state
-    controller_state.set_run_integer(s.MISSED_TICKS, missed_ticks)
+    controller_state.set_run_table_integer(s.MISSED_TICKS, missed_ticks)
     tick_stages.correct_tension_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *stage_constants(model)
     )
     if controller_state.has_started:
         predict_filter_states(model, controller_state.layout, controller_state.block, missed_ticks)
     tick_stages.conclude_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *stage_constants(model)
     )
     return filter_state_of(controller_state), estimate_of(controller_state)
 
@@ -188,7 +188,7 @@ def state_at_rest(
     """Return the states (N, 7) and the motor forces (N,) of a hand at rest with all joints at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
-    x[:, X] = x[:, S] + tension / model.space.stiffness
+    x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
     return x, np.full(model.tendon_count, tension)
 
 
@@ -244,10 +244,10 @@ def state_after_first_readings(
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
-    controller_state.view("position")[...] = travel / model.space.spool
+    controller_state.view("position")[...] = travel / model.tendon_constants.spool
     controller_state.view("group_frames")[...] = with_load_cells
     tick_stages.observe_tick(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *stage_constants(model)
     )
     return filter_state_of(controller_state)
 
@@ -262,7 +262,7 @@ def corrected_state(
     controller_state = state_with_filter(model, state)
     write_readings(controller_state, measured)
     tick_stages.correct_tension_estimate(
-        controller_state.block, controller_state.layout.places, *stage_constants(model)
+        controller_state.block, controller_state.layout.offsets, *stage_constants(model)
     )
     return controller_state
 

@@ -12,7 +12,7 @@ from handctl.compiled import kernel
 from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.control_law import computed_torque, digit_reference
 from handctl.core.control_law.digit_goal import DigitGoal
@@ -130,7 +130,7 @@ def run_law_tick(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_run_integer(s.TRIM_ACTIVE, 1)
+        state.set_run_table_integer(s.TRIM_ACTIVE, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if law.friction_slider is not None:
@@ -139,7 +139,7 @@ def run_law_tick(
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held_limit_N is not None:
         state.view("limit_held")[...] = held_limit_N
-        state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
+        state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
@@ -151,9 +151,9 @@ def law_state_of(state: ControllerState) -> LawState:
     block_values = {
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.run_integer(s.TRIM_ACTIVE) else None
+    trim = state.view("trim").copy() if state.run_table_integer(s.TRIM_ACTIVE) else None
     held_limits = (
-        state.view("limit_held").copy() if state.run_integer(s.SAFETY_HOLD_ACTIVE) else None
+        state.view("limit_held").copy() if state.run_table_integer(s.SAFETY_HOLD_ACTIVE) else None
     )
     return LawState(**block_values, trim=trim, held=held_limits)
 
@@ -167,9 +167,9 @@ def law_command_of(state: ControllerState) -> LawCommand:
 @kernel("block", "layout", "constants", "layout")
 def _tension_limits(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> np.ndarray:
     return computed_torque.temporary_tension_limits(
         state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -182,15 +182,15 @@ def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
     included.
     """
-    return _tension_limits(state.block, state.layout.places, *stage_constants(model))
+    return _tension_limits(state.block, state.layout.offsets, *stage_constants(model))
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     motion: np.ndarray,
 ) -> int:
     x, c = state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -205,7 +205,7 @@ def required_tensions_of(
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     unsolved_digits = _required_tensions(
-        state.block, state.layout.places, *stage_constants(model), motion
+        state.block, state.layout.offsets, *stage_constants(model), motion
     )
     allocate_bounded_tensions(
         model,
@@ -222,4 +222,4 @@ def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) ->
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, SafetyAction.PASS)
-    return tick_stages.joint_motion(state.block, state.layout.places, *stage_constants(model))
+    return tick_stages.joint_motion(state.block, state.layout.offsets, *stage_constants(model))

@@ -18,10 +18,10 @@ from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
@@ -99,7 +99,7 @@ def controller_of(model: HandModel) -> Controller:
 def _active_state_template(model: HandModel) -> ControllerState:
     state = controller_of(model).initial_state()
     state.mode = HandMode.ACTIVE
-    state.set_run_integer(s.FILTER_STARTED, 1)
+    state.set_run_table_integer(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state
@@ -121,12 +121,12 @@ def active_state(model: HandModel) -> ControllerState:
     return _active_state_template(model).copy()
 
 
-def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
+def stage_constants(model: HandModel) -> tuple[BlockArray, TableOffsets]:
     """Return the constants of a hand, and the layout of these constants.
 
     Every stage of a tick has these two objects as its last arguments.
     """
-    return controller_of(model).derived.constant_args
+    return controller_of(model).derived.kernel_constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
@@ -176,9 +176,9 @@ class LoadStatics(NamedTuple):
 @kernel("block", "layout", "constants", "layout")
 def _tendon_load_forces(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> np.ndarray:
     return kalman._resistance_and_pull_forces(
         state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -195,8 +195,8 @@ def load_statics(
 
     The stretch offset of each tendon is chosen so that the tendon has its given tension.
     """
-    state, space = active_state(model), model.space
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
+    state, space = active_state(model), model.tendon_constants
+    state.tendon[s.SPOOL_TRAVEL : s.SPOOL_TRAVEL + STATE_COUNT] = table.T
     damping_force = space.damping * (table[:, V] - table[:, W])
     state.view("stretch_offset")[...] = (
         table[:, X] - table[:, S] - (tension - damping_force) / space.stiffness
@@ -204,13 +204,13 @@ def load_statics(
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
     return LoadStatics(
-        *_tendon_load_forces(state.block, state.layout.places, *stage_constants(model))
+        *_tendon_load_forces(state.block, state.layout.offsets, *stage_constants(model))
     )
 
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    constants: BlockArray, constant_places: TablePlaces, q: np.ndarray, tendon_count: int
+    constants: BlockArray, constant_places: TableOffsets, q: np.ndarray, tendon_count: int
 ) -> np.ndarray:
     result = np.empty(tendon_count)
     for n in range(tendon_count):
@@ -240,7 +240,7 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         q[digit.joints] = digit.excursion_to_joints @ x[tendons, S]
         dq[digit.joints] = digit.excursion_to_joints @ x[tendons, W]
-    space = model.space
+    space = model.tendon_constants
     tension = space.stiffness * (x[:, X] - x[:, S]) + space.damping * (x[:, V] - x[:, W])
     zeros = np.zeros(n)
     return SyntheticEstimate(
@@ -274,7 +274,10 @@ def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
-    x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness
+    x[:, X] = (
+        x[:, S]
+        + load_statics(model, x, np.zeros(len(x))).resistance / model.tendon_constants.stiffness
+    )
     return x
 
 
@@ -320,13 +323,13 @@ def detect_contacts(
     state.view("regime")[...] = state.view("kind")[...] = np.where(
         estimate.is_slack, SLACK_REGIME, 0
     )
-    elastic_tension = estimate.tension - model.space.damping * (
+    elastic_tension = estimate.tension - model.tendon_constants.damping * (
         estimate.tendon_speed - estimate.excursion_rate
     )
     state.view("stretch_offset")[...] = (
-        estimate.travel - estimate.excursion - elastic_tension / model.space.stiffness
+        estimate.travel - estimate.excursion - elastic_tension / model.tendon_constants.stiffness
     )
-    tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.offsets, *stage_constants(model))
     hand_estimate = state.estimate
     return estimate._replace(
         contact_force=hand_estimate.contact_force.copy(),

@@ -114,7 +114,7 @@ def begin_run(
     run = SimulatedRun.start_run(controller, simulated_hand)
     run.k = first_tick
     run.are_ticks_recorded = False
-    run.state.set_run_integer(s.K, first_tick - 1)
+    run.state.set_run_table_integer(s.K, first_tick - 1)
     return run, (None for _ in run.run_ticks(first_tick / RATE_HZ + 120.0))
 
 
@@ -156,7 +156,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         # tendon is just taut. An offset error of 0.1 mm of tendon turns the joints of a finger by
         # one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        travel_errors = (calibration.zero(hand) - offset) * run.controller.model.space.spool
+        travel_errors = (
+            calibration.zero(hand) - offset
+        ) * run.controller.model.tendon_constants.spool
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
         task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))

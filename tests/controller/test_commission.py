@@ -95,7 +95,9 @@ def run_commissioning(
             + walked
             + noise * rng.normal(size=n)
         )
-        travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
+        travel = (
+            np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.tendon_constants.stiffness
+        )
         tared_tension = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=tared_tension)
         if rng.random() < lost_fraction:
@@ -129,7 +131,9 @@ def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> No
     measured_calibration = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(measured_calibration.tare(model.hand), CELL_BIAS_N, atol=0.15)
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6
+        measured_calibration.zero(model.hand) * model.tendon_constants.spool,
+        TAUT_TRAVEL_M,
+        atol=5e-6,
     )
     for row in measured_calibration.tendon.values():
         assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.25)
@@ -318,7 +322,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
         measured_calibration.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
     )
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5
+        measured_calibration.zero(model.hand) * model.tendon_constants.spool, 0.3e-3, atol=1e-5
     )
 
 
@@ -380,7 +384,7 @@ def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: Contro
         np.array(
             [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
         )
-        / commissioning_bench.controller.model.space.spool
+        / commissioning_bench.controller.model.tendon_constants.spool
     )
     assert asked_names.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"

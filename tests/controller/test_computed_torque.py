@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, MAX_UNWINDING_FORCE_FRACTION
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.hand_model import HandModel, _torque_limit
 from handctl.hand.hand_loading import load_hand
@@ -134,7 +134,7 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
         _, hold_command = run_law_tick(
             model, law, estimate, holding_goals(model, tension), 2.0 + model.period
         )
-        force = (hold_command.torque - moved.torque) / model.space.spool
+        force = (hold_command.torque - moved.torque) / model.tendon_constants.spool
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
             "one step of the ramp, times the gain"
         )
@@ -172,8 +172,8 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
             holding_goals(model, 50.0, tension_limit=12.0),
             k * model.period,
         )
-        assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
-    np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
+        assert (np.abs(command.torque) <= 12.0 * model.tendon_constants.spool * (1 + 1e-12)).all()
+    np.testing.assert_allclose(command.torque, 12.0 * model.tendon_constants.spool)
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
@@ -200,7 +200,9 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
         law, command = run_law_tick(
             model, law, slack_estimate, holding_goals(model, 3.0), k * model.period
         )
-    assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
+    assert (
+        command.torque / model.tendon_constants.spool > model.tendon_constants.coulomb + 2.0
+    ).all()
     _, command = run_law_tick(
         model,
         LawState.idle_at_tensions(np.zeros(model.tendon_count)),
@@ -254,7 +256,7 @@ class ClosedLoopPlant:
         self.law = LawState.initial_law_state(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], tick_index: int) -> None:
-        model, space = self.model, self.model.space
+        model, space = self.model, self.model.tendon_constants
         self.law, self.command = run_law_tick(
             model,
             self.law,
@@ -299,7 +301,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
     friction over this period, it would predict that the rotor reverses.
     """
     rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
-    space, dt = model.space, model.period / 400
+    space, dt = model.tendon_constants, model.period / 400
     errors, naive = [], []
     for _ in range(50):
         x = balanced_state(model, 0.5)
@@ -339,7 +341,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """In this test, the digits cannot move, and the control law gets the exact tensions as its estimate."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    x[:, X] = 10.0 / model.space.stiffness
+    x[:, X] = 10.0 / model.tendon_constants.stiffness
     plant = ClosedLoopPlant(model, x, digits_are_fixed=True)
     plant.law = LawState.idle_at_tensions(np.full(len(x), 10.0))
     peak = 0.0
@@ -405,13 +407,13 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
-    mass = model.space.motor_mass + model.space.load_mass
+    mass = model.tendon_constants.motor_mass + model.tendon_constants.load_mass
     requested_force = model.floor + mass * (
         model.motion.stiffness * excursion + model.motion.damping * rate
     )
-    limit = model.torque_limit / model.space.spool
+    limit = model.torque_limit / model.tendon_constants.spool
     np.testing.assert_allclose(
-        command.torque / model.space.spool,
+        command.torque / model.tendon_constants.spool,
         np.clip(requested_force, -MAX_UNWINDING_FORCE_FRACTION * limit, limit),
     )
 

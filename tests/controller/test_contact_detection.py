@@ -62,7 +62,7 @@ def test_a_tip_without_lever_has_no_tip_force(hand: str) -> None:
     """Reproduce a defect: a division 0/0 made the smoothed tip force NaN for ever, so that no contact was detected."""
     model = model_of(hand)
     state = active_state(model)
-    tables = uncompiled_function(state_tables)(state.block, state.layout.places)
+    tables = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     fit = uncompiled_function(_fit_tip_force)
     lever = np.zeros(len(model.hand.joints))
     assert fit(tables, constant_tables_of(model), 0, lever) == 0.0
@@ -179,7 +179,7 @@ def closing_hand(
     state.view("closing")[...] = 1
     detect_contacts(model, state, unit)
     tension_per_tip_force = tip_force_N / (
-        state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+        state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_UPDATE_FRACTION]
     )
     for name, value in earlier_fields.items():
         state.view(name)[...] = value

@@ -122,7 +122,7 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
         events += warm_grasp.run_tick().events
     tension_after = warm_grasp.simulated_hand.truth()["tension"]
     assert min(tension_before) > 20.0
-    assert tension_after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
+    assert tension_after[0] < 14.0 + 2.0 * warm_grasp.controller.model.tendon_constants.coulomb[0]
     assert min(tension_after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
     assert warm_grasp.last_output.mode == HandMode.ACTIVE
@@ -147,14 +147,14 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         state_after.view("tension")[...] = tension
         tick_stages.evaluate_goals(
             state_after.block,
-            state_after.layout.places,
-            *controller.derived.constant_args,
+            state_after.layout.offsets,
+            *controller.derived.kernel_constants,
             int(action),
         )
         return state_after
 
     held_state = state_of_limited_goals(state, SafetyAction.HOLD, tension)
-    assert held_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+    assert held_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
     assert held_state.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
     repeated_state = state_of_limited_goals(held_state, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(repeated_state.view("limit_held"), held_state.view("limit_held"))
@@ -162,12 +162,12 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         tension_limits_of(controller.model, repeated_state) <= held_state.view("limit_held")
     ).all()
     for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
-        assert not state_of_limited_goals(repeated_state, action, tension).run_integer(
+        assert not state_of_limited_goals(repeated_state, action, tension).run_table_integer(
             s.SAFETY_HOLD_ACTIVE
         )
     assert not state_of_limited_goals(
         repeated_state, SafetyAction.HOLD, tension, HandMode.RELAX
-    ).run_integer(s.SAFETY_HOLD_ACTIVE)
+    ).run_table_integer(s.SAFETY_HOLD_ACTIVE)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -180,7 +180,7 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     for _ in range(300):
         out = warm_grasp.run_tick()
         actions_and_holds.append(
-            (out.action, bool(warm_grasp.state.run_integer(s.SAFETY_HOLD_ACTIVE)))
+            (out.action, bool(warm_grasp.state.run_table_integer(s.SAFETY_HOLD_ACTIVE)))
         )
         if out.mode != HandMode.ACTIVE:
             break

@@ -7,8 +7,8 @@ of digits on a stop.
 import numpy as np
 
 from handctl.core import tick_stages
-from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
-from handctl.core.estimation.take_up import MIN_TAUT_TENSION_N, SLACK_TICKS
+from handctl.core.estimation.filter_types import STATE_COUNT, O, S, TendonRegime, W, X
+from handctl.core.estimation.slack_detection import MIN_TAUT_TENSION_N, SLACK_TICKS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
 from tests.controller.filter_oracle import FILTER_STATE_UNITS
@@ -199,7 +199,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
         ).all(), "no overshoot"
     np.testing.assert_allclose(estimated_tensions[-1], cell, atol=0.5)
     np.testing.assert_allclose(
-        estimate.stretch_offset, x[:, X] - cell / model.space.stiffness, atol=1e-5
+        estimate.stretch_offset, x[:, X] - cell / model.tendon_constants.stiffness, atol=1e-5
     )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-5)
 
@@ -226,7 +226,7 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
     n = model.tendon_count
     for _ in range(3):
         balance = load_statics(model, x, x[:, X] - x[:, S]).resistance
-        x[:, X] = x[:, S] + balance / model.space.stiffness
+        x[:, X] = x[:, S] + balance / model.tendon_constants.stiffness
     measured = noiseless_readings(model, x, balance)
     free_state, estimate_before = run_unplanned_filter_tick(
         model,
@@ -264,7 +264,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     n = model.tendon_count
     requested_force = load_statics(model, x, np.zeros(n)).resistance
     tension = requested_force + 10.0
-    x[:, X] = x[:, S] + tension / model.space.stiffness
+    x[:, X] = x[:, S] + tension / model.tendon_constants.stiffness
     state = state_with_tendons_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
         state, estimate = run_unplanned_filter_tick(
@@ -276,7 +276,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
         )
     np.testing.assert_allclose(estimate.external_tension, 10.0, atol=0.5)
     x0, rest_tension = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
-    x0[:, X] = rest_tension / model.space.stiffness
+    x0[:, X] = rest_tension / model.tendon_constants.stiffness
     state = state_with_tendons_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = run_unplanned_filter_tick(
         model,
@@ -324,7 +324,7 @@ def excursion_of(model: HandModel, joint_angles: np.ndarray) -> np.ndarray:
     state.mode = HandMode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joint_angles)
     state.view("joint_angle")[...] = joint_angles
-    tick_stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.observe_tick(state.block, state.layout.offsets, *stage_constants(model))
     return state.view("measured_excursion")
 
 
@@ -374,7 +374,7 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
-    x[:, X] = x[:, S] + cell / model.space.stiffness
+    x[:, X] = x[:, S] + cell / model.tendon_constants.stiffness
     state, _ = run_unplanned_filter_tick(
         model,
         state_with_tendons_in_regime(model, TendonRegime.FREE, x),
@@ -393,7 +393,7 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)
-    x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
+    x[:, X] = x[:, S] + x[:, O] + cell / model.tendon_constants.stiffness
     state, estimate = run_unplanned_filter_tick(
         model,
         state_with_tendons_in_regime(model, TendonRegime.HELD, x),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.core.constants import constant_tables
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     MEASUREMENT_COUNT,
     STATE_COUNT,
     E,
@@ -130,9 +130,11 @@ def run_monte_carlo(
         # keeps the tension from drifting.
         tension = (tension_rows * truth).sum(axis=1)
         away = (
-            truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
+            truth[:, X]
+            - 40.0 / model.tendon_constants.stiffness
+            - model.hand.moment_arms.sum(axis=1) * closed
         )
-        force = (tension if free else 40.0) - model.space.motor_mass * (
+        force = (tension if free else 40.0) - model.tendon_constants.motor_mass * (
             40.0 * truth[:, V] + 400.0 * free * away
         )
         rate = 5.0 * (40.0 - tension)
@@ -248,7 +250,7 @@ def test_missing_measurement_is_detected_in_each_regime(
         z[-1, missing_column] = np.nan
     state = active_state(model)
     state.view("regime")[-1] = regime
-    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    x = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     assert (
         uncompiled_function(_is_measurement_missing)(
             x, uncompiled_function(constant_tables)(*stage_constants(model)), z

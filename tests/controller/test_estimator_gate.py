@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handctl.core.estimation.consistency_events import consistency_events
-from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
+from handctl.core.estimation.filter_types import STATE_COUNT, E, S, TendonRegime, V, X
 from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S, SLACK_LENGTH_M
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
@@ -29,7 +29,7 @@ class HandAtConstantTension:
         self.model, n = model, model.tendon_count
         x = np.zeros((n, STATE_COUNT))
         x[:, 2] = 2e-3
-        x[:, X] = x[:, 2] + HOLD_TENSION_N / model.space.stiffness
+        x[:, X] = x[:, 2] + HOLD_TENSION_N / model.tendon_constants.stiffness
         self.travel = x[:, X]
         self.state = FilterState.tendons_in_regime(x.ravel(), regime, stopped=False)
 
@@ -226,7 +226,7 @@ def state_while_winding(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
-    x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
+    x[:, X], x[:, V] = x[:, S] + 20.0 / model.tendon_constants.stiffness, 1e-3
     return FilterState.tendons_in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
         model.tendon_count, 20.0
     )

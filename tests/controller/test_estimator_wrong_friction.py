@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
+from handctl.core.estimation.filter_types import STATE_COUNT, TendonRegime
 from handctl.core.estimation.kalman import (
     MAX_ADDED_NOISE_S,
     NOISE_NIS_AVERAGING_TIME_S,
@@ -124,9 +124,9 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
 def _judge_innovations(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
@@ -151,7 +151,7 @@ def recent_nis_and_doubt_times(
     state.view("nis_lately")[...], state.view("wary")[...] = recent_nis, doubt_time_s
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
     _judge_innovations(
-        state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3))
+        state.block, state.layout.offsets, *stage_constants(model), innovation, np.ones((n, 3))
     )
     return state.view("nis_lately").copy(), state.view("wary").copy()
 
@@ -200,7 +200,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     assert not wary.any()
     state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)
-    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    x = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
     assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == (

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     STATE_COUNT,
     TRANSITION_CACHE_SIZE,
     E,
@@ -44,7 +44,10 @@ class FilterDesigns:
     def filter_design_of(self, hand_name: str, rate_hz: float) -> FilterDesign:
         model = self.models[hand_name]
         return design_filter(
-            model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
+            model.tendon_constants,
+            FilterGains(),
+            1.0 / rate_hz,
+            _joint_period(model.hand, 1.0 / rate_hz),
         )
 
 
@@ -102,7 +105,12 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
         taut = regime != TendonRegime.SLACK
         tension = (
-            (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+            (
+                model.tendon_constants.stiffness[i] * 1.6e-4
+                + model.tendon_constants.damping[i] * 0.008
+            )
+            if taut
+            else 0.0
         )
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
         np.testing.assert_allclose(H @ state, [state[X], tension + state[E], state[S]], rtol=1e-12)
@@ -169,7 +177,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and variances that were computed from these parts."""
     design = constant_tables_of(model).design
-    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
+    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.FILTER_DESIGN_SIZE)
     offset_by_matrix = {
         "F": h.TRANSITION_MATRIX_OFFSET,
         "B": h.INPUT_MATRIX_OFFSET,

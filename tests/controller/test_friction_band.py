@@ -40,7 +40,9 @@ def tensions_at_speeds(
         wound = speed * model.period
         present_tensions = [
             uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
-            for tension, stiffness in zip(present_tensions, model.space.stiffness, strict=True)
+            for tension, stiffness in zip(
+                present_tensions, model.tendon_constants.stiffness, strict=True
+            )
         ]
         tensions.append(present_tensions)
     return np.array(tensions)
@@ -58,7 +60,7 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
     """
     turned_tensions = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned_tensions[:, 0] <= 9.6 + 1e-9)) + 1
-    reversal_duration = 5.4 / model.space.stiffness[0] / 5e-3
+    reversal_duration = 5.4 / model.tendon_constants.stiffness[0] / 5e-3
     assert (
         0.6 * reversal_duration - model.period
         <= ticks * model.period

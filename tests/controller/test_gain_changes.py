@@ -82,9 +82,9 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
             ),
         )
         assert designs.controller(run, gains) is complete_controller
-    assert len(designs.designed_pieces) == CACHE_SIZE
-    assert gains in designs.designed_pieces
-    assert set(designs.controllers) <= set(designs.designed_pieces)
+    assert len(designs.loop_designs) == CACHE_SIZE
+    assert gains in designs.loop_designs
+    assert set(designs.controllers) <= set(designs.loop_designs)
 
 
 @pytest.mark.parametrize(
@@ -194,11 +194,11 @@ def test_a_change_makes_no_step_in_torque(
     calls = record_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert bench.state.run_integer(s.TRIM_ACTIVE)
+    assert bench.state.run_table_integer(s.TRIM_ACTIVE)
     (_, state_before, _, action, ticks), (new_controller, _, without, *_) = calls
     with_trim = state_before.copy()
     with_trim.view("trim")[...] = bench.state.view("trim")
-    with_trim.set_run_integer(s.TRIM_ACTIVE, 1)
+    with_trim.set_run_table_integer(s.TRIM_ACTIVE, 1)
     new_controller._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
         with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
@@ -231,8 +231,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     (old_controller, _, old_state, *_), (new_controller, _, new_state, *_) = calls
     assert old_controller is not new_controller
     assert (
-        old_state.run_integer(s.SAFETY_HOLD_ACTIVE)
-        == new_state.run_integer(s.SAFETY_HOLD_ACTIVE)
+        old_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
+        == new_state.run_table_integer(s.SAFETY_HOLD_ACTIVE)
         == 1
     )
     np.testing.assert_array_equal(new_state.view("limit_held"), old_state.view("limit_held"))
@@ -247,7 +247,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 def test_the_trim_fades_and_the_goal_is_reached(bench_with_rising_tension: ControllerBench) -> None:
     bench_with_rising_tension.tick(gain_request({"tension.tension_error_N": 1.4}))
     bench_with_rising_tension.run(2.5)
-    assert not bench_with_rising_tension.state.run_integer(s.TRIM_ACTIVE)
+    assert not bench_with_rising_tension.state.run_table_integer(s.TRIM_ACTIVE)
     assert not bench_with_rising_tension.state.view("trim").any()
     tension = np.array(
         [out.telemetry.tension for *_, out in bench_with_rising_tension.tick_history[-200:]]
@@ -302,7 +302,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     bench.tick(gain_request({"motion.force_N": 40.0}))
     bench.run(0.1)
     assert bench.state.decisions.gains is not None
-    assert not bench.state.run_integer(s.TRIM_ACTIVE)
+    assert not bench.state.run_table_integer(s.TRIM_ACTIVE)
     assert not bench.state.view("trim").any()
 
 

@@ -40,7 +40,7 @@ def targets_after_command(
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle
     state.view("excursion")[...] = excursions
-    tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.store_commands(state.block, state.layout.offsets, *stage_constants(model))
     return state
 
 

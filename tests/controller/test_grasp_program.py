@@ -9,7 +9,7 @@ import pytest
 from handctl.core import constants as h
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.estimation.contact_force import TIP_FORCE_TIME_CONSTANT_S
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
+from handctl.core.estimation.filter_types import STATE_COUNT, S, X
 from handctl.core.estimation.tip_force import joint_lever, tip_force
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -255,7 +255,7 @@ def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> n
     state = active_state(model)
     state.view("closing")[...] = 1
     detect_contacts(model, state, estimate)
-    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_UPDATE_FRACTION]
 
 
 def tension_for_tip_force(model: HandModel, tip_force_N: float) -> float:

@@ -37,7 +37,8 @@ def motor_force_of(
     """Return the motor force (N,) [N] that the control law commands for an estimate and for goals."""
     state = LawState.idle_at_tensions(estimate.tension)
     return (
-        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
+        / model.tendon_constants.spool
     )
 
 
@@ -54,7 +55,7 @@ def estimate(model: HandModel) -> SyntheticEstimate:
 def test_motion_feedback_applies_each_gain(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    space, gains, design = model.space, model.gains.motion, model.motion
+    space, gains, design = model.tendon_constants, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
     motor_force_before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
@@ -90,7 +91,7 @@ def test_the_planned_acceleration_is_fed_forward(
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
         force_difference,
-        model.gains.motion.inertia_share * model.space.motor_mass * acceleration,
+        model.gains.motion.inertia_share * model.tendon_constants.motor_mass * acceleration,
         rtol=1e-9,
     )
 
@@ -123,11 +124,11 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_run_integer(s.TRIM_ACTIVE, 1)
-    state.set_run_integer(s.SAFETY_HOLD_ACTIVE, 1)
+    state.set_run_table_integer(s.TRIM_ACTIVE, 1)
+    state.set_run_table_integer(s.SAFETY_HOLD_ACTIVE, 1)
     state.mode = HandMode.READY
     tick_stages.compute_motor_torques(
-        state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
+        state.block, state.layout.offsets, *stage_constants(model), 0.0, 0, 1
     )
     law, command = law_state_of(state), law_command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
@@ -166,7 +167,8 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     )
     state = LawState.idle_at_tensions(estimate.tension)
     force_before = (
-        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
+        / model.tendon_constants.spool
     )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
@@ -175,7 +177,8 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
         force_after = (
-            run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+            run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque
+            / model.tendon_constants.spool
         )
         np.testing.assert_allclose(
             force_after - force_before, slope * size, rtol=1e-6, err_msg=name
@@ -183,7 +186,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
 
 
 def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandModel) -> None:
-    estimate, space = estimate_under_tension(model, 20.0), model.space
+    estimate, space = estimate_under_tension(model, 20.0), model.tendon_constants
     goals_at_rest = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
     ways = [
@@ -227,7 +230,9 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     slack_torque = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
     taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
     np.testing.assert_allclose(
-        (slack_torque - taut) / model.space.spool, model.space.coulomb, rtol=0.02
+        (slack_torque - taut) / model.tendon_constants.spool,
+        model.tendon_constants.coulomb,
+        rtol=0.02,
     )
 
 

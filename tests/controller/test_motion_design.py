@@ -31,7 +31,7 @@ def tension_plant(
 
     The states of the model are tension [N] and speed [m/s].
     """
-    space = model.space
+    space = model.tendon_constants
     m, k, c = (
         space.motor_mass[tendon_index],
         space.stiffness[tendon_index],
@@ -49,9 +49,9 @@ def control_loops(
 
     The control law is: force = -K state.
     """
-    design, control_loops_of_motion = design_motion(model.space, gains, period_s), []
+    design, control_loops_of_motion = design_motion(model.tendon_constants, gains, period_s), []
     for i in (0, model.tendon_count - 1):
-        mass = model.space.motor_mass[i] + model.space.load_mass[i]
+        mass = model.tendon_constants.motor_mass[i] + model.tendon_constants.load_mass[i]
         K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
         control_loops_of_motion.append((*motion_plant(mass, period_s), K))
         control_loops_of_motion.append(

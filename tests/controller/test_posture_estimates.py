@@ -15,7 +15,7 @@ from handctl.compiled import kernel
 from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
@@ -174,7 +174,7 @@ def angles_of_tick(
     The function also writes this tick into the state.
     """
     state.view("touch")[...] = external_tension
-    state.set_run_integer(s.K, tick_index)
+    state.set_run_table_integer(s.K, tick_index)
     detect_contacts(
         model,
         state,
@@ -229,9 +229,9 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
 def _fuse_encoders(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     encoder_angles: np.ndarray,
     encoder_sigma: np.ndarray,
     t_ns: int,
@@ -259,8 +259,8 @@ def state_after_fusion(
     state_after = state.copy()
     _fuse_encoders(
         state_after.block,
-        state_after.layout.places,
-        *controller_of(model).derived.constant_args,
+        state_after.layout.offsets,
+        *controller_of(model).derived.kernel_constants,
         encoder_angles,
         encoder_sigma,
         t_ns,
@@ -333,7 +333,7 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
 
     age = (now - heard_ns[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
     read = np.flatnonzero(
-        constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
+        constants.joint_int[h.IS_ENCODER_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
     )
     moved = state.view("dq") * age
     digit = np.repeat(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.controller.relaxing import (
+from handctl.controller.relaxation import (
     OVER_TENSION_RATE_N_PER_S,
     RELAX_RATE_N_PER_S,
     SETPOINT_MARGIN_N,

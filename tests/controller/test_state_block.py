@@ -27,8 +27,8 @@ from handctl.core import state_block as state_block
 from handctl.core.block_schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
 from handctl.core.constants import (
     CONSTANT_SCHEMA,
-    DESIGN_ELEMENT_COUNT,
     FILTER_DESIGN_COUNT,
+    FILTER_DESIGN_SIZE,
     constant_tables,
 )
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
@@ -45,7 +45,7 @@ from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
 from handctl.programs.stream_plans import StreamPlan
-from handctl.safety.tick_verdict import CountedFault, LatchedFault
+from handctl.safety.tick_verdict import LatchedFault, ReportedFault
 from handctl.session.tasks import load_task_for_hand
 from tests.conftest import NIGHTLY
 from tests.controller.controller_bench import ControllerBench
@@ -65,11 +65,11 @@ def field_names(block_fields: list[BlockField]) -> list[str]:
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
     schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
-    schema.real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
-    schema.real_field("past", "tendon", "N", "the last ones", rows=3)
-    schema.real_field("arms", "joint*tendon", "m", "moment arms")
-    schema.real_field("t", "run", "s", "time")
-    schema.integer_field("regime", "tendon", "", "of a tendon", initial=-1)
+    schema.declare_real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.declare_real_field("past", "tendon", "N", "the last ones", rows=3)
+    schema.declare_real_field("arms", "joint*tendon", "m", "moment arms")
+    schema.declare_real_field("t", "run", "s", "time")
+    schema.declare_integer_field("regime", "tendon", "", "of a tendon", initial=-1)
     return schema, {"tendon": 4, "joint": 2, "run": 1}
 
 
@@ -91,7 +91,7 @@ def test_new_field_needs_one_line() -> None:
     The fields that the table already has keep their names and shapes.
     """
     (schema_before, axes), (schema_after, _) = small_schema(), small_schema()
-    row = schema_after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    row = schema_after.declare_real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old_layout, new_layout = schema_before.layout(axes), schema_after.layout(axes)
     assert row == schema_before.rows("tendon") == schema_after.rows("tendon") - 1
     assert new_layout.size == old_layout.size + axes["tendon"]
@@ -181,7 +181,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
-    tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.places)
+    tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     for field in STATE_SCHEMA.fields:
         rows = getattr(tables_of_kernel, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(
@@ -330,12 +330,12 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
     assert values.keys() == set(field_names(CONSTANT_SCHEMA.fields)), "every field is packed"
     assert not recorded_constants.block.flags.writeable
     tables_of_kernel = uncompiled_function(constant_tables)(
-        recorded_constants.block, recorded_constants.layout.places
+        recorded_constants.block, recorded_constants.layout.offsets
     )
     assert tables_of_kernel.design.shape == (
         model.tendon_count,
         FILTER_DESIGN_COUNT,
-        DESIGN_ELEMENT_COUNT,
+        FILTER_DESIGN_SIZE,
     )
     for field in CONSTANT_SCHEMA.fields:
         view = recorded_constants.layout.view(recorded_constants.block, field.name)
@@ -441,9 +441,9 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
             (LatchedFault("B02", "x"),),
         ],
         "reported_faults": [
-            (CountedFault("B01", "x", 1),),
-            (CountedFault("B01", "x", 2),),
-            (CountedFault("B01", "y", 1),),
+            (ReportedFault("B01", "x", 1),),
+            (ReportedFault("B01", "x", 2),),
+            (ReportedFault("B01", "y", 1),),
         ],
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],

@@ -11,10 +11,10 @@ import pytest
 
 from handctl.compiled import kernel
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import statics
-from handctl.core.estimation.filter_stack import STATE_COUNT, S, V
+from handctl.core.estimation.filter_types import STATE_COUNT, S, V
 from handctl.core.estimation.tip_force import reduced_tip_lever, tip_force
 from handctl.core.hand_model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
@@ -28,7 +28,7 @@ from tests.controller.synthetic_states import (
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: BlockArray, state_places: TablePlaces, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, state_places: TableOffsets, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
     statics.write_static_torque(constant_tables(block, state_places), q, torque)
     return torque
@@ -158,7 +158,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         torque = static_torque_of(model, q)
         state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external_tension
-        tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+        tick_stages.store_commands(state.block, state.layout.offsets, *stage_constants(model))
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(

@@ -858,7 +858,7 @@ def test_a_segment_meets_both_ends(jamia: HandModel) -> None:
             rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = -9.0, 9.0
             rows[s.STREAM_TARGET] = target - speed * apart
             assert not begin_segments(
-                block, layout.places, target, target, 0.5, T, apart, 9.0, smooth
+                block, layout.offsets, target, target, 0.5, T, apart, 9.0, smooth
             )
             assert (layout.view(block, "stream_since"), layout.view(block, "stream_duration")) == (
                 0.5,
@@ -883,13 +883,13 @@ def test_a_segment_keeps_range_and_speed(jamia: HandModel) -> None:
     rows = layout.table(block, "coordinate")
     rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = 0.0, 1.0
     aim = np.full(jamia.coordinate_count, 1.5)
-    assert begin_segments(block, layout.places, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), (
+    assert begin_segments(block, layout.offsets, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), (
         "clipped to the range"
     )
     np.testing.assert_array_equal(rows[s.STREAM_TARGET], 1.0)
     np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 5.0)
     aim[:] = 0.5
-    assert not begin_segments(block, layout.places, aim, aim, 0.0, 0.01, math.inf, 5.0, 1)
+    assert not begin_segments(block, layout.offsets, aim, aim, 0.0, 0.01, math.inf, 5.0, 1)
     np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 0.0)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import varying_moment_arms
 from handctl.core.gains.gains import Gains
@@ -32,9 +32,9 @@ SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 @kernel("block", "layout", "block", "layout")
 def _update_structure(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
 ) -> None:
     varying_moment_arms.update_structure(
         state_tables(block, state_places), constant_tables(constants, constant_places)
@@ -44,9 +44,9 @@ def _update_structure(
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
 def _arm_and_slope(
     block: BlockArray,
-    state_places: TablePlaces,
+    state_places: TableOffsets,
     constants: BlockArray,
-    constant_places: TablePlaces,
+    constant_places: TableOffsets,
     tendon_index: int,
     joint_index: int,
     joint_angle: float,
@@ -80,7 +80,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(hand_name: str) ->
             state.view("excursion")[digit.tendons] = excursions(digit, q[digit.joints])
         state.view("q")[...] = np.nan if seed == 0 else chance.uniform(0.0, 1.0, len(q))
         _update_structure(
-            state.block, state.layout.places, constants.block, constants.layout.places
+            state.block, state.layout.offsets, constants.block, constants.layout.offsets
         )
         view = {field: constants.layout.view(constants.block, field) for field in STRUCTURE_FIELDS}
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
@@ -132,7 +132,7 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     model = model_of("jamia11")
     constants = HandConstants(model, {})
     state = active_state(model)
-    places = (state.block, state.layout.places, constants.block, constants.layout.places)
+    places = (state.block, state.layout.offsets, constants.block, constants.layout.offsets)
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
         values_at_angle, values_before, values_after = (

@@ -203,7 +203,7 @@ def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int
 def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     file = hand_without_cells()
     bare_model = model_of("index_tendon")
-    margin = bare_model.blind_margin
+    margin = bare_model.margin_without_cell
     assert margin[0] > 2.0
     assert not margin[1:].any()
     assert bare_model.ceiling[0] == file.tendon[0].tension_max_N - margin[0]

@@ -210,7 +210,7 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
-        block, layout.places, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
+        block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
         tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
         tables.servo_signal_reals, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip

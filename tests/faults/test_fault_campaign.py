@@ -524,7 +524,7 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
         advance_to_stage(simulation, GRASP_STAGE)
-        space = simulation.controller.model.space
+        space = simulation.controller.model.tendon_constants
         at = simulation.simulated_hand.truth()["tension"][0]
         v = (
             abs(float(simulation.last_output.telemetry.motor_velocity[0]) * float(space.spool[0]))

@@ -17,7 +17,7 @@ from handctl.core.tick_types import (
     IoEvent,
     PackedTelemetry,
     Telemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickEvent,
     TickIn,
     TickOut,
@@ -149,7 +149,7 @@ def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None
         tick_in._replace(frames=frames_as_records(tick_in.frames)),
         out._replace(frames=frames_as_records(out.frames)),
     )
-    places, at = TelemetryPlaces(), 0
+    places, at = TelemetrySlices(), 0
     for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)

@@ -16,7 +16,7 @@ from handctl.campaign.run_stages import hand_with_protocol, homed_run
 from handctl.controller.controller_state import ControllerState
 from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 from handctl.errors import LogError
@@ -111,7 +111,9 @@ def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
             repeated_state = restore_state(
                 simulation.controller.derived.layout, snapshot_bytes(simulation.state)
             )
-            assert plain_bytes(repeated_state.decisions) == plain_bytes(simulation.state.decisions)
+            assert serialized_bytes(repeated_state.decisions) == serialized_bytes(
+                simulation.state.decisions
+            )
             assert repeated_state.digest() == simulation.state.digest()
     assert {HandMode.SILENT, HandMode.INVENTORY, HandMode.ARMING} <= seen_modes
 

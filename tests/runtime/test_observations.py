@@ -22,7 +22,7 @@ from handctl.core.tick_types import (
     TELEMETRY_FIELDS,
     HandMode,
     PackedTelemetry,
-    TelemetryPlaces,
+    TelemetrySlices,
     TickIn,
     TickOut,
 )
@@ -59,7 +59,7 @@ def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
     """Return telemetry in which each number is computed from the tick and from its index."""
-    places, first_element = TelemetryPlaces(), 0
+    places, first_element = TelemetrySlices(), 0
     for name in TELEMETRY_FIELDS:
         places[name] = slice(first_element, first_element + AXIS_LENGTHS[TELEMETRY_AXES[name]])
         first_element = places[name].stop

@@ -17,8 +17,8 @@ from handctl.core import tick_stages
 from handctl.core.constants import (
     CONSTANT_AXES,
     CONSTANT_SCHEMA,
-    DESIGN_ELEMENT_COUNT,
     FILTER_DESIGN_COUNT,
+    FILTER_DESIGN_SIZE,
     ConstantTables,
     constant_tables,
 )
@@ -35,9 +35,9 @@ from handctl.safety.faults.fault import (
 from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
 from handctl.safety.tick_verdict import (
-    CountedFault,
     EventReport,
     LatchedFault,
+    ReportedFault,
     TickVerdict,
     judge_tick,
     newly_active_faults,
@@ -97,7 +97,7 @@ class SyntheticMonitor:
         self.limits = limits
         sizes = dict.fromkeys((*s.STATE_AXES, *CONSTANT_AXES), n) | {
             "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1,
-            "kind": FILTER_DESIGN_COUNT, "element": DESIGN_ELEMENT_COUNT, "place": 3,
+            "kind": FILTER_DESIGN_COUNT, "element": FILTER_DESIGN_SIZE, "place": 3,
         }  # fmt: skip
         self.layout = STATE_SCHEMA.layout({name: sizes[name] for name in s.STATE_AXES})
         self.constants_layout = CONSTANT_SCHEMA.layout(
@@ -119,7 +119,7 @@ class SyntheticMonitor:
         self.set_constants(**constants)
         self.block = self.layout.initial.copy()
         self.latched: tuple[LatchedFault, ...] = ()
-        self.reported_faults: tuple[CountedFault, ...] = ()
+        self.reported_faults: tuple[ReportedFault, ...] = ()
         self.set_rows({
             "mode": int(HandMode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
@@ -173,12 +173,12 @@ class SyntheticMonitor:
     @property
     def state_tables(self) -> StateTables:
         """Return the tables of the state in the form that interpreted functions need."""
-        return _uncompiled(state_tables)(self.block, self.layout.places)
+        return _uncompiled(state_tables)(self.block, self.layout.offsets)
 
     @property
     def hand_tables(self) -> ConstantTables:
         """Return the tables of the constants in the form that interpreted functions need."""
-        return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
+        return _uncompiled(constant_tables)(self.constants, self.constants_layout.offsets)
 
     def tick(
         self, value_by_field: StateRows | None = None, **more_values: Any
@@ -190,9 +190,9 @@ class SyntheticMonitor:
         self.set_rows({**(value_by_field or {}), **more_values})
         self.demanded_action, self.found_values = tick_stages.find_faults(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
             self.layout.initial,
         )
         reported: dict[str, dict[str, float]] = {}
@@ -211,9 +211,9 @@ class SyntheticMonitor:
         self.set_rows(value_by_field or {})
         tick_stages.observe_tick(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
         )
 
     def store_commands(self, value_by_field: StateRows | None = None) -> None:
@@ -221,9 +221,9 @@ class SyntheticMonitor:
         self.set_rows(value_by_field or {})
         tick_stages.store_commands(
             self.block,
-            self.layout.places,
+            self.layout.offsets,
             self._read_only_constants(),
-            self.constants_layout.places,
+            self.constants_layout.offsets,
         )
 
     def judge(

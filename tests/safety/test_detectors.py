@@ -6,7 +6,7 @@ pages.
 
 import pytest
 
-from handctl.core.detectors.node_faults import ROW_OF_CAUSE
+from handctl.core.detectors.node_faults import FAULT_ROW_BY_CAUSE_INDEX
 from handctl.drives.contract import DriveFaultCause
 from handctl.drives.motor_description import PROTOCOL_TRAITS, VERIFIABLE_PROTOCOLS
 from handctl.safety.faults.fault import CatalogueRow, Fault
@@ -14,7 +14,7 @@ from handctl.safety.faults.markdown import (
     catalogue_markdown,
     fault_table_markdown,
     hardware_checklist,
-    late_reaction_rows,
+    late_reactions_markdown,
     reacts_too_late,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
@@ -29,7 +29,7 @@ from tests.safety.fault_cases import (
 
 
 def test_causes_of_a_drive_s_error() -> None:
-    assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
+    assert len(FAULT_ROW_BY_CAUSE_INDEX) == len(DriveFaultCause)
     tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
         drive_error(1, DriveFaultCause.HOT, 11),
@@ -43,7 +43,7 @@ def test_causes_of_a_drive_s_error() -> None:
     assert "N11" not in monitor_at_rest().tick(input_without_torque(tick_input).state_rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
-        for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
+        for cause, row in zip(DriveFaultCause, FAULT_ROW_BY_CAUSE_INDEX, strict=True)
     }
     assert rows[DriveFaultCause.DROPPED_OUT] == "N01"
     assert rows[DriveFaultCause.WATCHDOG] == "N08"
@@ -137,7 +137,7 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         False,
         True,
     ]
-    assert late_reaction_rows((soon, just, row_with_reason, free_row)).splitlines() == [
+    assert late_reactions_markdown((soon, just, row_with_reason, free_row)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip

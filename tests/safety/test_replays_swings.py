@@ -48,7 +48,7 @@ def first_repetition_tick(cell_readings: np.ndarray) -> tuple[int, list[tuple[in
     return -1, []
 
 
-@pytest.mark.parametrize("repetition_age", [16, 32, 50, replayed_readings.MAX_AGE_TICKS])
+@pytest.mark.parametrize("repetition_age", [16, 32, 50, replayed_readings.MAX_READING_AGE_TICKS])
 @pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, repetition_age: int) -> None:
     rows = noisy_readings(seed, 300, 0.5)

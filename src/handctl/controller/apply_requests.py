@@ -121,7 +121,7 @@ def _set_gains(
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
     pending_gains = state.decisions.pending
-    progress_of_design, refusal_text = gain_change.begin_design(
+    progress_of_design, refusal_text = gain_change.begin_gain_design(
         pending_gains.gains if pending_gains else model.gains, request.set
     )
     state.decide(pending=progress_of_design or pending_gains)

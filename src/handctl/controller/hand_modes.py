@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.relaxing import (
+from handctl.controller.relaxation import (
     are_commands_relaxed,
     are_tensions_relaxed,
     start_relaxation,
@@ -37,7 +37,7 @@ from handctl.safety.safety_action import SafetyAction
 LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
-CLEAR_ADVICE = " (when you have looked why: --clear)"
+CLEAR_ERRORS_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator, in the message about a drive with a latched error."""
 LATCHED_ERROR_HINT = " (or an error that does not clear)"
 READY_DURATION_S = 0.1
@@ -68,7 +68,7 @@ class ModeInputs(NamedTuple):
         elapsed: time since the present mode began [s].
         action: reaction that the safety monitor demands.
         operator_requests: stop and cut requests from the operator.
-        other_host_texts: signs that a second controller uses the bus. Signs are frames that only a host
+        other_host_signs: signs that a second controller uses the bus. Signs are frames that only a host
             sends, and replies of motors to which this host has sent no request.
         identities: identities that the drives had when the hand was calibrated, see
             ``Drive.identity``. The identity of a drive is empty if it is not known.
@@ -79,7 +79,7 @@ class ModeInputs(NamedTuple):
     elapsed: float
     action: SafetyAction
     operator_requests: OperatorRequests
-    other_host_texts: tuple[str, ...]
+    other_host_signs: tuple[str, ...]
     identities: tuple[str, ...] = ()
 
     @property
@@ -88,10 +88,10 @@ class ModeInputs(NamedTuple):
         return tuple(drive.name for drive in self.drives)
 
     @property
-    def is_without_override(self) -> bool:
+    def has_no_mode_override(self) -> bool:
         """Return True if no safety reaction, operator request or other host determines the next mode."""
         return self.action < RELAX and not (
-            self.other_host_texts or self.operator_requests.stop or self.operator_requests.cut
+            self.other_host_signs or self.operator_requests.stop or self.operator_requests.cut
         )
 
 
@@ -167,7 +167,7 @@ def next_mode(
         fault_identities,
     )
     mode_before = state.mode
-    overriding_mode = None if inputs.is_without_override else _overriding_mode(state, inputs)
+    overriding_mode = None if inputs.has_no_mode_override else _overriding_mode(state, inputs)
     mode, failure = overriding_mode or _NEXT_MODE_FUNCTIONS[mode_before](state, inputs)
     if mode == mode_before:
         if mode == HandMode.RELAX:
@@ -216,10 +216,10 @@ def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> Next
     """
     if inputs.operator_requests.stop or inputs.operator_requests.cut:
         return HandMode.DONE, ""
-    if inputs.other_host_texts:
+    if inputs.other_host_signs:
         return (
             HandMode.DONE,
-            f"another controller is on the bus (heard: {', '.join(inputs.other_host_texts)})",
+            f"another controller is on the bus (heard: {', '.join(inputs.other_host_signs)})",
         )
     return (HandMode.DONE, _latched_faults(state)) if inputs.action >= SafetyAction.RELAX else None
 
@@ -257,7 +257,7 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
     if wrong_amplifiers := _wrong_amplifiers(state):
         return HandMode.DONE, "; ".join(wrong_amplifiers)
     if wrong_drives and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
-        return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ADVICE
+        return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ERRORS_ADVICE
     is_group_missing = not state.view("group_frames").all()
     if (
         all(drive.phase == DrivePhase.READY for drive in state.drives)
@@ -320,12 +320,12 @@ def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
     The tension filter needs the position of every motor.
     """
     drives = _named_drives(state, inputs)
-    blind_tendons = [
+    tendons_without_cell = [
         name
         for name, drive in drives
         if drive.phase == DrivePhase.READY and math.isnan(drive.position)
     ]
-    return [f"no position from {', '.join(blind_tendons)}"] if blind_tendons else []
+    return [f"no position from {', '.join(tendons_without_cell)}"] if tendons_without_cell else []
 
 
 def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -402,7 +402,7 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
     enabled = motors_not_confirmed_off(state, inputs.names)
     if not enabled:
         # A drive may report that it is disabled although its motor still pulls.
-        ticks_without_torque = state.run_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
+        ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
     if inputs.elapsed < DISARM_TIMEOUT_S:

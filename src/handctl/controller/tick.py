@@ -35,12 +35,12 @@ from handctl.controller.controller_state import (
 )
 from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
-from handctl.controller.relaxing import is_open_loop, present_relax_rate
+from handctl.controller.relaxation import is_open_loop, present_relax_rate
 from handctl.controller.target_streams import apply_target
 from handctl.controller.telemetry import TelemetryGatherer
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.block_schema import BlockLayout, TablePlaces
+from handctl.core.block_schema import BlockLayout, TableOffsets
 from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
 from handctl.core.control_law.required_tensions import write_tension_goals
 from handctl.core.estimation.consistency_events import consistency_events
@@ -94,11 +94,11 @@ class DerivedConstants:
         limits: thresholds of the safety monitor for the hand.
         layout: layout of the state block.
         constants: constants for the compiled code.
-        constant_args: block and places of ``constants``, the arguments of compiled functions.
+        kernel_constants: block and places of ``constants``, the arguments of compiled functions.
         wire: signal tables of the drives' cyclic frames.
         gather_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
-        amplifier_of: index of the CiA 404 amplifier, by bus and identifier.
+        amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
             the host sends SYNC after the command of a CiA 402 drive.
         sync_row: SYNC frame of the sensor node as a record.
@@ -107,18 +107,18 @@ class DerivedConstants:
     limits: SafetyLimits
     layout: BlockLayout
     constants: HandConstants
-    constant_args: tuple[Vector, TablePlaces]
+    kernel_constants: tuple[Vector, TableOffsets]
     wire: WireTables
     gather_telemetry: TelemetryGatherer
     drive_index_by_id: dict[tuple[int, int], int]
-    amplifier_of: dict[tuple[int, int], int]
+    amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
     sync_row: WordRows
 
     def with_constants(self, limits: SafetyLimits, constants: HandConstants) -> "DerivedConstants":
         """Return a copy with other limits and constants, after a change of gains."""
-        args = (constants.block, constants.layout.places)
-        return replace(self, limits=limits, constants=constants, constant_args=args)
+        args = (constants.block, constants.layout.offsets)
+        return replace(self, limits=limits, constants=constants, kernel_constants=args)
 
     @staticmethod
     def from_configuration(
@@ -135,7 +135,7 @@ class DerivedConstants:
             limits=limits,
             layout=layout,
             constants=constants,
-            constant_args=(constants.block, constants.layout.places),
+            kernel_constants=(constants.block, constants.layout.offsets),
             wire=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
             gather_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
@@ -143,7 +143,7 @@ class DerivedConstants:
                 for n, drive in enumerate(drives)
                 for can_id in drive.node_ids
             },
-            amplifier_of={
+            amplifier_index_by_id={
                 (amplifier.bus, can_id): i
                 for i, amplifier in enumerate(sensors.amplifiers)
                 for can_id in (*amplifier.service_ids, *amplifier.tpdo_ids)
@@ -169,11 +169,11 @@ class Controller:
         arm_at_once: True to arm the hand without a request, as soon as every node has replied.
         identities: identities of the drives in the calibration, or an empty tuple if they are
             unknown.
-        other_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
+        replacement_limits: thresholds of the safety monitor that replace the thresholds of the hand. If
             it is None, the thresholds of the hand apply.
         design_cache: cache of the controller designs for gains that are set during a run.
-        similar_constants: constants of a controller that differs from this one only in its gains. If it is
-            None, all tables are computed. The tables of ``similar_constants`` are used again, because gains
+        reusable_constants: constants of a controller that differs from this one only in its gains. If it is
+            None, all tables are computed. The tables of ``reusable_constants`` are used again, because gains
             change during a run.
         derived: constants that follow from the other attributes.
     """
@@ -186,24 +186,24 @@ class Controller:
     zero: Vector
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
-    other_limits: SafetyLimits | None = None
+    replacement_limits: SafetyLimits | None = None
     design_cache: gain_change.DesignCache = field(
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
-    similar_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
+    reusable_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
     derived: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the constants that follow from the other attributes."""
-        if self.similar_constants is None:
+        if self.reusable_constants is None:
             compile_kernels()
-        limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
+        limits = self.replacement_limits or safety_limits(self.model, self.drives, self.sensors)
         constants = compiled_constants(
             self.model, self.drives, self.sensors, limits, self.tare, self.zero
         )
         derived_constants = (
-            self.similar_constants.with_constants(limits, constants)
-            if self.similar_constants
+            self.reusable_constants.with_constants(limits, constants)
+            if self.reusable_constants
             else DerivedConstants.from_configuration(
                 self.model, self.drives, self.sensors, limits, constants
             )
@@ -284,7 +284,7 @@ class Controller:
             )
         events = (
             consistency_events(self.model, state_before, state) + request_events
-            if state.run_integer(s.CONSISTENCY_CHANGED)
+            if state.run_table_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
@@ -331,7 +331,7 @@ class Controller:
                 open_tick.entry.k - open_tick.state_before.k,
             )
         tick_stages.store_commands(
-            state.block, self.derived.layout.places, *self.derived.constant_args
+            state.block, self.derived.layout.offsets, *self.derived.kernel_constants
         )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
@@ -360,7 +360,7 @@ class Controller:
         Return texts that describe signs of a second controller on the bus.
         """
         block = state.block
-        places = self.derived.layout.places
+        places = self.derived.layout.offsets
         missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block,
@@ -372,13 +372,15 @@ class Controller:
             len(frames),
         )
         signs = self._receive_frames(
-            state, frames, self.sensors.earliest_answer_time_ns(last_state.run_integer(s.T_NS))
+            state,
+            frames,
+            self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.T_NS)),
         )
-        tick_stages.observe_tick(block, places, *self.derived.constant_args)
-        tick_stages.correct_tension_estimate(block, places, *self.derived.constant_args)
+        tick_stages.observe_tick(block, places, *self.derived.kernel_constants)
+        tick_stages.correct_tension_estimate(block, places, *self.derived.kernel_constants)
         if state.has_started:
             predict_filter_states(self.model, self.derived.layout, block, missed_ticks)
-        if tick_stages.conclude_estimate(block, places, *self.derived.constant_args):
+        if tick_stages.conclude_estimate(block, places, *self.derived.kernel_constants):
             signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
@@ -408,7 +410,7 @@ class Controller:
             )
         while True:
             at = cyclic_frames.receive_frames(
-                state.block, self.derived.layout.places, *self.derived.constant_args, rows, tables.keys, entries,
+                state.block, self.derived.layout.offsets, *self.derived.kernel_constants, rows, tables.keys, entries,
                 tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, min_receive_ns,
             )  # fmt: skip
             if at >= len(rows):
@@ -421,7 +423,7 @@ class Controller:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id) in self.derived.amplifier_of:
+            elif (frame.bus, frame.can_id) in self.derived.amplifier_index_by_id:
                 self._receive_amplifier_frame(state, frame)
             else:
                 signs.append(f"{frame.can_id:#05x}")
@@ -444,7 +446,7 @@ class Controller:
 
     def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
-        i = self.derived.amplifier_of[frame.bus, frame.can_id]
+        i = self.derived.amplifier_index_by_id[frame.bus, frame.can_id]
         amplifiers_before = state.decisions.amplifiers
         state_after = self.sensors.amplifiers[i].receive(amplifiers_before[i], frame)
         if state_after != amplifiers_before[i]:
@@ -476,7 +478,7 @@ class Controller:
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
-            state.block, self.derived.layout.places, n, *drive_state[1:7], *drive_state.recheck,
+            state.block, self.derived.layout.offsets, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state),
@@ -510,8 +512,8 @@ class Controller:
                 if k - refusal_tick < rate
             )
             state.decide(refusals=recent_refusals)
-            state.set_run_integer(s.REFUSED_REQUESTS, len(recent_refusals))
-            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused_texts))
+            state.set_run_table_integer(s.REFUSED_REQUESTS, len(recent_refusals))
+            state.set_run_table_integer(s.REFUSED_REQUESTS_IN_TICK, len(refused_texts))
 
     def _judge_faults(
         self,
@@ -520,18 +522,18 @@ class Controller:
         second_controller_signs: tuple[str, ...],
     ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect the faults of the tick, latch them, and choose the reaction."""
-        state.set_run_integer(
-            s.CELLS_TARED, state.progress.phase != TARE_PHASE
+        state.set_run_table_integer(
+            s.ARE_CELLS_TARED, state.progress.phase != TARE_PHASE
         )  # before a load cell has been tared, it may read any value
         demanded_action, raw_findings = tick_stages.find_faults(
             state.block,
-            self.derived.layout.places,
-            *self.derived.constant_args,
+            self.derived.layout.offsets,
+            *self.derived.kernel_constants,
             self.derived.layout.initial,
         )
         new_findings = (
             newly_active_faults(self.derived.limits, raw_findings, state.view("fault_ticks"))
-            if state.run_integer(s.NEW_FAULT_COUNT)
+            if state.run_table_integer(s.NEW_FAULT_COUNT)
             else []
         )
         decisions = state.decisions
@@ -545,7 +547,7 @@ class Controller:
             return _ACTION_BY_NUMBER[demanded_action], ()
         reports = [(event.kind, event.where, float(event.number)) for event in tick_input.io_events]
         reports = filter_error_frames(
-            reports, self._any_node_seen(state)
+            reports, self._has_any_node_answered(state)
         ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
             decisions.latched, decisions.reported_faults, new_findings, demanded_action, reports
@@ -557,7 +559,7 @@ class Controller:
             state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
         return verdict.action, verdict.findings
 
-    def _any_node_seen(self, state: ControllerState) -> bool:
+    def _has_any_node_answered(self, state: ControllerState) -> bool:
         """Return True if at least one node has answered, or if motors may make torque."""
         is_node_seen = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
@@ -592,8 +594,10 @@ class Controller:
             write_goals(self.model, self.derived.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_run_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
-        state.set_run_real(s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_table_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
+        state.set_run_table_real(
+            s.SLIP_DETECTION_START, progress.grip.ready if progress.grip else 0.0
+        )
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -605,7 +609,7 @@ class Controller:
         The torques are 0 unless the hand is active or relaxing.
         """
         block = state.block
-        places = self.derived.layout.places
+        places = self.derived.layout.offsets
         mode = state.mode
         if mode in (ACTIVE, RELAX):
             sample_trajectories(
@@ -619,7 +623,7 @@ class Controller:
             (present_relax_rate(state), is_open_loop(state)) if is_relaxing else (0.0, False)
         )
         tick_stages.compute_motor_torques(
-            block, places, *self.derived.constant_args, rate, int(opening_rate), ticks
+            block, places, *self.derived.kernel_constants, rate, int(opening_rate), ticks
         )
 
     def _design_pending_gains(
@@ -649,9 +653,9 @@ class Controller:
             other_controller._compute_torques(state_before_law, action, ticks)
             step = (
                 state.tendon[s.TORQUE] - state_before_law.tendon[s.TORQUE]
-            ) / self.model.space.spool
+            ) / self.model.tendon_constants.spool
             state.tendon[s.TRIM_FORCE] += step
-            state.set_run_integer(s.TRIM_ACTIVE, 1)
+            state.set_run_table_integer(s.TRIM_ACTIVE, 1)
         state.decide(gains=pending_gains.gains, pending=None)
         return gain_change.gain_change_events(self.model.gains, pending_gains.gains)
 
@@ -674,14 +678,14 @@ class Controller:
             counter = self.sensors.counter(state.k)
             frame_rows[0] = self.derived.sync_row
             frame_rows[0, PAYLOAD_WORD] = counter
-            state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
+            state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
-                state.set_run_integer(s.SYNC_COUNT, state.run_integer(s.SYNC_COUNT) + 1)
+                state.set_run_table_integer(s.SYNC_COUNT, state.run_table_integer(s.SYNC_COUNT) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
@@ -728,7 +732,7 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first_row, count = cyclic_frames.encode_commands(
-                    state.block, self.derived.layout.places, frame_words, tables.commands,
+                    state.block, self.derived.layout.offsets, frame_words, tables.commands,
                     tables.command_signal_integers, tables.command_signal_reals, tables.templates, torque,
                     tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
                     tables.recheck_ranges, tables.rechecks, first_row, count,

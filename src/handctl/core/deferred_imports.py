@@ -69,18 +69,18 @@ def deferred_imports() -> Iterator[None]:
     Each stand-in also becomes an attribute of the package that contains its module.
     """
     module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
-    module_parts = [
+    packages_and_modules = [
         (importlib.import_module(package), module_name) for package, _, module_name in module_names
     ]
-    for package, module_name in module_parts:
-        sys.modules[f"{package.__name__}.{module_name}"] = stand_in = _StandInModule(
+    for package, module_name in packages_and_modules:
+        sys.modules[f"{package.__name__}.{module_name}"] = stand_in_module = _StandInModule(
             f"{package.__name__}.{module_name}"
         )
-        setattr(package, module_name, stand_in)
+        setattr(package, module_name, stand_in_module)
     try:
         yield
     finally:
-        for package, module_name in module_parts:
+        for package, module_name in packages_and_modules:
             del sys.modules[f"{package.__name__}.{module_name}"]
             delattr(package, module_name)
 

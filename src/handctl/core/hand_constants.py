@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from handctl.core import constants as h
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.constants import CONSTANT_SCHEMA, FILTER_DESIGN_COUNT, FILTER_DESIGN_SIZE
 from handctl.core.control_law.computed_torque import (
     MAX_UNWINDING_FORCE_FRACTION,
     MOTOR_FRICTION_SPEED_M_S,
@@ -22,7 +22,7 @@ from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
 from handctl.core.deferred_imports import DeferredModule
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
 from handctl.core.estimation import blocked_digits, contact_force, posture
-from handctl.core.estimation.filter_stack import FilterBlock
+from handctl.core.estimation.filter_types import FilterBlock
 from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
@@ -46,7 +46,7 @@ def layout_of_constants(model: HandModel) -> BlockLayout:
         "digit": len(model.digits),
         "coordinate": model.coordinate_count,
         "kind": FILTER_DESIGN_COUNT,
-        "element": DESIGN_ELEMENT_COUNT,
+        "element": FILTER_DESIGN_SIZE,
         "place": max(digit.joint_count for digit in model.digits) + 2,
         "run": 1,
     })  # fmt: skip
@@ -86,15 +86,15 @@ class HandConstants:
 
 
 def _motor_constants(model: HandModel) -> dict[str, object]:
-    space = model.space
+    tendons = model.tendon_constants
     return {
-        "motor_mass": space.motor_mass,
-        "motor_damping": space.motor_damping,
-        "coulomb": space.coulomb,
-        "stiffness": space.stiffness,
-        "load_stiffness": space.load_stiffness,
-        "load_damping": space.load_damping,
-        "spool": space.spool,
+        "motor_mass": tendons.motor_mass,
+        "motor_damping": tendons.motor_damping,
+        "coulomb": tendons.coulomb,
+        "stiffness": tendons.stiffness,
+        "load_stiffness": tendons.load_stiffness,
+        "load_damping": tendons.load_damping,
+        "spool": tendons.spool,
         "capstan": model.friction,
         "wrap": model.wrap,
         "floor": model.floor,
@@ -106,7 +106,7 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "excursion_low": model.redundancy.excursion_range[0],
         "excursion_high": model.redundancy.excursion_range[1],
         "relaxed": model.relaxed_tensions,
-        "blind": model.blind_margin,
+        "blind": model.margin_without_cell,
         "balance": model.redundancy.balance,
         "pair": model.is_pair,
         "pretension": model.hand.pretension,
@@ -130,22 +130,22 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
 
 
 def _control_law_constants(model: HandModel) -> dict[str, object]:
-    space = model.space
+    tendons = model.tendon_constants
     motion = model.gains.motion
     tension = model.gains.tension
-    limit = model.torque_limit / space.spool
-    half_period_gain = 0.5 * model.period / space.motor_mass
+    limit = model.torque_limit / tendons.spool
+    half_period_gain = 0.5 * model.period / tendons.motor_mass
     return {
         "limit": limit,
         "unwind": np.where(model.is_pair, -1.0, -MAX_UNWINDING_FORCE_FRACTION) * limit,
-        "mass": space.motor_mass + space.load_mass,
-        "inertia": motion.inertia_share * space.motor_mass,
+        "mass": tendons.motor_mass + tendons.load_mass,
+        "inertia": motion.inertia_share * tendons.motor_mass,
         "error_gain": model.motion.stiffness,
         "speed_gain": model.motion.damping,
         "tension_gain": model.motion.tension,
         "tension_speed_gain": model.motion.tension_speed,
         "half": half_period_gain,
-        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * space.coulomb,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * tendons.coulomb,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -168,9 +168,9 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     motion loop. At low control rates, the stiffness is limited to a smaller value, see
     ``servo_commands.MAX_PHASE_RAD``.
     """
-    space = model.space
+    tendons = model.tendon_constants
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
-    inertia = (space.motor_mass + space.load_mass) * space.spool**2
+    inertia = (tendons.motor_mass + tendons.load_mass) * tendons.spool**2
     stiffness = inertia * model.motion.stiffness
     damping = inertia * model.motion.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
@@ -265,7 +265,9 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "spread": spread,
         "posture_torque": spread @ arms.T,
         "same_digit": linalg.block_diag(*(np.ones((size, size)) for size in sizes)),
-        "place_weight": np.concatenate([_place_weights(digits, digit) for digit in digits], axis=1),
+        "place_weight": np.concatenate(
+            [_contact_place_probabilities(digits, digit) for digit in digits], axis=1
+        ),
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
@@ -296,7 +298,7 @@ def _joint_compliance(digit: DigitModel) -> Vector:
     )
 
 
-def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
+def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
     """Return the assumed probability of each place of contact for each joint of a digit (places, n).
 
     The assumed contacts are a force at the middle of each link, a force at the tip, and an equal
@@ -336,4 +338,4 @@ def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: flo
     return np.asarray(1.0 - np.exp(-sample_periods / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.CELL_ERROR_OBSERVABLE_OFFSET == DESIGN_ELEMENT_COUNT - 1
+assert h.CELL_ERROR_OBSERVABLE_OFFSET == FILTER_DESIGN_SIZE - 1

@@ -47,7 +47,7 @@ PARAMETER_UNITS = {
 moment arms of a tendon about all its joints.
 """
 
-FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
+NEW_NAME_BY_FORMER_NAME = {"rope_stiffness": "tendon_stiffness"}
 """Present name of a renamed parameter, by its name in earlier versions of handctl."""
 
 
@@ -74,7 +74,7 @@ class IdentifiedParameters(Document):
     def _replace_former_names(cls, parameter_names: object) -> object:
         """Replace the parameter names of earlier versions by the present names."""
         return (
-            tuple(FORMER_NAMES.get(name, name) for name in parameter_names)
+            tuple(NEW_NAME_BY_FORMER_NAME.get(name, name) for name in parameter_names)
             if isinstance(parameter_names, list | tuple)
             else parameter_names
         )

@@ -16,7 +16,7 @@ from handctl.runtime.observations import PUBLISHED_NAME_BY_FIELD
 
 Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
-FIELD_BY_PART_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
+TELEMETRY_FIELD_BY_PART_NAME = {name: field for field, name in PUBLISHED_NAME_BY_FIELD.items()}
 """Field of the telemetry that provides the values of an observation's part, by name of the part."""
 
 
@@ -81,4 +81,6 @@ def telemetry_observation(hand: Hand, name: str, low: float, high: float) -> Obs
         "motor": tuple(motor.name for motor in hand.motor),
         "digit": hand.digit_names,
     }
-    return ObservationPart(name, axis[TELEMETRY_AXES[FIELD_BY_PART_NAME[name]]], low, high)
+    return ObservationPart(
+        name, axis[TELEMETRY_AXES[TELEMETRY_FIELD_BY_PART_NAME[name]]], low, high
+    )

@@ -286,7 +286,7 @@ def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> tuple[int, ...]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
-        return numbers.places.axis_lengths
+        return numbers.slices.axis_lengths
     return tuple(len(getattr(numbers, name)) for name in FIELD_BY_AXIS)
 
 

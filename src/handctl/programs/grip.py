@@ -98,7 +98,7 @@ class GripPlan:
 
 def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
     """Return the excursion (N,) of each tendon up to a constant [m]: the wound length minus the stretch."""
-    return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
+    return np.asarray(estimate.travel - estimate.tension / model.tendon_constants.stiffness)
 
 
 def advance_grip(

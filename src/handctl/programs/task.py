@@ -182,7 +182,7 @@ def interpolating_curve(times_s: tuple[float, ...], angles: tuple[float, ...]) -
     The check of a task computes the curves of its digits. Each curve takes up to 1 ms. The phase
     begins in a later tick, and gets the curves from the cache.
     """
-    return CurveTrajectory.through_points(times_s, angles, 1)
+    return CurveTrajectory.curve_through_points(times_s, angles, 1)
 
 
 TaskPhase = Annotated[

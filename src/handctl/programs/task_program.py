@@ -459,7 +459,9 @@ def _curve_of_digit(
         si_factor = digit.coordinate_units.si_factor.tolist()
         rows = phase.angle_deg[digit.name]
         if len(set(si_factor)) > 1:
-            return CurveTrajectory.through_points(phase.time_s, np.outer(rows, si_factor), count)
+            return CurveTrajectory.curve_through_points(
+                phase.time_s, np.outer(rows, si_factor), count
+            )
         angles = tuple(si_factor[0] * angle for angle in rows)
         return replace(interpolating_curve(phase.time_s, angles), coordinates=count)
     goal_angles = joint_values(phase.angle_deg, digit)
@@ -473,7 +475,7 @@ def _curve_of_digit(
         )
         for row in zip(*goal_angles.values(), strict=True)
     ]
-    return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
+    return CurveTrajectory.curve_through_points(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)
@@ -483,7 +485,7 @@ def contact_margin_without_cells(model: HandModel, d: int) -> float:
     If all tendons have load cells, the margin is 0.
     """
     digit = model.digits[d]
-    margin = float(model.blind_margin[digit.tendons].mean())
+    margin = float(model.margin_without_cell[digit.tendons].mean())
     if margin == 0.0:
         return 0.0
     # The response contains the tension of each tendon per tip force, for the open digit. The

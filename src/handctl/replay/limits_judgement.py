@@ -164,7 +164,7 @@ def _judge_ticks(
     The judgement of a tick starts from the logged state. Only the debounce counters and the latched
     faults follow from the new limits.
     """
-    judging_controller = replace(controller, other_limits=limits)
+    judging_controller = replace(controller, replacement_limits=limits)
     state = controller.initial_state()
     judging_state = judging_controller.initial_state()
     limit_stops: list[StoppingFault] = []

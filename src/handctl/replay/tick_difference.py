@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.controller_state import ControllerDecisions, ControllerState
-from handctl.core.plain_values import plain_bytes
+from handctl.core.plain_data import serialized_bytes
 from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import frames_as_records
@@ -152,7 +152,7 @@ def state_difference(
     first_difference = logged_state.layout.difference(logged_state.block, computed_state.block)
     if first_difference:
         field, element, logged_number, computed_number = first_difference
-        axis = logged_state.layout.axis_of(field)
+        axis = logged_state.layout.axis_name_of_field(field)
         names = header.axis_names(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(
@@ -167,7 +167,7 @@ def state_difference(
     for field, old_part, new_part in zip(
         ControllerDecisions._fields, logged_state.decisions, computed_state.decisions, strict=True
     ):
-        if plain_bytes(old_part) != plain_bytes(new_part):
+        if serialized_bytes(old_part) != serialized_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
     return None
 

@@ -41,7 +41,7 @@ class LatchedFault(NamedTuple):
     instance: str
 
 
-class CountedFault(NamedTuple):
+class ReportedFault(NamedTuple):
     """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
@@ -70,7 +70,7 @@ class TickVerdict(NamedTuple):
     action: SafetyAction
     findings: tuple[FaultFinding, ...]
     latched: tuple[LatchedFault, ...]
-    reported_faults: tuple[CountedFault, ...]
+    reported_faults: tuple[ReportedFault, ...]
 
 
 _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
@@ -78,7 +78,7 @@ _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 def judge_tick(
     latched_faults: tuple[LatchedFault, ...],
-    reported_faults: tuple[CountedFault, ...],
+    reported_faults: tuple[ReportedFault, ...],
     detected_faults: Sequence[FaultFinding],
     demanded_action: int,
     event_reports: Iterable[EventReport],
@@ -101,7 +101,7 @@ def judge_tick(
     ticks_by_report = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, location, value in locate_reports(event_reports):
         ticks = ticks_by_report.get((fault.id, location), 0) + 1
-        present_reports.append(CountedFault(fault.id, location, ticks))
+        present_reports.append(ReportedFault(fault.id, location, ticks))
         if ticks >= fault.debounce:
             action = max(action, fault.action)
         if ticks == fault.debounce:
@@ -118,7 +118,7 @@ def judge_tick(
     action = max(
         [action, *(FAULT_BY_ID[latched_fault.id].action for latched_fault in latched_faults)]
     )
-    new_findings.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
+    new_findings.sort(key=lambda finding: _POSITION_BY_FAULT_ID[finding.fault.id])
     return TickVerdict(
         _ACTION_BY_NUMBER[action], tuple(new_findings), latched_faults, tuple(present_reports)
     )
@@ -179,12 +179,12 @@ def locate_reports(event_reports: Iterable[EventReport]) -> list[tuple[Fault, st
         for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = location or kind
             faults[fault.id, name] = (fault, name, value)
-    return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
+    return sorted(faults.values(), key=lambda row: _POSITION_BY_FAULT_ID[row[0].id])
 
 
 # Position of each fault in the fault table. Faults that occur at the same time are sorted by this
 # position.
-_CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
+_POSITION_BY_FAULT_ID = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
 def filter_error_frames(

@@ -49,7 +49,7 @@ def safety_limits(
         joints=hand.joints,
         tension_trip=tuple(
             tendon.tension_trip_N - margin
-            for tendon, margin in zip(hand.tendon, model.blind_margin.tolist(), strict=True)
+            for tendon, margin in zip(hand.tendon, model.margin_without_cell.tolist(), strict=True)
         ),
         drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
@@ -95,7 +95,7 @@ def compiled_constants(
         "joint_period": joint_period,
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
-        "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
+        "torque_step": [torque_resolution(drive) for drive in drives] / model.tendon_constants.spool,
         **servo_resolutions(model, drives),
         "noise_limit": limits.noise,
         "temperature_soft": limits.temperature_soft,
@@ -149,7 +149,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
             if signal.quantity in inputs:
                 # A floating-point number has finer steps than the encoder that measures the
                 # position.
-                encoder = model.space.encoder_step[n] / model.space.spool[n]
+                encoder = model.tendon_constants.encoder_step[n] / model.tendon_constants.spool[n]
                 step = (
                     max(signal.step, encoder)
                     if signal.quantity == SignalQuantity.POSITION
@@ -162,7 +162,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
         "servo_moves": [drive.cyclic_messages.moves_commanded_position for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],
-        "servo_rounding": torque / model.space.spool,
+        "servo_rounding": torque / model.tendon_constants.spool,
     }
 
 
@@ -203,13 +203,17 @@ def _noise_limit(model: HandModel) -> float:
     position step from one tick to the next. It equals the acceleration times the period squared.
     The limit includes the jerk of a real motion and the rounding of the encoder.
     """
-    space = model.space
+    tendons = model.tendon_constants
     period = model.period
     # Acceleration of a rotor without load at full torque [rad/s^2]. The torque divided by the spool
     # radius is a force. This force divided by the mass is an acceleration along the tendon. This
     # acceleration divided by the spool radius is the angular acceleration of the rotor.
-    acceleration = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
-    rounding_noise = ROUNDING_NOISE_COUNTS * float((space.encoder_step / space.spool).max()) ** 2
+    acceleration = float(
+        (model.torque_limit / tendons.spool / tendons.motor_mass / tendons.spool).max()
+    )
+    rounding_noise = (
+        ROUNDING_NOISE_COUNTS * float((tendons.encoder_step / tendons.spool).max()) ** 2
+    )
     return NOISE_FACTOR * (
         (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
     )

@@ -77,15 +77,19 @@ def _detect_duplicate_answers(
     """
     duplicates = state.view("twice")
     is_excused = not sensors.has_counter and (
-        state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
+        state.run_table_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
     group_answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (is_excused or not (sensors.has_counter or group_answered[group])):
-            state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
-            state.set_run_integer(s.STALE_FRAME_NOW, max(state.run_integer(s.STALE_FRAME_NOW), 1))
+            state.set_run_table_integer(
+                s.STALE_FRAMES, state.run_table_integer(s.STALE_FRAMES) + count - 1
+            )
+            state.set_run_table_integer(
+                s.STALE_FRAME_STATE, max(state.run_table_integer(s.STALE_FRAME_STATE), 1)
+            )
         elif count > 1:
-            counter = last_state.run_integer(s.SYNC_COUNTER)
+            counter = last_state.run_table_integer(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
             fresh_payloads = [
                 frame.data

@@ -50,10 +50,10 @@ from handctl.core.control_law.servo_commands import (
     write_servo_command,
 )
 from handctl.core.estimation.blocked_digits import MAX_BLOCKED_EXTRA_TENSION_N
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
+from handctl.core.estimation.slack_detection import MAX_SLACK_TENSION_N
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.take_up import MAX_SLACK_TENSION_N
 from handctl.core.estimation.varying_moment_arms import (
     arm_slope,
     carrier_excursion,
@@ -175,7 +175,7 @@ def temporary_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
         planned_tension = x.tendon[s.PLANNED_TENSION, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             planned_tension = abs(planned_tension)
-        if x.digit_int[s.BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned_tension > 0.0:
+        if x.digit_int[s.IS_BLOCKED, c.tendon_int[h.DIGIT_OF_TENDON, n]] and planned_tension > 0.0:
             limit[n] = min(limit[n], planned_tension + MAX_BLOCKED_EXTRA_TENSION_N)
         if x.run_int[s.SAFETY_HOLD_ACTIVE]:
             limit[n] = min(limit[n], x.tendon[s.HOLD_TENSION_LIMIT, n])
@@ -189,7 +189,7 @@ def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     A drive that reports no temperature counts as cool.
     """
     soft_limit = c.run[h.DERATING_START_TEMPERATURE]
-    hard_limit = c.run[h.TEMPERATURE_AT_FLOOR]
+    hard_limit = c.run[h.DERATING_END_TEMPERATURE]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
         temperature = soft_limit
@@ -423,18 +423,21 @@ def _motion_force_terms(
         winding_direction = math.tanh(
             (rate + _tendon_motion_by_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
-        passed_ratio = (1.0 - friction_fraction) + friction_fraction * math.pow(
+        transmitted_ratio = (1.0 - friction_fraction) + friction_fraction * math.pow(
             efficiency[n], winding_direction
         )
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             required = net_tension_at_spool(
-                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed_ratio
+                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], transmitted_ratio
             )
             motion_terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
             motion_terms[0, n] = min(
-                max(x.tendon[s.REQUIRED_TENSION, n] / passed_ratio, c.tendon[h.TENSION_FLOOR, n]),
+                max(
+                    x.tendon[s.REQUIRED_TENSION, n] / transmitted_ratio,
+                    c.tendon[h.TENSION_FLOOR, n],
+                ),
                 ceiling,
             )
         motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
@@ -731,7 +734,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
 def _relaxation_envelope(
     x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
 ) -> float:
-    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxing``."""
+    """Return the largest motor force while the hand relaxes [N], see ``controller.relaxation``."""
     last_force = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last_force = abs(last_force)

@@ -147,7 +147,7 @@ def follows_streamed_angles(x: StateTables, c: ConstantTables, n: int) -> bool:
 @kernel_helper
 def is_target_stream_running(x: StateTables) -> bool:
     """Return True if a stream of targets is running, for any digit or tendon of the hand."""
-    return bool(x.run_int[s.STREAMING] == s.RUNNING_STREAM)
+    return bool(x.run_int[s.STREAM_STATE] == s.RUNNING_STREAM)
 
 
 @kernel_helper

@@ -98,7 +98,7 @@ def update_friction_state(x: StateTables, c: ConstantTables, n: int, efficiency:
             is wound.
     """
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     slider_travel = x.tendon[s.FRICTION_SLIDER, n]
     if math.isnan(slider_travel):
         x.tendon[s.FRICTION_STATE, n] = math.nan

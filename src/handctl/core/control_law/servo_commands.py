@@ -41,7 +41,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
-from handctl.core.estimation.filter_stack import SLACK_REGIME
+from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import ACTIVE_MODE
@@ -97,7 +97,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
         return False
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
-        x.digit_int[s.BLOCKED, d]
+        x.digit_int[s.IS_BLOCKED, d]
         or x.digit_int[s.PLANNED_CONTACT, d]
         or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
     ):
@@ -195,7 +195,7 @@ def write_servo_command(
     position_lead = (
         (force - feedforward_force - servo_speed_force(x, c, n, rate)) * spool * spool / kp
     )
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     speed = rate
     if c.run_int[h.HAS_CARRIER_ARMS]:
         # The commanded position and speed include the estimated motion of carrying digits, so that

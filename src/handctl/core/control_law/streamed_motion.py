@@ -18,7 +18,7 @@ import math
 from handctl.compiled import kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables, state_tables
 from handctl.core.tick_types import Vector
@@ -44,7 +44,7 @@ CLIP_TOLERANCE = 1e-9
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
 def begin_segments(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     target_coordinates: Vector,
     holdable_coordinates: Vector,
     since: float,
@@ -59,7 +59,7 @@ def begin_segments(
 
     Args:
         block: state block, modified in place.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         target_coordinates: (C,) requested coordinates [rad].
         holdable_coordinates: (C,) coordinates nearest to the present ones that the hand can hold with
             taut tendons [rad].

@@ -71,7 +71,7 @@ def find_and_debounce_faults(
         node_faults.detect_node_faults_under_torque(x, c, evidence)
         tendon_faults.detect_tendon_faults_under_torque(x, c, evidence)
     elif is_torque_cut:
-        slack_history.update_history_after_cut(x, c, x.run_int[s.CELLS_TARED] == 1)
+        slack_history.update_history_after_cut(x, c, x.run_int[s.ARE_CELLS_TARED] == 1)
         node_faults.detect_tension_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
@@ -82,14 +82,14 @@ def find_and_debounce_faults(
 def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the stored values of the detectors that run while the motors may make torque."""
     missed_ticks = x.run_int[s.MISSED_TICKS]
-    tared = x.run_int[s.CELLS_TARED] == 1
+    tared = x.run_int[s.ARE_CELLS_TARED] == 1
     tendon_slip.update_slip(x, c, tared)
     servo_commands.predict_reported_forces(x, c)
     residuals.update_residuals(x, c, missed_ticks, tared)
     slack_history.update_slack_history(x, c)
     stuck_sensors.update_stuck_counts(x, c, tared)
     torque_correlation.update_correlation(x, c, missed_ticks)
-    replayed_readings.update_repetitions(x, tared)
+    replayed_readings.count_repeated_readings(x, tared)
     tension_swings.update_swing(x, c, tared)
 
 

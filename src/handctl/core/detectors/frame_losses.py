@@ -46,7 +46,7 @@ def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) 
     """Return the number of ticks by which the feedback of motor n is overdue."""
     return ticks_overdue(
         now_ns,
-        x.tendon_int[s.FEEDBACK_NS, n],
+        x.tendon_int[s.FEEDBACK_RECEIVED_NS, n],
         c.tendon_int[h.CYCLIC_FEEDBACK_PERIOD_NS, n],
         c.run_int[h.PERIOD_NS],
     )
@@ -63,7 +63,7 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     last_reading_ns = -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
-            last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_NS, g])
+            last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_RECEIVED_NS, g])
     if c.run_int[h.TENSION_GROUPS] == 0:
         return 0
     return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.PERIOD_NS])
@@ -105,7 +105,7 @@ def update_loss_counts(
         x.node_int[s.LOST_REPLY_BITS, node] = (
             recent_bits << 1 | (is_late and count_missing_replies)
         ) & WORD_MASK
-        is_malformed = x.node_int[s.MALFORMED_FRAME_NOW, node] != 0
+        is_malformed = x.node_int[s.HAS_MALFORMED_FRAME, node] != 0
         x.node_int[s.MALFORMED_FRAME_TICKS, node] = (
             x.node_int[s.MALFORMED_FRAME_TICKS, node] << 1 | is_malformed
         ) & MALFORMED_WINDOW_MASK

@@ -40,7 +40,7 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
     """
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
-        replies = x.tendon_int[s.FEEDBACK_COUNT_NOW, n]
+        replies = x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n]
         open_request_count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
         x.tendon_int[s.EXCESS_REPLIES, n] = 0
         if replies > open_request_count and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
@@ -48,7 +48,7 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
             has_excess_replies = True
         x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(open_request_count - replies, 0)
     for g in range(x.group_int.shape[1]):
-        has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_NOW, g] > 1
+        has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] > 1
     return has_excess_replies
 
 
@@ -61,7 +61,7 @@ def add_requests(x: StateTables, k: int) -> None:
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
-        if x.tendon_int[s.PHASE_BEFORE, n] < READY_PHASE:
+        if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
         # At most MAX_REQUESTS - 1 old requests are kept, so that the new request has a place.

@@ -105,9 +105,9 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         for row in range(len(TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(residual_sums[row] - low):
-                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
-                    residual_sums[row] - low
-                )
+                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[
+                    h.RESIDUAL_UPDATE_FRACTION + row, n
+                ] * (residual_sums[row] - low)
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
         x.tendon[s.LAST_POSITION_STEP, n] = position_change

@@ -24,6 +24,19 @@ from handctl.safety.faults.tendon import (
     DERAILED_READINGS,
     EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
+    FAULT_T01,
+    FAULT_T02A,
+    FAULT_T02B,
+    FAULT_T03,
+    FAULT_T03B,
+    FAULT_T03C,
+    FAULT_T04A,
+    FAULT_T04B,
+    FAULT_T05,
+    FAULT_T05B,
+    FAULT_T06,
+    FAULT_T08,
+    FAULT_T09,
     FREE_SPOOL_SPEED_FRACTION,
     MIN_SNAP_SPOOL_SPEED,
     RELAXING_TIME_S,
@@ -38,19 +51,6 @@ from handctl.safety.faults.tendon import (
     SNAP_TENSION_FRACTION,
     STUCK_CELL_FORCE_RANGE_N,
     STUCK_CELL_READINGS,
-    T01,
-    T02A,
-    T02B,
-    T03,
-    T03B,
-    T03C,
-    T04A,
-    T04B,
-    T05,
-    T05B,
-    T06,
-    T08,
-    T09,
     TAUT_TENSION_N,
 )
 
@@ -69,18 +69,18 @@ def detect_tendon_faults(
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
         if c.tendon[h.TENSION_TRIP, n] < tension < upper_rail:
-            evidence[T03, n] = tension
+            evidence[FAULT_T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
         if (
             c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < upper_rail
             and c.tendon_int[h.CELL_GROUP, n] >= 0
         ):
-            evidence[T03B, n] = tension
+            evidence[FAULT_T03B, n] = tension
         if is_hand_relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
-            evidence[T03C, n] = tension
+            evidence[FAULT_T03C, n] = tension
         if is_armed and is_cell_saturated(x, c, n):
-            evidence[T06, n] = tension
+            evidence[FAULT_T06, n] = tension
 
 
 @kernel_helper
@@ -93,12 +93,12 @@ def detect_tendon_faults_under_torque(
         unexplained_tension = residuals.unexplained_tension(x, c, n)
         excess_friction = residuals.excess_friction(x, n)
         if unexplained_tension > RESIDUAL_WARN_N:
-            evidence[T04A, n] = unexplained_tension
+            evidence[FAULT_T04A, n] = unexplained_tension
         excess_tension = residuals.excess_tension(x, c, n)
         if unexplained_tension > RESIDUAL_TRIP_N or excess_tension > EXCESS_TENSION_TRIP_N:
-            evidence[T04B, n] = max(unexplained_tension, excess_tension)
+            evidence[FAULT_T04B, n] = max(unexplained_tension, excess_tension)
         if excess_friction > EXCESS_FRICTION_WARN_N:
-            evidence[T09, n] = excess_friction
+            evidence[FAULT_T09, n] = excess_friction
         force_change = stuck_sensors.motion_since_reading(
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
@@ -109,15 +109,15 @@ def detect_tendon_faults_under_torque(
             and force_change > STUCK_CELL_FORCE_RANGE_N
             and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_TENSION_N
         ):
-            evidence[T05, n] = force_change
+            evidence[FAULT_T05, n] = force_change
         age = age_of_repeated_readings(x, n)
         if age > 0:
-            evidence[T05B, n] = age
+            evidence[FAULT_T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
         if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailment_threshold(
             c, n
         ):
-            evidence[T08, n] = slip
+            evidence[FAULT_T08, n] = slip
 
 
 @kernel_helper
@@ -198,10 +198,10 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
     speed = x.tendon[s.SPEED, n]
     slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
     if slack_time > SLACK_WARN_S:
-        evidence[T02A, n] = slack_time
+        evidence[FAULT_T02A, n] = slack_time
     if slack_time > SLACK_TRIP_S:
-        evidence[T02B, n] = slack_time
-    tension = monitored_tension(x, c, n, x.run_int[s.CELLS_TARED] == 1)
+        evidence[FAULT_T02B, n] = slack_time
+    tension = monitored_tension(x, c, n, x.run_int[s.ARE_CELLS_TARED] == 1)
     planned_speed = _planned_speed(x, c, n)
     if c.tendon_int[h.IS_SPOOL_PAIR, n] and commanded_tension < 0.0:
         commanded_tension = -commanded_tension
@@ -216,4 +216,4 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
         and tension < SNAP_TENSION_FRACTION * commanded_tension
         and was_recently_taut
     ):
-        evidence[T01, n] = unplanned_speed
+        evidence[FAULT_T01, n] = unplanned_speed

@@ -33,7 +33,7 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         c: constants of the hand.
         tared: True if the zeros of the load cells are known.
     """
-    has_joint_reading = x.run_int[s.ANY_JOINT_READ] == 1
+    has_joint_reading = x.run_int[s.HAS_ANY_JOINT_READING] == 1
     for n in range(x.tendon.shape[1]):
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:

@@ -16,7 +16,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import OSCILLATION_RMS_N
 
-SLOW_PART_TIME_CONSTANT_S = 0.02
+SLOW_DEVIATION_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
 The time constant belongs to the frequency ``MIN_OSCILLATION_HZ``.
@@ -29,7 +29,7 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
     period = c.run[h.PERIOD]
-    slow_fraction = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
+    slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
     mean_fraction = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
         fast_part = 0.0

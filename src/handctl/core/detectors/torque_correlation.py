@@ -116,8 +116,8 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         last_force = x.tendon[s.RECENT_MOTOR_FORCES + 2, n]
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             is_loop_closed = 1.0 if x.servo[s.LAST_SERVO_COMMAND + 2, n] > 0.0 else 0.0
-            x.servo[s.SERVO_TICK_FRACTION, n] += fraction * (
-                is_loop_closed - x.servo[s.SERVO_TICK_FRACTION, n]
+            x.servo[s.POSITION_COMMAND_FRACTION, n] += fraction * (
+                is_loop_closed - x.servo[s.POSITION_COMMAND_FRACTION, n]
             )
             last_force = second_force
             second_force = first_force
@@ -157,9 +157,12 @@ def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
         MIN_INCREMENT_FRACTION * c.tendon[h.DRIVE_TENSION_LIMIT, n],
         0.5 * c.tendon[h.TORQUE_STEP, n],
     )
-    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_TICK_FRACTION, n] > MIN_SERVO_SHARE:
+    if (
+        c.tendon_int[h.DRIVE_CLOSES_LOOP, n]
+        and x.servo[s.POSITION_COMMAND_FRACTION, n] > MIN_SERVO_SHARE
+    ):
         rounding_step = max(
-            rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING, n]
+            rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING_FORCE, n]
         )
     return float(rounding_step)
 

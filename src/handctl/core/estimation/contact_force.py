@@ -75,15 +75,15 @@ def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
         if not x.digit_int[s.CLOSING_UNTIL_CONTACT, d]:
             continue
         force = x.digit[s.SMOOTHED_TIP_FORCE, d]
-        force += c.run[h.TIP_FORCE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
+        force += c.run[h.TIP_FORCE_UPDATE_FRACTION] * (_fit_tip_force(x, c, d, lever) - force)
         mean = force if math.isnan(x.digit[s.TIP_FORCE_MEAN, d]) else x.digit[s.TIP_FORCE_MEAN, d]
         drift = 0.0 if math.isnan(x.digit[s.TIP_FORCE_DRIFT, d]) else x.digit[s.TIP_FORCE_DRIFT, d]
         x.digit[s.SMOOTHED_TIP_FORCE, d] = force
         # A negative average of the tip force is attributed to an error of the model, and a positive
         # drift to an error of the load cell.
         x.digit[s.CONTACT_FORCE, d] = force - min(mean, 0.0) - max(drift, 0.0)
-        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.TIP_FORCE_MEAN_FRACTION] * (force - mean)
-        x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
+        x.digit[s.TIP_FORCE_MEAN, d] = mean + c.run[h.MEAN_FORCE_UPDATE_FRACTION] * (force - mean)
+        x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_UPDATE_FRACTION] * (force - drift)
 
 
 @kernel_helper
@@ -129,17 +129,19 @@ def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
         # The length on the spool minus the elastic stretch is the tendon length that moves the
         # joints.
         unstretched_travel = (
-            x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
+            x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
         )
-        fast_travel = x.tendon[s.GRIP_TRAVEL_FAST, n]
-        slow_travel = x.tendon[s.GRIP_TRAVEL_SLOW, n]
+        fast_travel = x.tendon[s.FAST_GRIP_TRAVEL, n]
+        slow_travel = x.tendon[s.SLOW_GRIP_TRAVEL, n]
         fast_travel = (
-            fast_travel + (unstretched_travel - fast_travel) * c.run[h.GRIP_FAST_FRACTION]
+            fast_travel + (unstretched_travel - fast_travel) * c.run[h.FAST_GRIP_UPDATE_FRACTION]
             if x.run_int[s.PROGRAM_HOLDS_OBJECT]
             else unstretched_travel
         )
-        slow_travel = slow_travel + (unstretched_travel - slow_travel) * c.run[h.GRIP_SLOW_FRACTION]
-        x.tendon[s.GRIP_TRAVEL_FAST, n] = fast_travel
-        x.tendon[s.GRIP_TRAVEL_SLOW, n] = (
+        slow_travel = (
+            slow_travel + (unstretched_travel - slow_travel) * c.run[h.SLOW_GRIP_UPDATE_FRACTION]
+        )
+        x.tendon[s.FAST_GRIP_TRAVEL, n] = fast_travel
+        x.tendon[s.SLOW_GRIP_TRAVEL, n] = (
             slow_travel if is_slip_judged and x.run_int[s.PROGRAM_HOLDS_OBJECT] else fast_travel
         )

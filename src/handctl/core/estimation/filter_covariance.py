@@ -16,7 +16,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.filter_stack import STATE_COUNT, E
+from handctl.core.estimation.filter_types import STATE_COUNT, E
 from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
@@ -24,7 +24,7 @@ Matrix = NDArray[np.float64]
 
 CELL_ERROR = E
 """Index of the load-cell error among the states of a tendon."""
-MISSING_VARIANCE_FACTOR = 1e12
+MISSING_READING_VARIANCE_FACTOR = 1e12
 """Factor on the variance of a missing measurement.
 
 This factor makes the Kalman gain practically zero.
@@ -78,7 +78,7 @@ def correct_tendon_covariance(
     R = np.zeros(2)
     for m in range(2):
         R[m] = c.design[n, kind, h.MEASUREMENT_NOISE_OFFSET + m] * (
-            MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
+            MISSING_READING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
         )
     # The inverse of the innovation covariance [[a, b], [b, d]] is computed by a formula.
     a = innovation_covariance[0, 0] + R[0]
@@ -146,7 +146,7 @@ def predict_covariances(
                 for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
         # The covariance that was computed so far belongs to the old filter design.
-        if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
+        if kind != x.tendon_int[s.LAST_FILTER_KIND, n]:
             P = _copy_design_matrix(c, n, kind, h.COVARIANCE_OFFSET)
         for i in range(STATE_COUNT):
             for j in range(STATE_COUNT):

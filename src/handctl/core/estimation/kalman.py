@@ -19,11 +19,18 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation import filter_covariance
-from handctl.core.estimation.filter_stack import (
+from handctl.core.estimation.filter_types import (
     FREE_REGIME,
     HELD_REGIME,
     SLACK_REGIME,
     STATE_COUNT,
+)
+from handctl.core.estimation.slack_detection import (
+    is_nearly_taut,
+    is_regime_over,
+    regime_evidence,
+    regime_evidence_without_cell,
+    set_offset_of_newly_taut_tendon,
 )
 from handctl.core.estimation.statics import (
     subtract_torque_of_passing_tendons,
@@ -31,13 +38,6 @@ from handctl.core.estimation.statics import (
     write_static_torque,
     write_tensions_at_joints,
     write_tensions_for_torque,
-)
-from handctl.core.estimation.take_up import (
-    is_nearly_taut,
-    is_regime_over,
-    regime_evidence,
-    regime_evidence_without_cell,
-    set_offset_of_newly_taut_tendon,
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
@@ -116,7 +116,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     """Correct the filter by the measurements of a tick, and judge the regime of each tendon.
 
     The regime depends on slack, open stop and contact. A digit with ``PLANNED_CONTACT`` or
-    ``BLOCKED`` counts as held, see ``is_in_contact``.
+    ``IS_BLOCKED`` counts as held, see ``is_in_contact``.
 
     Args:
         x: state tables.
@@ -127,7 +127,7 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
     for n in range(count):
         # The kind of filter design may change in the code below. The measurements are still judged
         # by the kind of design that predicted them.
-        x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.FILTER_KIND_BEFORE, n] = filter_kind(x, n)
+        x.tendon_int[s.FILTER_KIND, n] = x.tendon_int[s.LAST_FILTER_KIND, n] = filter_kind(x, n)
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
     use_full_update = (
@@ -173,11 +173,13 @@ def _usable_measurements(x: StateTables) -> Matrix:
         z[n, 0] = x.tendon[s.MEASURED_TRAVEL, n]
         z[n, 1] = x.tendon[s.MEASURED_TENSION, n]
         z[n, 2] = x.tendon[s.MEASURED_EXCURSION, n]
-        if x.tendon_int[s.SATURATED, n]:
+        if x.tendon_int[s.IS_CELL_SATURATED, n]:
             z[n, 1] = math.nan
         if x.tendon_int[s.REGIME, n] == SLACK_REGIME:
             stretch = (
-                x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+                x.tendon[s.SPOOL_TRAVEL, n]
+                - x.tendon[s.EXCURSION, n]
+                - x.tendon[s.STRETCH_OFFSET, n]
             )
             if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.TENDON_LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
@@ -201,7 +203,7 @@ def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
                         x.tendon_int[s.FILTER_KIND, n],
                         h.MEASUREMENT_MATRIX_OFFSET + STATE_COUNT * m + i,
                     ]
-                    * x.tendon[s.TRAVEL + i, n]
+                    * x.tendon[s.SPOOL_TRAVEL + i, n]
                 )
             innovation[n, m] = z[n, m] - expected
     return innovation
@@ -277,7 +279,7 @@ def _gate_and_correct_states(
         for i in range(STATE_COUNT):
             for m in range(3):
                 if not math.isnan(innovations[n, m]):
-                    x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
+                    x.tendon[s.SPOOL_TRAVEL + i, n] += gain[n, i, m] * innovations[n, m]
         # At the same travel, more tension means more stretch of the tendon, and therefore less
         # excursion.
         x.tendon[s.EXCURSION, n] -= tension_jump / c.tendon[h.TENDON_STIFFNESS, n]
@@ -399,7 +401,7 @@ def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
     for i in range(STATE_COUNT):
-        tension += c.design[n, kind, h.TENSION_ROW_OFFSET + i] * x.tendon[s.TRAVEL + i, n]
+        tension += c.design[n, kind, h.TENSION_ROW_OFFSET + i] * x.tendon[s.SPOOL_TRAVEL + i, n]
     return tension
 
 
@@ -550,7 +552,7 @@ def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if it is in a planned contact while motors may make torque."""
     makes_torque = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
     return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
-        s.BLOCKED, d
+        s.IS_BLOCKED, d
     ] == 1
 
 

@@ -25,11 +25,11 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
-        if x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0:
+        if x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0:
             x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
         x.tendon[s.MEASURED_TENSION, n] = math.nan
-        x.tendon_int[s.SATURATED, n] = 0
-        if x.tendon_int[s.CELL_READ_NOW, n]:
+        x.tendon_int[s.IS_CELL_SATURATED, n] = 0
+        if x.tendon_int[s.HAS_NEW_CELL_READING, n]:
             cell_reading = x.tendon[s.CELL_READING, n]
             is_saturated = not c.run[h.CELL_MIN] < cell_reading < c.run[h.CELL_MAX]
             if is_saturated:
@@ -41,12 +41,12 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
             x.tendon[s.MEASURED_TENSION, n] = cell_reading - (
                 c.tendon[h.CELL_TARE, n] + x.tendon[s.TARE_MEASURED_BY_PROGRAM, n]
             )
-            x.tendon_int[s.SATURATED, n] = is_saturated
-    x.run_int[s.ANY_JOINT_READ] = 0
+            x.tendon_int[s.IS_CELL_SATURATED, n] = is_saturated
+    x.run_int[s.HAS_ANY_JOINT_READING] = 0
     for j in range(x.joint.shape[1]):
         x.joint[s.MEASURED_JOINT, j] = math.nan
-        if x.joint_int[s.JOINT_READ_NOW, j]:
-            x.run_int[s.ANY_JOINT_READ] = 1
+        if x.joint_int[s.HAS_NEW_JOINT_READING, j]:
+            x.run_int[s.HAS_ANY_JOINT_READING] = 1
             x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
 
 
@@ -160,7 +160,7 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
     is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
-    return bool(is_out_of_range or x.tendon_int[s.SATURATED, n])
+    return bool(is_out_of_range or x.tendon_int[s.IS_CELL_SATURATED, n])
 
 
 @kernel_helper
@@ -194,17 +194,17 @@ def start_filter(x: StateTables, c: ConstantTables) -> None:
             return
     for n in range(x.tendon.shape[1]):
         for state in range(7):
-            x.tendon[s.TRAVEL + state, n] = 0.0
+            x.tendon[s.SPOOL_TRAVEL + state, n] = 0.0
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
         x.tendon_int[s.DIGIT_ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
-        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[
-            h.SPOOL_RADIUS, n
-        ]
+        x.tendon[s.SPOOL_TRAVEL, n] = (
+            x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]
+        ) * c.tendon[h.SPOOL_RADIUS, n]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # The tendons of a digit that carries other digits come before the tendons of the
             # carried digits. The joint angles of the carrying digit are therefore known here.
             write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
-            x.tendon[s.TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
+            x.tendon[s.SPOOL_TRAVEL, n] -= carrier_excursion(c, n, x.joint[s.Q])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            x.tendon[s.EXCURSION, n] = x.tendon[s.TRAVEL, n]  # no stretch at zero net tension
+            x.tendon[s.EXCURSION, n] = x.tendon[s.SPOOL_TRAVEL, n]  # no stretch at zero net tension
     x.run_int[s.FILTER_STARTED] = 1

@@ -30,13 +30,13 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
+    joint_wrap_angle,
     link_poses_of_hand,
     wrap_before_digit,
-    wrap_of_joint,
     write_static_torque,
     write_tip_levers,
 )
-from handctl.core.estimation.varying_moment_arms import correct_angles_to_excursions
+from handctl.core.estimation.varying_moment_arms import fit_angles_to_excursions
 from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_levers_after_turn
 
@@ -113,8 +113,8 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         x.joint[s.Q, j] += x.joint[s.CONTACT_TURN, j]
         x.joint[s.Q_SIGMA, j] = min(sigma, c.joint[h.ANGLE_RANGE_SIGMA, j])
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        correct_angles_to_excursions(x, c)
-    if update and c.run_int[h.HAS_FUSED_JOINTS]:
+        fit_angles_to_excursions(x, c)
+    if update and c.run_int[h.HAS_FUSED_ENCODERS]:
         _fuse_encoders(x, c, columns, spread, t_ns)
 
 
@@ -163,13 +163,13 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     for j in range(joints):
         mean = 0.0
         for place in range(place_count):
-            mean += c.place_joint[h.PLACE_WEIGHT, place, j] * turns[place, j]
+            mean += c.place_joint[h.CONTACT_PLACE_PROBABILITY, place, j] * turns[place, j]
         turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_SMOOTHING_FRACTION] * (
             mean - x.joint[s.CONTACT_TURN, j]
         )
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(place_count):
-            root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
+            root = math.sqrt(c.place_joint[h.CONTACT_PLACE_PROBABILITY, place, j])
             # The errors are multiplied by the square root of the probability of their place, so
             # that the sum of their squares is the variance over the places.
             columns[place, j] = root * (turns[place, j] - turn)
@@ -331,7 +331,7 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, x.joint[s.Q, j])
+                wrap_angle += joint_wrap_angle(c, j, x.joint[s.Q, j])
                 friction_arm = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
                 torque[0, j] += (
                     FRICTION_FRACTION * x.tendon[s.TENSION, n] * friction_arm * wrap_angle
@@ -372,14 +372,14 @@ def _fuse_encoders(
                 covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
             for n in range(spread.shape[1]):
                 covariance[a, b] += spread[a, n] * spread[b, n]
-            covariance[a, b] *= c.joint_joint[h.IS_SAME_DIGIT, a, b]
+            covariance[a, b] *= c.joint_joint[h.ARE_IN_SAME_DIGIT, a, b]
     has_reading = False
     gain = np.zeros(joints)
     covariance_row = np.zeros(joints)
     for j in range(joints):
-        if not c.joint_int[h.IS_FUSED, j]:
+        if not c.joint_int[h.IS_ENCODER_FUSED, j]:
             continue
-        last_heard_ns = x.group_int[s.GROUP_NS, c.joint_int[h.JOINT_GROUP, j]]
+        last_heard_ns = x.group_int[s.GROUP_RECEIVED_NS, c.joint_int[h.JOINT_GROUP, j]]
         age = (t_ns - last_heard_ns) / 1e9
         if last_heard_ns < 0 or age >= MAX_READING_AGE_S:
             continue
@@ -397,7 +397,7 @@ def _fuse_encoders(
                 covariance[a, b] -= gain[a] * covariance_row[b]
     if has_reading:
         for j in range(joints):
-            if c.joint_int[h.IS_FUSED, j]:
+            if c.joint_int[h.IS_ENCODER_FUSED, j]:
                 x.joint[s.Q_SIGMA, j] = math.sqrt(max(covariance[j, j], 0.0))
 
 

@@ -57,7 +57,7 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 
 @kernel_helper
-def wrap_of_joint(c: ConstantTables, j: int, q: float) -> float:
+def joint_wrap_angle(c: ConstantTables, j: int, q: float) -> float:
     """Return the wrap angle that joint j adds to a tendon when the joint is at position q [rad].
 
     The wrap angle is 0 for a prismatic joint.
@@ -102,10 +102,12 @@ def pulley_torque(
             paid out.
         wrap_angle: wrap angle of the tendon up to and including the pulley [rad].
     """
-    passed_ratio = capstan_ratio(c, n, friction_state, wrap_angle)
+    transmitted_ratio = capstan_ratio(c, n, friction_state, wrap_angle)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-        return moment_arm * net_tension_at_joint(tension, c.tendon[h.PRETENSION, n], passed_ratio)
-    return moment_arm * tension * passed_ratio
+        return moment_arm * net_tension_at_joint(
+            tension, c.tendon[h.PRETENSION, n], transmitted_ratio
+        )
+    return moment_arm * tension * transmitted_ratio
 
 
 @kernel_helper
@@ -132,7 +134,7 @@ def subtract_torque_of_passing_tendons(
         for j in range(len(q)):
             arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+                wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
 
 
@@ -149,7 +151,7 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
             if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+                wrap_angle += joint_wrap_angle(c, j, q[j])
     return wrap_angle
 
 
@@ -202,7 +204,7 @@ def write_tensions_at_joints(
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
-                wrap_angle += wrap_of_joint(c, j, q[j])
+                wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
     write_tensions_for_torque(c, torque, result)
 
@@ -279,7 +281,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     efficiency = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
-            wrap_angle += wrap_of_joint(c, j, q[j])
+            wrap_angle += joint_wrap_angle(c, j, q[j])
             efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
                 c, n, 1.0, wrap_angle
             )

@@ -157,7 +157,7 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def correct_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
+def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
     """Correct the joint angles of digits with varying moment arms by the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_HAS_VARYING_ARM, d]:
@@ -254,11 +254,11 @@ def _write_weights(c: ConstantTables, d: int) -> None:
                     * c.tendon_joint[h.MOMENT_ARMS, n, i]
                 )
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
-        mean = c.tendon[h.MEAN_BALANCE, n]
+        mean = c.tendon[h.MEAN_BALANCE_TENSION, n]
         if c.tendon_int[h.IS_REDUNDANT_DIGIT, n] and mean > 0.0:
             # The balance tensions for the mean moment arms are known. The part of these tensions
             # that makes no torque with the present moment arms becomes the new balance.
-            balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
+            balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE_TENSION])
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
                 balance, MIN_BALANCE_FRACTION * mean
             )

@@ -16,7 +16,7 @@ import numpy as np
 from handctl.compiled import borrowed_array, kernel, kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
-from handctl.core.block_schema import BlockArray, TablePlaces
+from handctl.core.block_schema import BlockArray, TableOffsets
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
@@ -70,7 +70,7 @@ from handctl.drives.signals import (
 )
 from handctl.drives.signals import LENGTH_COLUMN as LENGTH_BITS
 
-NO_ENTRY = -1
+NO_FRAME_ENTRY = -1
 """Index that stands for a missing entry."""
 ENABLED_PHASE = int(DrivePhase.ENABLED)
 """Value of ``drives.contract.DrivePhase.ENABLED``."""
@@ -78,7 +78,7 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
     int, tuple(SignalQuantity)[:8]
 )
 """Values of ``drives.signals.SignalQuantity``, for compiled code."""
-NUMBER_MASK = 0x1FFFFFFF
+CAN_ID_MASK = 0x1FFFFFFF
 """Mask of a CAN identifier without its flags."""
 STANDARD_IDS = 0x800
 """Number of possible 11-bit identifiers."""
@@ -88,7 +88,7 @@ OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 
 @kernel_helper
 def find_key(keys: IntArray, key: Any) -> int:
-    """Return the index of a key in sorted keys, or NO_ENTRY if the key is missing.
+    """Return the index of a key in sorted keys, or NO_FRAME_ENTRY if the key is missing.
 
     The function uses a binary search.
     """
@@ -100,7 +100,7 @@ def find_key(keys: IntArray, key: Any) -> int:
             low = middle_index + 1
         else:
             high = middle_index
-    return low if low < len(keys) and keys[low] == key else NO_ENTRY
+    return low if low < len(keys) and keys[low] == key else NO_FRAME_ENTRY
 
 
 @kernel(
@@ -120,9 +120,9 @@ def find_key(keys: IntArray, key: Any) -> int:
 )
 def receive_frames(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     constants: BlockArray,
-    constants_places: TablePlaces,
+    constant_offsets: TableOffsets,
     frame_rows: WordRows,
     keys: IntArray,
     entries: IntArray,
@@ -137,9 +137,9 @@ def receive_frames(
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         constants: constants of the hand.
-        constants_places: ``BlockLayout.places`` of the constants.
+        constant_offsets: ``BlockLayout.offsets`` of the constants.
         frame_rows: (n, WORDS_PER_RECORD) records of frames.
         keys: see ``WireTables``.
         entries: see ``WireTables``.
@@ -156,7 +156,7 @@ def receive_frames(
         or n if there is no such frame.
     """
     x = state_tables(block, at)
-    c = constant_tables(constants, constants_places)
+    c = constant_tables(constants, constant_offsets)
     frame_rows = borrowed_array(frame_rows, 0, frame_rows.shape)
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
@@ -173,7 +173,7 @@ def receive_frames(
         length = head_word >> LENGTH_BIT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
         is_error_frame = head_word & ERROR_FLAG != 0
-        if entry == NO_ENTRY or (
+        if entry == NO_FRAME_ENTRY or (
             is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
         ):
             _count_unknown_frame(x, keys, entries, bus, can_id)
@@ -213,7 +213,8 @@ def receive_frames(
 def _is_steady(x: StateTables, n: Any) -> bool:
     """Return True if a drive is enabled and its state machine has nothing to do."""
     is_steady: bool = (
-        x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
+        x.tendon_int[s.DRIVE_PHASE, n] == ENABLED_PHASE
+        and x.tendon_int[s.EXPECTED_DRIVE_STATUS, n] >= 0
     )
     return is_steady
 
@@ -318,12 +319,12 @@ def _count_unknown_frame(
     bits are those of a node.
     """
     x.run_int[s.UNKNOWN_FRAMES] += 1
-    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & NUMBER_MASK < STANDARD_IDS:
-        entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
-        if entry != NO_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
+    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_IDS:
+        entry = find_key(keys, bus << 32 | can_id & CAN_ID_MASK)
+        if entry != NO_FRAME_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]
             x.node_int[
-                s.MALFORMED_FRAME_NOW,
+                s.HAS_MALFORMED_FRAME,
                 owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1,
             ] = 1
 
@@ -332,8 +333,9 @@ def _count_unknown_frame(
 def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
-    x.run_int[s.STALE_FRAME_NOW] = max(
-        x.run_int[s.STALE_FRAME_NOW], 2 if x.group_int[s.GROUP_FRAME_COUNT_NOW, sensor_group] else 1
+    x.run_int[s.STALE_FRAME_STATE] = max(
+        x.run_int[s.STALE_FRAME_STATE],
+        2 if x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, sensor_group] else 1,
     )
 
 
@@ -363,7 +365,7 @@ def _decode_sensor_frame(
         signal_reals: see ``WireTables``.
     """
     if not is_length_right:
-        x.node_int[s.MALFORMED_FRAME_NOW, x.node_int.shape[1] - 1] = 1
+        x.node_int[s.HAS_MALFORMED_FRAME, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP_COLUMN]
     tensions = 0
@@ -377,14 +379,14 @@ def _decode_sensor_frame(
         if quantity == CELL:
             tensions = 1
             x.tendon[s.CELL_READING, channel] = value
-            x.tendon_int[s.CELL_READ_NOW, channel] = 1
+            x.tendon_int[s.HAS_NEW_CELL_READING, channel] = 1
         if quantity == ANGLE:
             x.joint[s.JOINT_ANGLE, channel] = value
-            x.joint_int[s.JOINT_READ_NOW, channel] = 1
-    x.group_int[s.GROUP_NS, group] = t_ns
+            x.joint_int[s.HAS_NEW_JOINT_READING, channel] = 1
+    x.group_int[s.GROUP_RECEIVED_NS, group] = t_ns
     x.group_int[s.GROUP_FRAME_COUNT, group] += 1
     x.run_int[s.TENSION_FRAMES] += tensions
-    x.group_int[s.GROUP_FRAME_COUNT_NOW, group] += 1
+    x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, group] += 1
 
 
 @kernel_helper
@@ -394,7 +396,7 @@ def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bo
     The stored position was received earlier in this tick. The tension filter predicts the position
     for the time of the request. Before the filter has started, the later position is used.
     """
-    travel = x.tendon[s.TRAVEL, n]
+    travel = x.tendon[s.SPOOL_TRAVEL, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         travel += carrier_excursion(c, n, x.joint[s.Q])
     expected = travel / c.tendon[h.SPOOL_RADIUS, n] + c.tendon[h.MOTOR_ZERO, n]
@@ -429,7 +431,7 @@ def _decode_drive_frame(
     n = entries[entry, OWNER_COLUMN]
     if not _is_steady(x, n):
         return False
-    expected = x.tendon_int[s.STATUS_EXPECTED, n]
+    expected = x.tendon_int[s.EXPECTED_DRIVE_STATUS, n]
     position = velocity = torque = temperature = math.nan
     status = 0
     payload = frame_row[PAYLOAD_WORD]
@@ -461,20 +463,20 @@ def _decode_drive_frame(
         return False
     if (
         entries[entry, NEAREST_ONLY_COLUMN]
-        and x.tendon_int[s.FEEDBACK_COUNT_NOW, n] > 0
+        and x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0
         and not _is_nearer(x, c, n, position)
     ):
         x.tendon_int[s.FEEDBACK_COUNT, n] += 1
-        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += 1
         return True
     _store_tendon_value(x, s.POSITION, n, position)
     _store_tendon_value(x, s.VELOCITY, n, velocity)
     _store_tendon_value(x, s.REPORTED_TORQUE, n, torque)
     _store_tendon_value(x, s.TEMPERATURE, n, temperature)
     if feedback:
-        x.tendon_int[s.FEEDBACK_NS, n] = t_ns
+        x.tendon_int[s.FEEDBACK_RECEIVED_NS, n] = t_ns
         x.tendon_int[s.FEEDBACK_COUNT, n] += 1
-        x.tendon_int[s.FEEDBACK_COUNT_NOW, n] += 1
+        x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += 1
     return True
 
 
@@ -550,7 +552,7 @@ def _write_torque_command(
 )  # fmt: skip
 def encode_commands(
     block: BlockArray,
-    at: TablePlaces,
+    at: TableOffsets,
     frame_words: WordRows,
     commands: IntArray,
     signal_integers: IntArray,
@@ -570,7 +572,7 @@ def encode_commands(
 
     Args:
         block: state block.
-        at: ``BlockLayout.places`` of the state block.
+        at: ``BlockLayout.offsets`` of the state block.
         frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         signal_integers: ``WireTables.command_signal_integers``.
@@ -597,7 +599,7 @@ def encode_commands(
         n = commands[i, 0]
         if n < first_drive:
             continue
-        feedback_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        feedback_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
         timeout_ns = commands[i, 2]
         is_feedback_overdue = timeout_ns > 0 and feedback_ns < now_ns - timeout_ns
         if not _is_steady(x, n) or now_ns >= x.tendon_int[s.DRIVE_DUE_NS, n] or is_feedback_overdue:

@@ -9,7 +9,7 @@ come from these declarations.
 There are two ways to find a fault. A fault with the argument ``fault_places`` is detected by
 compiled code in ``core.detectors``. This argument lists the parts that the fault can affect, such
 as motors or tendons. The declaration returns the row of the fault in the detectors' table of
-results. Detectors use this row as in ``evidence[N07, motor]``. A fault with the argument
+results. Detectors use this row as in ``evidence[FAULT_N07, motor]``. A fault with the argument
 ``reports`` is reported by a bus, the host or the recorder.
 """
 
@@ -36,13 +36,13 @@ FAULT_PLACE_HAND = "hand"
 """
 
 VISIBLE_FAULT = "detected"
-INDIRECT_FAULT_SIGN = "replaced"
+INDIRECTLY_VISIBLE = "replaced"
 INVISIBLE_FAULT = "lost"
 """Visibility of a fault with a protocol: detected, replaced by a weaker sign, or not visible."""
 CHECKED_BY_FAULT_TABLE = "fault table"
 CHECKED_BEFORE_ARMING = "before arming"
 CHECKED_BY_DRIVE = "the drive itself"
-CHECKED_BY_LOOP = "loop and recorder"
+CHECKED_BY_CONTROL_LOOP = "loop and recorder"
 CHECKED_IN_FILES = "files"
 """Places where a row of the catalogue is checked."""
 
@@ -182,7 +182,7 @@ The kinds of instances of one fault have adjacent rows.
 """
 
 
-def declare_row(*args: object, **details: object) -> None:
+def declare_catalogue_row(*args: object, **details: object) -> None:
     """Declare a row of the catalogue. For the arguments see ``CatalogueRow``."""
     DECLARED_ROWS.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
 

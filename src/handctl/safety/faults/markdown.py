@@ -53,11 +53,13 @@ def _catalogue_row(row: CatalogueRow) -> str:
     condition_text = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest_text = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
-    latest_text += f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
-    latest_text += f", after {row.counted_from_event}" if row.counted_from_event else ""
-    latest_text = (
-        latest_text
+    latest_reaction_text = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest_reaction_text += (
+        f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
+    )
+    latest_reaction_text += f", after {row.counted_from_event}" if row.counted_from_event else ""
+    latest_reaction_text = (
+        latest_reaction_text
         if row.ticks or row.ms
         else "before torque"
         if row.where != CHECKED_BY_FAULT_TABLE
@@ -65,7 +67,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
     )
     return (
         f"| {row.id} | {row.title} | {condition_text} | {' | '.join(map(row.visibility, VERIFIABLE_PROTOCOLS))} | "
-        f"{latest_text} "
+        f"{latest_reaction_text} "
         f"| {row.tested_by} |"
     )
 
@@ -82,7 +84,7 @@ def reacts_too_late(row: CatalogueRow) -> bool:
     return 0 < row.required < _ticks_text(row)
 
 
-def late_reaction_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
+def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return as Markdown all rows with a later reaction than allowed, with the reasons.
 
     The project's fault catalogue states the allowed reaction times.

@@ -356,7 +356,7 @@ class PairProblem:
             self.parameter_scales[PARAMETER_NAMES.index("motor_inertia")] / self.spool_radius_m**2
         )
         load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
-        passed_ratio = np.exp(
+        transmitted_ratio = np.exp(
             np.clip(
                 -self.parameter_value(z, "capstan") * w.friction_fraction * w.wrap_angle, -3.0, 3.0
             )
@@ -364,7 +364,7 @@ class PairProblem:
         return tension_of_pair(
             load / self.parameter_value(z, "moment_arm"),
             self.parameter_value(z, "pretension"),
-            passed_ratio,
+            transmitted_ratio,
         )
 
     def stretch(self, z: Array) -> Array:

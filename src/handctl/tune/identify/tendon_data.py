@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.run_setup import SETUP_ATTACHMENT
+from handctl.controller.run_setup import SETUP_ATTACHMENT_NAME
 from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
@@ -141,8 +141,8 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
     """Return the torque gains (N,) that the controller used in the logged run."""
-    text = log.header.attachments.get(SETUP_ATTACHMENT, b"{}")
-    with LogErrorContext(f"{SETUP_ATTACHMENT} in the log"):
+    text = log.header.attachments.get(SETUP_ATTACHMENT_NAME, b"{}")
+    with LogErrorContext(f"{SETUP_ATTACHMENT_NAME} in the log"):
         setup = json.loads(text)
         if not isinstance(setup, dict):
             raise ValueError("not a table")

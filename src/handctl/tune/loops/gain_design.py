@@ -237,7 +237,7 @@ def _motion_weights(model: HandModel, frequency: float, damping: float) -> tuple
     The plant is a single mass, and the characteristic polynomial is d(s) = s^2 + 2 z w s + w^2.
     """
     # At low frequencies, the rotor and a freely moving digit act as one mass.
-    mass = float((model.space.motor_mass + model.space.load_mass).mean())
+    mass = float((model.tendon_constants.motor_mass + model.tendon_constants.load_mass).mean())
     return mass * frequency**2, mass * frequency * _positive_root(
         4.0 * damping**2 - 2.0, MIN_DAMPING_TEXT
     )
@@ -249,11 +249,11 @@ def _tension_weights(model: HandModel, frequency: float, damping: float) -> tupl
     The plant is a rotor on its tendon. No weights give poles below the natural frequency of the
     rotor without control.
     """
-    space = model.space
-    m = float(space.motor_mass.mean())
-    k = float(space.stiffness.mean())
+    tendons = model.tendon_constants
+    m = float(tendons.motor_mass.mean())
+    k = float(tendons.stiffness.mean())
     a0 = k / m
-    a1 = float((space.motor_damping + space.damping).mean()) / m
+    a1 = float((tendons.motor_damping + tendons.damping).mean()) / m
     expected = (
         f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} "
         "Hz, the frequency of the free rotor on its tendon"
@@ -282,7 +282,9 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
 
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
     """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
-    return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
+    return replace(
+        model, gains=gains, motion=design_motion(model.tendon_constants, gains, model.period)
+    )
 
 
 def worst_margins(
@@ -351,10 +353,10 @@ def distinct_tendons(model: HandModel) -> tuple[int, ...]:
 
 def _groups_of_equal_tendons(model: HandModel) -> tuple[tuple[int, ...], ...]:
     """Return groups of tendons whose constants and forces are the same, apart from rounding errors."""
-    space = model.space
+    tendons = model.tendon_constants
     groups: dict[tuple[str, ...], tuple[int, ...]] = {}
-    for i, name in enumerate(space.names):
-        numbers = (*space.constants_of_tendon(i), *model.gains.force_weights_of_tendon(name))
+    for i, name in enumerate(tendons.names):
+        numbers = (*tendons.constants_of_tendon(i), *model.gains.force_weights_of_tendon(name))
         key = tuple(f"{number:.6g}" for number in numbers)
         groups[key] = (*groups.get(key, ()), i)
     return tuple(groups.values())
@@ -461,7 +463,7 @@ def model_with_largest_authority(
     shared_force = min(forces.values())
     shared_force_model = _model_with_common_force(model, kind, shared_force)
     separate_force_by_tendon = {
-        model.space.names[i]: force
+        model.tendon_constants.names[i]: force
         for i, force in forces.items()
         if force > MIN_SEPARATE_FORCE_RATIO * shared_force
     }

@@ -34,7 +34,7 @@ from handctl.core.control_law.goal_writer import sample_trajectories, write_goal
 from handctl.core.control_law.required_tensions import write_tension_goals
 from handctl.core.control_law.trajectory import SampledTrajectory
 from handctl.core.estimation.filter_prediction import predict_filter_states
-from handctl.core.estimation.filter_stack import TendonRegime
+from handctl.core.estimation.filter_types import TendonRegime
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
@@ -153,12 +153,12 @@ def plant_system(
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
-    space = model.space
+    tendons = model.tendon_constants
     i = tendon
-    m = space.motor_mass[i] * factors.motor_inertia
-    b = space.motor_damping[i] * factors.damping
-    k = space.stiffness[i] * factors.stiffness
-    c = space.damping[i] * factors.damping
+    m = tendons.motor_mass[i] * factors.motor_inertia
+    b = tendons.motor_damping[i] * factors.damping
+    k = tendons.stiffness[i] * factors.stiffness
+    c = tendons.damping[i] * factors.damping
     tendon_force = np.array([k, c, -k, -c, 0.0])
     A = np.zeros((5, 5))
     B = np.zeros((5, 1))
@@ -170,13 +170,13 @@ def plant_system(
     # The last state is the motor force, which follows the command as a first-order lag.
     A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
     if kind == LoopKind.MOTION:
-        load = space.load_mass[i] * factors.mass
+        load = tendons.load_mass[i] * factors.mass
         A[2, 3] = 1.0
         # By Newton's law, the tension accelerates the digit. All constants of the digit are
         # converted to the tendon.
         A[3] = tendon_force / load
-        A[3, 2] -= space.load_stiffness[i] * factors.spring / load
-        A[3, 3] -= space.load_damping[i] * factors.damping / load
+        A[3, 2] -= tendons.load_stiffness[i] * factors.spring / load
+        A[3, 3] -= tendons.load_damping[i] * factors.damping / load
     else:
         kept_states = [0, 1, 4]
         A = A[np.ix_(kept_states, kept_states)]
@@ -304,7 +304,7 @@ def _tick_with_reading(
 
 
 STATE_ROWS = [
-    *range(s.TRAVEL, s.STRETCH_OFFSET + 1),
+    *range(s.SPOOL_TRAVEL, s.STRETCH_OFFSET + 1),
     s.SETPOINT,
     s.TENSION_INTEGRAL,
     s.FILTER_FORCE,
@@ -335,11 +335,15 @@ class _LinearizationBench:
     def __init__(self, model: HandModel) -> None:
         """Store the model, without limits and without motor friction."""
         unreachable_limits = np.full(model.tendon_count, UNREACHABLE_LIMIT)
-        space = replace(model.space, coulomb=np.zeros_like(unreachable_limits))
-        self.model = replace(model, torque_limit=unreachable_limits, space=space)
+        tendon_constants = replace(
+            model.tendon_constants, coulomb=np.zeros_like(unreachable_limits)
+        )
+        self.model = replace(
+            model, torque_limit=unreachable_limits, tendon_constants=tendon_constants
+        )
         self.layout: BlockLayout = layout_of_state(model, 1)
         self._constants = HandConstants(self.model, {})
-        self._constant_args = self._constants.block, self._constants.layout.places
+        self._constant_args = self._constants.block, self._constants.layout.offsets
 
     def run_filter(self, block: BlockArray) -> None:
         """Execute the correction and the prediction of the filter.
@@ -347,16 +351,16 @@ class _LinearizationBench:
         No contact is detected, because no motor makes torque yet.
         """
         self.layout.view(block, "mode")[...] = HandMode.ARMING
-        tick_stages.correct_tension_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.correct_tension_estimate(block, self.layout.offsets, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
-        tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.conclude_estimate(block, self.layout.offsets, *self._constant_args)
 
     def run_control_law(self, block: BlockArray) -> None:
         """Compute the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         tick_stages.compute_motor_torques(
-            block, self.layout.places, *self._constant_args, 0.0, 0, 1
+            block, self.layout.offsets, *self._constant_args, 0.0, 0, 1
         )
 
 
@@ -378,7 +382,8 @@ def _operating_point(
         bench.run_filter(block)
         bench.run_control_law(block)
         return np.append(
-            table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon]
+            table[STATE_ROWS, tendon],
+            table[s.TORQUE, tendon] / model.tendon_constants.spool[tendon],
         )
 
     table = bench.layout.table(operating_point, "tendon")
@@ -417,12 +422,14 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     table = layout.table(block, "tendon")
     digits = [digit.with_moment_arms_at(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
-    table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
+    table[s.SPOOL_TRAVEL] = (
+        table[s.EXCURSION] + OPERATING_TENSION_N / model.tendon_constants.stiffness
+    )
     table[s.SPEED] = table[s.EXCURSION_RATE] = (
         block_diag(*(digit.moment_arms for digit in digits)) @ dq
     )
     table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
-    table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
+    table[s.MEASURED_TRAVEL] = table[s.SPOOL_TRAVEL]
     is_joint_measured = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(is_joint_measured, table[s.EXCURSION], math.nan)
     layout.view(block, "regime")[...] = TendonRegime.FREE if moving else TendonRegime.HELD

@@ -115,7 +115,9 @@ def _envelope_start(
             the setpoint [N].
     """
     commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    return sign * np.minimum(sign * commanded_force, accounted_force + model.space.coulomb)
+    return sign * np.minimum(
+        sign * commanded_force, accounted_force + model.tendon_constants.coulomb
+    )
 
 
 def are_commands_relaxed(model: HandModel, state: ControllerState) -> bool:

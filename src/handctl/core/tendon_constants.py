@@ -21,7 +21,7 @@ from handctl.hand.link_tree import HandLinkTree
 
 
 @dataclass(frozen=True, slots=True)
-class TendonSpace:
+class TendonConstants:
     """Names and constants of the N tendons of a hand, with shape (N,).
 
     The constants are in SI units along the tendon.
@@ -66,7 +66,7 @@ class TendonSpace:
         )
 
 
-def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
+def collect_tendon_constants(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonConstants:
     """Collect the constants of all tendons of a hand.
 
     Args:
@@ -83,7 +83,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     load = np.concatenate(
         [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
     )
-    return TendonSpace(
+    return TendonConstants(
         names=hand.tendon_names,
         motor_mass=inertia / spool**2,
         motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons])
