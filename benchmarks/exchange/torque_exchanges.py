@@ -105,7 +105,7 @@ class HandctlExchange:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        places = self.controller.derived.layout.offsets
+        places = self.controller.derived_constants.layout.offsets
         self.begin_tick(state.block, places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive_frames(state, frames, 0)
         return frames

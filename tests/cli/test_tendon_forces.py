@@ -142,7 +142,7 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: Hand
     )
     progress = DesignCache().advance(jamia_model, PendingGains(gains))
     assert progress is not None
-    assert progress.pending is None
+    assert progress.pending_gains is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text
 
 

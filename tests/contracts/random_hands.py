@@ -311,7 +311,7 @@ class RandomHand:
         for i in range(TICKS_PER_HAND):
             if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:
                 self.state.mode = HandMode.ACTIVE
-                self.state.decide(latched=())
+                self.state.decide(latched_faults=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
             entry = TickIn(

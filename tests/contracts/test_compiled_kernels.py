@@ -298,9 +298,9 @@ def test_a_constant_changed_in_another_file_compiles_again(
     )
     fault_file = package_copy / "safety" / "faults" / "node.py"
     text = fault_file.read_text(encoding="utf-8")
-    assert "HALF_RATE_MISSING_REPLIES = 7\n" in text
+    assert "HALF_RATE_LOSS_COUNT = 7\n" in text
     fault_file.write_text(
-        text.replace("HALF_RATE_MISSING_REPLIES = 7\n", "HALF_RATE_MISSING_REPLIES = 8\n"),
+        text.replace("HALF_RATE_LOSS_COUNT = 7\n", "HALF_RATE_LOSS_COUNT = 8\n"),
         encoding="utf-8",
     )
     assert run_copied_kernel(package_copy, cache_folder) == (False, False, True)

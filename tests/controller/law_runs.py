@@ -89,7 +89,7 @@ def temperatures_for_limits(model: HandModel, tension_limit: np.ndarray) -> np.n
 
     Each limit must be between the lowest and the highest tension that the hand allows.
     """
-    limits = controller_of(model).derived.limits
+    limits = controller_of(model).derived_constants.limits
     fraction = (tension_limit - model.floor) / (model.ceiling - model.floor)
     return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
 
@@ -210,7 +210,7 @@ def required_tensions_of(
     allocate_bounded_tensions(
         model,
         state.layout,
-        controller_of(model).derived.constants,
+        controller_of(model).derived_constants.constants,
         state.block,
         unsolved_digits,
         motion,

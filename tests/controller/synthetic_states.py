@@ -126,7 +126,7 @@ def stage_constants(model: HandModel) -> tuple[BlockArray, TableOffsets]:
 
     Every stage of a tick has these two objects as its last arguments.
     """
-    return controller_of(model).derived.kernel_constants
+    return controller_of(model).derived_constants.kernel_constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:

@@ -62,7 +62,7 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
         assert client.run.state.failure.startswith(text)
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
         assert client.run.run_until(lambda out: out.mode == HandMode.DONE, 5.0)
-        assert client.run.state.unconfirmed == ()
+        assert client.run.state.unconfirmed_motors == ()
         assert client.reported_faults == set()
 
 

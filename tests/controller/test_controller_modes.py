@@ -92,7 +92,7 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     run.run_until_mode(HandMode.DONE)
     assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert all_motors_disabled(run)
-    assert (run.state.failure, run.state.unconfirmed) == ("", ())
+    assert (run.state.failure, run.state.unconfirmed_motors) == ("", ())
     assert run.tick().frames == (), "done means silent"
 
 
@@ -319,7 +319,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand_bench.run_until_mode(HandMode.DISARM)
     hand_bench.toy_hand.motor_force[3] = 0.0  # the motor stays enabled, but makes no torque
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.state.unconfirmed == ("thumb_motor",)
+    assert hand_bench.state.unconfirmed_motors == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
     assert duration_in_mode(hand_bench, HandMode.DISARM) == pytest.approx(
         DISARM_TIMEOUT_S, abs=0.05
@@ -337,7 +337,7 @@ def test_a_motor_that_keeps_its_torque_needs_its_power_removed_at_once(
     hand_bench.toy_hand.motors[3].ignored_commands.add(0xFD)
     hand_bench.tick(STOP_REQUEST)
     hand_bench.run_until_mode(HandMode.DONE)
-    assert hand_bench.state.unconfirmed == ("thumb_motor",)
+    assert hand_bench.state.unconfirmed_motors == ("thumb_motor",)
     assert hand_bench.state.failure == "REMOVE POWER: still pulling after the cut: thumb_motor"
     assert duration_in_mode(hand_bench, HandMode.DISARM) < 0.2
 
@@ -368,7 +368,7 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
     hand_bench.toy_hand.motors[0].is_silent = True
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
-    assert hand_bench.state.unconfirmed == ("index_motor",)
+    assert hand_bench.state.unconfirmed_motors == ("index_motor",)
     assert "B17 index_motor" in hand_bench.state.failure
     assert "REMOVE POWER" in hand_bench.state.failure
     assert all(motor.state_nibble != 1 for motor in hand_bench.toy_hand.motors[1:])
@@ -381,7 +381,7 @@ def test_a_drive_error_in_action(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.DONE)
     assert "N11 ring_motor" in hand_bench.state.failure
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
-    assert hand_bench.state.unconfirmed == ()
+    assert hand_bench.state.unconfirmed_motors == ()
 
 
 def test_a_lost_bus_causes_a_cut(hand_bench: ControllerBench) -> None:
@@ -455,9 +455,9 @@ def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
 def test_clear_resets_latched_faults_and_arms_no_drive(hand_bench: ControllerBench) -> None:
     hand_bench.run_until_mode(HandMode.ACTIVE)
     hand_bench.tick(extra_frames=(command_of_other_host(hand_bench),))
-    assert hand_bench.state.latched
+    assert hand_bench.state.latched_faults
     hand_bench.tick('{"do": "clear"}')
-    assert not hand_bench.state.latched
+    assert not hand_bench.state.latched_faults
     hand_bench.run_until_mode(HandMode.DONE)
     assert hand_bench.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
 

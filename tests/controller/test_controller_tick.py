@@ -215,7 +215,7 @@ def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run.run(0.5)
     assert run.tick(missed_ticks=1).action == SafetyAction.WARN
     run.run(0.1)
-    stalled_tick_limit = run.controller.derived.limits.stalled_ticks
+    stalled_tick_limit = run.controller.derived_constants.limits.stalled_ticks
     assert run.tick(missed_ticks=stalled_tick_limit - 1).action == SafetyAction.WARN
     run.run(0.1)
     out = run.tick(missed_ticks=stalled_tick_limit)
@@ -242,7 +242,7 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     )
     run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.run_until_mode(HandMode.DONE)
-    lost_instances = {mark.instance for mark in run.state.latched if mark.id == "N02"}
+    lost_instances = {mark.instance for mark in run.state.latched_faults if mark.id == "N02"}
     assert lost_instances == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 

@@ -148,7 +148,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         tick_stages.evaluate_goals(
             state_after.block,
             state_after.layout.offsets,
-            *controller.derived.kernel_constants,
+            *controller.derived_constants.kernel_constants,
             int(action),
         )
         return state_after

@@ -100,7 +100,7 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     assert gains_event.text.startswith("refused: gains: ")
     assert "no controller follows" in gains_event.text
     decisions = bench_with_rising_tension.state.decisions
-    assert (decisions.gains, decisions.pending, bench_with_rising_tension.state.mode) == (
+    assert (decisions.gains, decisions.pending_gains, bench_with_rising_tension.state.mode) == (
         gains_before,
         None,
         HandMode.ACTIVE,
@@ -127,7 +127,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     bench.run_until_mode(HandMode.ACTIVE)
     out = bench.tick(gain_request({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
-    assert bench.state.decisions.pending is None
+    assert bench.state.decisions.pending_gains is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(
@@ -190,7 +190,7 @@ def test_a_change_makes_no_step_in_torque(
     for _ in range(control_loop_count(jamia.space) - 1):
         bench.tick(
             gain_request(gain_by_key)
-        ) if bench.state.decisions.pending is None else bench.tick()
+        ) if bench.state.decisions.pending_gains is None else bench.tick()
     calls = record_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
@@ -225,7 +225,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     )
     calls = record_law_calls(monkeypatch)
     bench.tick(gain_request({"motion.force_N": 60.0}))
-    while bench.state.decisions.pending is not None:
+    while bench.state.decisions.pending_gains is not None:
         calls.clear()
         bench.tick()
     (old_controller, _, old_state, *_), (new_controller, _, new_state, *_) = calls
@@ -327,7 +327,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
     the bound plus one hundredth of the default.
     """
     for key, bound in gain_bounds().items():
-        if bound.is_live_changeable:
+        if bound.is_changeable_live:
             value = (
                 bound.high
                 if uses_upper_bound

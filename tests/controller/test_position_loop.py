@@ -140,7 +140,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
             q = np.array(plant.engine.q[: len(out.telemetry.q)])
             errors.append(np.degrees(arms @ (q - out.telemetry.q_goal) / np.abs(arms).sum(axis=1)))
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
     return np.sqrt((np.array(errors) ** 2).mean(axis=0)), peak
 
 
@@ -306,7 +306,7 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
         while run.state.mode != HandMode.DONE:
             run.run_tick()
             assert not sent_stiffness(run).any()
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
 
 
 @pytest.mark.parametrize("kp", [None, STIFF_KP_N_M_PER_RAD])
@@ -374,7 +374,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
         for _ in range(1200):
             run.run_tick(skipped_ticks=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
-        assert run.state.latched == ()
+        assert run.state.latched_faults == ()
         assert run.state.mode == HandMode.ACTIVE
         assert np.nanmax(np.abs(apart)) < 2.0
 
@@ -428,8 +428,8 @@ def test_faults_are_found_with_a_position_loop(
         peak = 0.0
         while run.run_tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault_command], (
-            run.state.latched
+        assert {mark.id for mark in run.state.latched_faults} & EXPECTED_FAULTS[fault_command], (
+            run.state.latched_faults
         )
         assert peak < TENSION_TRIP_N
 
@@ -441,7 +441,7 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
         peak = 0.0
         while run.run_tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
             peak = max(peak, *run.simulated_hand.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
+        assert {mark.id for mark in run.state.latched_faults} & {"N14", "N17"}
         assert peak < TENSION_TRIP_N
 
 
@@ -524,7 +524,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
     steps, loop = servo_resolutions(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
-        rows = wire.servo_signal_reals[wire.servos[n, 0] : wire.servos[n, 1]]
+        rows = wire.servo_signal_scalings[wire.servos[n, 0] : wire.servos[n, 1]]
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):
             value = min(loop[f"servo_{name}"][n], steps[f"servo_{key}_max"][n])
             step = steps[f"servo_{key}_step"][n]
@@ -575,7 +575,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
             to_and_fro_program(hand_variant, 1, 1.0),
             None,
             True,
-        ).derived.layout
+        ).derived_constants.layout
         for hand_variant in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]

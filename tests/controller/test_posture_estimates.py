@@ -260,7 +260,7 @@ def state_after_fusion(
     _fuse_encoders(
         state_after.block,
         state_after.layout.offsets,
-        *controller_of(model).derived.kernel_constants,
+        *controller_of(model).derived_constants.kernel_constants,
         encoder_angles,
         encoder_sigma,
         t_ns,

@@ -158,7 +158,7 @@ def constants_by_field(constant_module: Any) -> dict[str, str]:
             and isinstance(node.targets[0], ast.Name)
         ):
             function, first_argument = node.value.func, node.value.args[:1]
-            if isinstance(function, ast.Name) and function.id in ("_real", "_integer"):
+            if isinstance(function, ast.Name) and function.id in ("_real_field", "_integer_field"):
                 assert isinstance(first_argument[0], ast.Constant)
                 constant_by_field[str(first_argument[0].value)] = node.targets[0].id
     return constant_by_field
@@ -344,9 +344,8 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
         if field.name == "design":
             np.testing.assert_array_equal(tables_of_kernel.design, value)
             continue
-        rows = getattr(tables_of_kernel, field.table.replace("*", "_"))[
-            field.first : field.first + field.rows
-        ]
+        table_name = f"{field.table.replace('*', '_')}_table" if "*" in field.table else field.table
+        rows = getattr(tables_of_kernel, table_name)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
         assert np.shares_memory(rows, recorded_constants.block)
 
@@ -435,8 +434,8 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
         "progress": [progress for _, progress in changed_progresses(decisions.progress)],
-        "latched": [
-            (*decisions.latched, LatchedFault("B01", "x")),
+        "latched_faults": [
+            (*decisions.latched_faults, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
             (LatchedFault("B02", "x"),),
         ],
@@ -447,14 +446,14 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
         ],
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
-        "unconfirmed": [("x",)],
+        "unconfirmed_motors": [("x",)],
         "gains": [pending_gains.gains],
-        "pending": [
+        "pending_gains": [
             pending_gains,
             replace(pending_gains, step=1),
             replace(pending_gains, gains=Gains()),
         ],
-        "commander": ["one", "two"],
+        "commanding_client": ["one", "two"],
         "lease": [
             ClientLease(*lease_fields)
             for lease_fields in (

@@ -237,7 +237,10 @@ def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: 
     controller = run.controller
     for state, ticks in (
         (controller.initial_state(), run.recorded_ticks),
-        (restore_state(controller.derived.layout, snapshot), run.recorded_ticks[snapshot_tick:]),
+        (
+            restore_state(controller.derived_constants.layout, snapshot),
+            run.recorded_ticks[snapshot_tick:],
+        ),
     ):
         for entry, out in ticks:
             state, again = controller.tick(state, entry)
@@ -820,7 +823,7 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "hold", "longer than the task's 0.2 s"
         middle_snapshot = snapshot_bytes(client.run.state)
         assert (
-            restore_state(client.run.controller.derived.layout, middle_snapshot).digest()
+            restore_state(client.run.controller.derived_constants.layout, middle_snapshot).digest()
             == client.run.state.digest()
         )
         assert client.send_command("release") == "release after hold"

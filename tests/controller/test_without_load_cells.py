@@ -208,8 +208,11 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
     assert not margin[1:].any()
     assert bare_model.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
     controller = homed_controller(bare_model, TaskProgram(CYLINDER_TASK))
-    assert controller.derived.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
-    assert controller.derived.limits.tension_trip[1] == file.tendon[1].tension_trip_N
+    assert (
+        controller.derived_constants.limits.tension_trip[0]
+        == file.tendon[0].tension_trip_N - margin[0]
+    )
+    assert controller.derived_constants.limits.tension_trip[1] == file.tendon[1].tension_trip_N
     assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter.held_tension_sigma[0]
 
 

@@ -427,7 +427,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
                 else simulation.last_output.telemetry.tension - truth
             )
             assert abs(error).max() < 3.0
-            assert simulation.state.latched == ()
+            assert simulation.state.latched_faults == ()
 
 
 # Hand files with amplifiers.

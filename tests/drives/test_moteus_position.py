@@ -187,7 +187,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()
-        layout, tables = run.state.layout, run.controller.derived.wire
+        layout, tables = run.state.layout, run.controller.derived_constants.wire_tables
         torque = run.state.tendon[s.TORQUE].copy()
         if target_row == s.SERVO_KP and math.isnan(target_value):
             # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
@@ -210,9 +210,9 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Encode the commands that a state block contains, and return their payloads."""
     out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
     first_drive, count = cyclic_frames.encode_commands(
-        block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_reals,
+        block, layout.offsets, out, tables.commands, tables.command_signal_integers, tables.command_signal_scalings,
         tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_signal_integers,
-        tables.servo_signal_reals, tables.recheck_ranges, tables.rechecks, 0, 0,
+        tables.servo_signal_scalings, tables.recheck_ranges, tables.rechecks, 0, 0,
     )  # fmt: skip
     assert first_drive == len(torque)
     return [frame.data for frame in Frames.from_rows(out[:count])]
@@ -240,7 +240,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
-        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched}
+        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched_faults}
         assert latched_faults
         assert latched_faults <= {("N12", motor), ("N14", motor), ("N17", motor)}
         assert max(hand_run.simulated_hand.truth()["tension"]) < 60.0

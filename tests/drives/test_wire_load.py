@@ -25,7 +25,7 @@ def planned_tick_s(hand_path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     This time includes the frames that nodes send by a timer.
     """
     return [
-        load.load_at(1e9 / period_ns) * period_ns * 1e-9
+        load.load_at_rate(1e9 / period_ns) * period_ns * 1e-9
         for load in bus_loads(load_hand(str(hand_path)))
     ]
 

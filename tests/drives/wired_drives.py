@@ -89,7 +89,7 @@ class WiredDrives:
         while True:
             at = cyclic_frames.receive_frames(
                 self.block, self.layout.offsets, *self._constants, frames.rows, known_tables.keys, known_tables.entries,
-                known_tables.signal_integers, known_tables.signal_reals, known_tables.recheck_ranges,
+                known_tables.signal_integers, known_tables.signal_scalings, known_tables.recheck_ranges,
                 known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
@@ -113,8 +113,8 @@ class WiredDrives:
                 out = np.zeros((tables.max_frames, WORDS_PER_RECORD), np.uint64)
                 first_drive, count = cyclic_frames.encode_commands(
                     self.block, self.layout.offsets, out, tables.commands, tables.command_signal_integers,
-                    tables.command_signal_reals, tables.templates, np.asarray(torque, dtype=np.float64),
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    tables.command_signal_scalings, tables.templates, np.asarray(torque, dtype=np.float64),
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_drive, 0,
                 )  # fmt: skip
                 sent += Frames.from_rows(out[:count])

@@ -165,7 +165,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
         advance_to_stage(simulation, GRASP_STAGE)
         simulation.simulated_hand.inject("swap node=left_motor with=right_motor")
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 0.6)
-        assert {mark.id for mark in simulation.state.latched} == {"N17"}
+        assert {mark.id for mark in simulation.state.latched_faults} == {"N17"}
 
 
 @pytest.mark.parametrize("hand", packaged_hands())

@@ -193,7 +193,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             out = simulation.run_tick()
         simulation.simulated_hand.inject(fault_command)
         assert simulation.run_until(lambda out: out.mode == HandMode.RELAX, 2.0)
-        latched_ids = {mark.id for mark in simulation.state.latched}
+        latched_ids = {mark.id for mark in simulation.state.latched_faults}
         # With some seeds, the unstable loop first makes the tension too large (T03), or makes the
         # tendon slack (T01).
         assert latched_ids & {"T04b", "T03", "T01"}

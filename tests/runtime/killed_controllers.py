@@ -148,7 +148,7 @@ class KillTestHand:
         calibration = work_folder / "c.toml"
         task.write_text(LONG_TASK)
         write_homed_calibration(calibration, hand)
-        load = tuple(bus_load.load_at(RATE_HZ) for bus_load in bus_loads(hand))
+        load = tuple(bus_load.load_at_rate(RATE_HZ) for bus_load in bus_loads(hand))
         self.plan = RunPlan(
             hand,
             Gains(),

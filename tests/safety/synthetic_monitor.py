@@ -240,7 +240,7 @@ class SyntheticMonitor:
         """Latch the findings of a tick, add events of buses and host, and select the action."""
         fresh = newly_active_faults(self.limits, self.found_values, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded_action, reports)
-        self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
+        self.latched, self.reported_faults = verdict.latched_faults, verdict.reported_faults
         return verdict
 
     def clear_latched(self) -> None:
@@ -248,7 +248,7 @@ class SyntheticMonitor:
         decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
         state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)
-        self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
+        self.latched, self.reported_faults = state.latched_faults, state.decisions.reported_faults
 
     def instance_name(self, part_kind: str, part_index: int) -> str:
         """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""

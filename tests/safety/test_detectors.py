@@ -80,7 +80,7 @@ EXAMPLE_FAULT = Fault(
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
-    assert (EXAMPLE_FAULT.row, EXAMPLE_FAULT.latched) == ("X01", False)
+    assert (EXAMPLE_FAULT.row, EXAMPLE_FAULT.is_latched) == ("X01", False)
     assert fault_table_markdown((EXAMPLE_FAULT,)).splitlines() == [
         "| id | fault | what happens | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",

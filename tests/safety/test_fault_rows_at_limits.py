@@ -80,13 +80,13 @@ def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
 
 
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:
-    upper_rail = EIGHT_TENDON_LIMITS.tension_rail
+    saturation_tension = EIGHT_TENDON_LIMITS.tension_rail
     for row in ("T03", "T03b"):
         findings = findings_of_fault(
-            row, measured_tensions(t0=math.nextafter(upper_rail, 0.0), t1=0.0)
+            row, measured_tensions(t0=math.nextafter(saturation_tension, 0.0), t1=0.0)
         )
         assert [name for name, _ in findings] == ["t0"], row
-        assert findings_of_fault(row, measured_tensions(t0=upper_rail, t1=0.0)) == [], row
+        assert findings_of_fault(row, measured_tensions(t0=saturation_tension, t1=0.0)) == [], row
 
 
 def test_over_tension_remains_at_the_rail_and_below_it_only_after_relaxing() -> None:

@@ -80,7 +80,7 @@ def check_fault_alone(
             if reported_fault.id == fault_id
         ]
         counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce or fault_id in {
-            mark.id for mark in verdict.latched
+            mark.id for mark in verdict.latched_faults
         }
         actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
@@ -205,8 +205,8 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
         assert fault.cleared_by in ("by the operator", "by itself")
-        assert fault.latched == CASE_BY_FAULT[fault.id].is_latched
-        assert fault.action < SafetyAction.RELAX or fault.latched, (
+        assert fault.is_latched == CASE_BY_FAULT[fault.id].is_latched
+        assert fault.action < SafetyAction.RELAX or fault.is_latched, (
             "only a person ends a relax or a cut"
         )
 
@@ -255,10 +255,10 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
 def test_properties_of_faults_are_consistent() -> None:
     for fault in FAULT_TABLE:
         if fault.makes_tension_unreliable or fault.shows_torque_after_cut:
-            assert fault.latched, fault.id
+            assert fault.is_latched, fault.id
             assert FAULT_PLACE_TENDON in fault.fault_places, fault.id
         if fault.caused_by_lateness:
-            assert fault.latched, fault.id
+            assert fault.is_latched, fault.id
         if fault.makes_tension_unreliable:
             assert fault.needs_load_cell, fault.id
         if fault.needs_load_cell or fault.needs_joint_encoders:
@@ -378,7 +378,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     The failure shows that the test cases notice wrong declarations.
     """
     fault = FAULT_BY_ID[fault_id]
-    other_clearing = CLEARED_BY_ITSELF if fault.latched else CLEARED_BY_OPERATOR
+    other_clearing = CLEARED_BY_ITSELF if fault.is_latched else CLEARED_BY_OPERATOR
     changed = [
         replace(fault, debounce=fault.debounce + 1),
         replace(fault, cleared_by=other_clearing),
@@ -392,7 +392,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     redeclare_fault(fault)
     expected_trace = trace_fault(fault_id)
     for mutant in changed:
-        if (mutant.action, mutant.latched) == (
+        if (mutant.action, mutant.is_latched) == (
             SafetyAction.PASS,
             True,
         ) or fault.action == mutant.action == SafetyAction.PASS:

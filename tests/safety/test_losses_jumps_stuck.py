@@ -341,7 +341,7 @@ def add_reading(
     monitor.tick(rows)
     anchor_values = monitor.view("motor_anchor")[:, 0].tolist()
     away = [
-        call_interpreted(stuck_sensors.motion_since_reading, *pair)
+        call_interpreted(stuck_sensors.change_since_reading, *pair)
         for pair in zip((goal_travel, tension), anchor_values, strict=True)
     ]
     return int(monitor.view("motor_stuck")[0]), *away

@@ -140,11 +140,11 @@ def test_without_torque_all_history_but_the_counts_is_reset():
     assert monitor.tick(measurements_at_rest(), mode=int(HandMode.READY)) == {}
     for field in STATE_SCHEMA.fields:
         first_row, end = {
-            "tendon": (s.MONITOR_TENDON_FIRST_ROW, s.MONITOR_TENDON_END_ROW),
-            "tendon_int": (s.MONITOR_TENDON_INT_FIRST_ROW, s.MONITOR_TENDON_INT_END_ROW),
-            "joint": (s.MONITOR_JOINT_FIRST_ROW, s.MONITOR_JOINT_END_ROW),
-            "joint_int": (s.MONITOR_JOINT_INT_FIRST_ROW, s.MONITOR_JOINT_INT_END_ROW),
-            "run_int": (s.MONITOR_RUN_INT_FIRST_ROW, s.MONITOR_RUN_INT_END_ROW),
+            "tendon": s.RESET_TENDON_ROWS,
+            "tendon_int": s.RESET_TENDON_INTEGER_ROWS,
+            "joint": s.RESET_JOINT_ROWS,
+            "joint_int": s.RESET_JOINT_INTEGER_ROWS,
+            "run_int": s.RESET_RUN_INTEGER_ROWS,
         }.get(field.table, (0, 0))  # fmt: skip
         if first_row <= field.first < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)

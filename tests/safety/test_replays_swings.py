@@ -157,5 +157,5 @@ def test_a_grasping_hand_relaxes(
         assert hand_run.run_until(
             lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), duration_s
         )
-        assert {mark.id for mark in hand_run.state.latched} <= expected_faults
+        assert {mark.id for mark in hand_run.state.latched_faults} <= expected_faults
         assert hand_run.simulated_hand.fault_states()[0]["felt"]

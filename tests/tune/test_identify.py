@@ -329,7 +329,7 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         update={"log": ("b.mcap",)}
     )
     merged_parameters = IdentifiedParameters.model_validate(
-        new_parameters.merged_with_older(old_parameters).model_dump()
+        new_parameters.merge_older_parameters(old_parameters).model_dump()
     )
     assert dict(zip(merged_parameters.names, merged_parameters.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
@@ -341,5 +341,5 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         (0, 0, 0.25, 9.0),
     )
     assert merged_parameters.log == ("b.mcap", "a.mcap")
-    assert new_parameters.merged_with_older(None) is new_parameters
-    assert merged_parameters.merged_with_older(old_parameters) is merged_parameters
+    assert new_parameters.merge_older_parameters(None) is new_parameters
+    assert merged_parameters.merge_older_parameters(old_parameters) is merged_parameters

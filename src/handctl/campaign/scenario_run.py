@@ -194,7 +194,7 @@ def tension_bound(
         duration_s: time from the start of the fault until all torques are zero [s].
     """
     if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second_fault.split()[:1]):
-        return max(*simulation.controller.derived.limits.tension_trip, *start_tension)
+        return max(*simulation.controller.derived_constants.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,

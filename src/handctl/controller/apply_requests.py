@@ -120,11 +120,11 @@ def _set_gains(
     """Begin to design the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
-    pending_gains = state.decisions.pending
+    pending_gains = state.decisions.pending_gains
     progress_of_design, refusal_text = gain_change.begin_gain_design(
         pending_gains.gains if pending_gains else model.gains, request.set
     )
-    state.decide(pending=progress_of_design or pending_gains)
+    state.decide(pending_gains=progress_of_design or pending_gains)
     return refusal_text
 
 
@@ -134,9 +134,9 @@ def _apply_command(
     """Execute a motion command of a client, if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
         return (refusal,)
-    if state.decisions.commander not in (None, request.client):
+    if state.decisions.commanding_client not in (None, request.client):
         close_stream(model, state)
-    state.decide(commander=request.client)
+    state.decide(commanding_client=request.client)
     begin_lease(state, request)
     if isinstance(request, GraspRequest | ReleaseGraspRequest):
         return _apply_grasp(model, state, request)
@@ -153,7 +153,7 @@ def _apply_command(
     elif stream is not None and stream.name == request.stream:
         close_stream(model, state)
     if isinstance(request, GiveUpCommandRequest):
-        state.decide(commander=None)
+        state.decide(commanding_client=None)
     return ()
 
 
@@ -188,7 +188,7 @@ def _refusal_reason(
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
     if state.mode != HandMode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
-    commanding_client = state.decisions.commander
+    commanding_client = state.decisions.commanding_client
     if commanding_client in (None, request.client) or request.take_over:
         return None
     text = f"refused: {commanding_client or 'a client without a name'} commands this hand, expected take_over"
@@ -235,4 +235,4 @@ def clear_latched_faults(state: ControllerState) -> None:
         )
         for reported_fault in state.decisions.reported_faults
     ]
-    state.decide(latched=(), reported_faults=tuple(reported_faults))
+    state.decide(latched_faults=(), reported_faults=tuple(reported_faults))

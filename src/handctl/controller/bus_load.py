@@ -17,7 +17,7 @@ class BusLoadRow:
     """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
-        what: name of the motor, or of the part of the sensor node, that sends the frames.
+        sender: name of the motor, or of the part of the sensor node, that sends the frames.
         size: payload of each frame [bytes].
         fd: True for CAN FD frames.
         frames_per_tick: number of these frames in every tick.
@@ -26,7 +26,7 @@ class BusLoadRow:
         frame_s: longest duration of one frame [s].
     """
 
-    what: str
+    sender: str
     size: int
     fd: bool
     frames_per_tick: float
@@ -61,7 +61,7 @@ class BusLoad:
         """
         return sum(row.frames_per_second * row.frame_s for row in self.rows)
 
-    def load_at(self, rate_hz: float) -> float:
+    def load_at_rate(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.periodic_load_fraction
 
@@ -164,7 +164,9 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     first_bus = hand.bus[0]
     # The first bus also carries the SYNC frame and the load-cell frames. So it has less capacity
     # for motors.
-    free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at(rate_hz)
+    free_bus_load = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first_bus)).load_at_rate(
+        rate_hz
+    )
     # A CiA 402 drive sends its reply after a SYNC frame. Therefore each bus without the sensor
     # node's SYNC frame needs a SYNC frame of its own.
     uses_sync = SYNC in make_sensors(hand).host_ids
@@ -175,7 +177,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         # Any drive may become the one that makes the host send its heartbeat. ``sync_load`` has the SYNC frame.
         if isinstance(drive, Cia402Drive):
             drive = replace(drive, sync=False, sends_heartbeat=True)
-        load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at(rate_hz)
+        load = BusLoad("", 1, drive_rows(drive, first_bus)).load_at_rate(rate_hz)
         load_with_sync = load + sync_load * listens_to_sync
         if load_with_sync > MAX_BUS_LOAD:
             return []

@@ -41,9 +41,11 @@ def renew_lease(state: ControllerState, client_name: str) -> tuple[TickEvent, ..
     lease = state.decisions.lease
     if lease is None or lease.client != client_name:
         return ()
-    state.decide(lease=lease._replace(renewed_ns=state.run_table_integer(s.T_NS), resting=False))
+    state.decide(lease=lease._replace(renewed_ns=state.run_table_integer(s.T_NS), is_at_rest=False))
     return (
-        (TickEvent("info", "lease", "", f"{client_name} answers again"),) if lease.resting else ()
+        (TickEvent("info", "lease", "", f"{client_name} answers again"),)
+        if lease.is_at_rest
+        else ()
     )
 
 
@@ -75,10 +77,10 @@ def enforce_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, 
     if silence_ns > RELAX_TIMEOUT_IN_LEASES * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))
         return (TickEvent("error", "lease", "", f"{text}: the hand relaxes"),)
-    if silence_ns > lease.duration_ns and not lease.resting:
+    if silence_ns > lease.duration_ns and not lease.is_at_rest:
         if state.progress.task is None:
             close_stream(model, state)
             state.decide(progress=bring_to_rest(model, state))
-        state.decide(lease=lease._replace(resting=True))
+        state.decide(lease=lease._replace(is_at_rest=True))
         return (TickEvent("warn", "lease", "", f"{text}: moving digits come to rest"),)
     return ()

@@ -37,14 +37,14 @@ class ClientLease(NamedTuple):
         duration_ns: longest silence of the client until moving digits come to rest [ns]. If the
             silence lasts twice as long, the hand relaxes.
         renewed_ns: time of the client's last command or sign of life [ns].
-        resting: True if the digits have come to rest because of the silence that began at
+        is_at_rest: True if the digits have come to rest because of the silence that began at
             ``renewed_ns``.
     """
 
     client: str
     duration_ns: int
     renewed_ns: int
-    resting: bool = False
+    is_at_rest: bool = False
 
 
 class ControllerDecisions(NamedTuple):
@@ -56,17 +56,17 @@ class ControllerDecisions(NamedTuple):
         drives: state of each drive, without the numbers. The numbers of the drives are in the state
             block. In this field, these numbers are NaN or 0.
         progress: point that the program has reached.
-        latched: faults that stay latched until an operator clears them.
+        latched_faults: faults that stay latched until an operator clears them.
         reported_faults: faults that buses and the host report, each with the number of consecutive
             ticks in which it was reported.
         refusals: ticks within the last second that contained a malformed request.
         failure: reason why the run has ended early, in one line. The text is empty if the run has
             not failed.
-        unconfirmed: names of motors whose drives have not confirmed that they are disabled.
+        unconfirmed_motors: names of motors whose drives have not confirmed that they are disabled.
         gains: gains that have replaced the gains of the start of the run. None before the first
             change.
-        pending: requested gains whose controller design is in progress.
-        commander: client that may send commands, or None if any client may, see
+        pending_gains: requested gains whose controller design is in progress.
+        commanding_client: client that may send commands, or None if any client may, see
             ``requests.CommandBase``.
         stream: open stream of targets.
         lease: lease of the commanding client, or None for a client without a lease.
@@ -76,14 +76,14 @@ class ControllerDecisions(NamedTuple):
 
     drives: tuple[DriveState, ...]
     progress: ProgramProgress
-    latched: tuple[LatchedFault, ...] = ()
+    latched_faults: tuple[LatchedFault, ...] = ()
     reported_faults: tuple[ReportedFault, ...] = ()
     refusals: tuple[int, ...] = ()
     failure: str = ""
-    unconfirmed: tuple[str, ...] = ()
+    unconfirmed_motors: tuple[str, ...] = ()
     gains: Gains | None = None
-    pending: PendingGains | None = None
-    commander: str | None = None
+    pending_gains: PendingGains | None = None
+    commanding_client: str | None = None
     stream: StreamPlan | None = None
     lease: ClientLease | None = None
     amplifiers: tuple[AmplifierState, ...] = ()
@@ -306,7 +306,7 @@ class ControllerState:
         return HandEstimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
-    def measured(self) -> TickMeasurements:
+    def measurements(self) -> TickMeasurements:
         """Return the measurements of the tick in the form that programs use."""
         return TickMeasurements(self.tendon, self.layout.table(self.block, "joint"))
 
@@ -327,9 +327,9 @@ class ControllerState:
         return self.decisions.progress
 
     @property
-    def latched(self) -> tuple[LatchedFault, ...]:
+    def latched_faults(self) -> tuple[LatchedFault, ...]:
         """Return the faults that are latched."""
-        return self.decisions.latched
+        return self.decisions.latched_faults
 
     @property
     def failure(self) -> str:
@@ -340,9 +340,9 @@ class ControllerState:
         return self.decisions.failure
 
     @property
-    def unconfirmed(self) -> tuple[str, ...]:
+    def unconfirmed_motors(self) -> tuple[str, ...]:
         """Return the names of the motors that have not been confirmed as disabled."""
-        return self.decisions.unconfirmed
+        return self.decisions.unconfirmed_motors
 
     # States of the drives. Their set-up is in the decisions, and their numbers are in the state
     # block.
@@ -359,7 +359,7 @@ class ControllerState:
         return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
 
     @property
-    def phases(self) -> tuple[DrivePhase, ...]:
+    def drive_phases(self) -> tuple[DrivePhase, ...]:
         """Return the phase of each drive."""
         return tuple([drive.phase for drive in self.decisions.drives])
 

@@ -39,12 +39,12 @@ class DesignProgress(NamedTuple):
     """Result of a design step, if the design is not complete after this step.
 
     Attributes:
-        pending: state of the design, or None if no stabilising gains exist for the requested
+        pending_gains: state of the design, or None if no stabilising gains exist for the requested
             values.
         events: events which report that the design has failed.
     """
 
-    pending: PendingGains | None
+    pending_gains: PendingGains | None
     events: tuple[TickEvent, ...] = ()
 
 
@@ -102,7 +102,9 @@ class DesignCache:
                 motion=combine_loop_designs(model.tendon_constants, loop_designs),
             )
             self.controllers[gains] = replace(
-                old_controller, model=designed_model, reusable_constants=old_controller.derived
+                old_controller,
+                model=designed_model,
+                reusable_constants=old_controller.derived_constants,
             )
         controller_with_gains: ControllerT = self.controllers[gains]
         return controller_with_gains

@@ -138,9 +138,9 @@ def next_mode(
     state: ControllerState,
     action: SafetyAction,
     operator_requests: OperatorRequests,
-    other_host_frames: tuple[str, ...],
+    other_host_signs: tuple[str, ...],
     time_s: float,
-    fault_identities: tuple[str, ...] = (),
+    calibrated_identities: tuple[str, ...] = (),
 ) -> tuple[TickEvent, ...]:
     """Determine the next mode of the hand, and write it into the state.
 
@@ -150,9 +150,9 @@ def next_mode(
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
         operator_requests: stop and cut requests from the operator.
-        other_host_frames: texts that describe signs of a second controller on the bus.
+        other_host_signs: texts that describe signs of a second controller on the bus.
         time_s: time of the tick [s].
-        fault_identities: identities of the drives in the calibration. May be empty.
+        calibrated_identities: identities of the drives in the calibration. May be empty.
 
     Returns:
         The event of a mode change. There is no event if the mode does not change.
@@ -163,8 +163,8 @@ def next_mode(
         time_s - state.mode_start_time,
         action,
         operator_requests,
-        other_host_frames,
-        fault_identities,
+        other_host_signs,
+        calibrated_identities,
     )
     mode_before = state.mode
     overriding_mode = None if inputs.has_no_mode_override else _overriding_mode(state, inputs)
@@ -189,7 +189,7 @@ def next_mode(
         if state.failure and unconfirmed_motors
         else state.failure or failure
     )
-    state.decide(failure=reason, unconfirmed=unconfirmed_motors)
+    state.decide(failure=reason, unconfirmed_motors=unconfirmed_motors)
     state.mode = mode
     state.mode_start_time = time_s
     if mode == HandMode.RELAX:
@@ -236,10 +236,10 @@ def _latched_faults(state: ControllerState) -> str:
 
     The text is empty if no fault is latched.
     """
-    if not state.latched:
+    if not state.latched_faults:
         return ""
     return "fault " + ", ".join(
-        f"{latched_fault.id} {latched_fault.instance}" for latched_fault in state.latched
+        f"{latched_fault.id} {latched_fault.instance}" for latched_fault in state.latched_faults
     )
 
 
@@ -367,7 +367,7 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
 
 
 def _next_mode_after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    if all(phase == DrivePhase.ENABLED for phase in state.phases):
+    if all(phase == DrivePhase.ENABLED for phase in state.drive_phases):
         return HandMode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
         return HandMode.ARMING, ""
@@ -449,7 +449,7 @@ def motors_not_confirmed_off(
     if state.mode in MODES_BEFORE_ARMING:
         doubtful_motors = ()
     elif state.mode == HandMode.DONE:
-        doubtful_motors = state.unconfirmed
+        doubtful_motors = state.unconfirmed_motors
     return tuple(
         name
         for name, drive in zip(motor_names, state.drives, strict=True)
@@ -464,7 +464,7 @@ def _pulling_motors(
     """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
     tendons = {
         latched_fault.instance
-        for latched_fault in state.latched
+        for latched_fault in state.latched_faults
         if FAULT_BY_ID[latched_fault.id].shows_torque_after_cut
     }
     return tuple(

@@ -78,7 +78,8 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     # tick.
     explained_force = present_tensions
     if any(
-        FAULT_BY_ID[latched_fault.id].makes_tension_unreliable for latched_fault in state.latched
+        FAULT_BY_ID[latched_fault.id].makes_tension_unreliable
+        for latched_fault in state.latched_faults
     ):
         # If the load cell may be wrong, the true tension may be as large as the tension setpoint. A
         # digit that follows a position goal has no tension setpoint.
@@ -173,4 +174,4 @@ def is_open_loop(state: ControllerState) -> bool:
 
 def _release_methods(state: ControllerState) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults require."""
-    return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched}
+    return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched_faults}

@@ -46,7 +46,9 @@ def shutdown_step(
     """
     state_after = state.copy()
     state_after.set_run_table_integer(s.K, state.k + 1)
-    frames = [controller.sensors.sync(state_after.k)] if controller.derived.sends_sync else []
+    frames = (
+        [controller.sensors.sync(state_after.k)] if controller.derived_constants.sends_sync else []
+    )
     for n, drive in enumerate(controller.drives):
         drive_state = state_after.drive(n)
         for frame in received_frames:

@@ -95,8 +95,8 @@ class DerivedConstants:
         layout: layout of the state block.
         constants: constants for the compiled code.
         kernel_constants: block and places of ``constants``, the arguments of compiled functions.
-        wire: signal tables of the drives' cyclic frames.
-        gather_telemetry: function that copies the telemetry from the state block.
+        wire_tables: signal tables of the drives' cyclic frames.
+        copy_telemetry: function that copies the telemetry from the state block.
         drive_index_by_id: index of the drive to which an identifier belongs, by bus and identifier.
         amplifier_index_by_id: index of the CiA 404 amplifier, by bus and identifier.
         sends_sync: True if the sensor node needs SYNC frames. On a bus without such SYNC frames,
@@ -108,8 +108,8 @@ class DerivedConstants:
     layout: BlockLayout
     constants: HandConstants
     kernel_constants: tuple[Vector, TableOffsets]
-    wire: WireTables
-    gather_telemetry: TelemetryGatherer
+    wire_tables: WireTables
+    copy_telemetry: TelemetryGatherer
     drive_index_by_id: dict[tuple[int, int], int]
     amplifier_index_by_id: dict[tuple[int, int], int]
     sends_sync: bool
@@ -136,8 +136,8 @@ class DerivedConstants:
             layout=layout,
             constants=constants,
             kernel_constants=(constants.block, constants.layout.offsets),
-            wire=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
-            gather_telemetry=TelemetryGatherer(layout),
+            wire_tables=WireTables(drives, sensors, closes_position_loop, model.torque_gain),
+            copy_telemetry=TelemetryGatherer(layout),
             drive_index_by_id={
                 (drive.bus, can_id): n
                 for n, drive in enumerate(drives)
@@ -175,7 +175,7 @@ class Controller:
         reusable_constants: constants of a controller that differs from this one only in its gains. If it is
             None, all tables are computed. The tables of ``reusable_constants`` are used again, because gains
             change during a run.
-        derived: constants that follow from the other attributes.
+        derived_constants: constants that follow from the other attributes.
     """
 
     model: HandModel
@@ -191,7 +191,7 @@ class Controller:
         default_factory=gain_change.DesignCache, compare=False, repr=False
     )
     reusable_constants: DerivedConstants | None = field(default=None, compare=False, repr=False)
-    derived: DerivedConstants = field(init=False, compare=False, repr=False)
+    derived_constants: DerivedConstants = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the constants that follow from the other attributes."""
@@ -208,7 +208,7 @@ class Controller:
                 self.model, self.drives, self.sensors, limits, constants
             )
         )
-        object.__setattr__(self, "derived", derived_constants)
+        object.__setattr__(self, "derived_constants", derived_constants)
 
     def initial_state(self) -> ControllerState:
         """Return the state before the first tick.
@@ -221,10 +221,12 @@ class Controller:
             self.program.initial_progress(self.model),
             amplifiers=tuple(amplifier.initial_state() for amplifier in self.sensors.amplifiers),
         )
-        state = ControllerState(self.derived.layout, self.derived.layout.initial.copy(), decisions)
+        state = ControllerState(
+            self.derived_constants.layout, self.derived_constants.layout.initial.copy(), decisions
+        )
         state.arming_requested = self.arm_at_once
-        state.view("turn_sigma")[...] = self.derived.constants.layout.view(
-            self.derived.constants.block, "range_sigma"
+        state.view("turn_sigma")[...] = self.derived_constants.constants.layout.view(
+            self.derived_constants.constants.block, "range_sigma"
         )
         for n, drive_state in enumerate(drives):
             self.store_drive_state(state, n, drive_state)
@@ -269,79 +271,93 @@ class Controller:
             else self.design_cache.controller(self, gains)
         )
         state = last_state.copy()
-        signs = controller._process_frames(
+        second_controller_signs = controller._process_frames(
             last_state, state, tick_input, frames_as_records(tick_input.frames)
         )
-        return TickInProgress(controller, last_state, state, tick_input, signs)
+        return TickInProgress(controller, last_state, state, tick_input, second_controller_signs)
 
-    def _decide_goals(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
+    def _decide_goals(self, tick_in_progress: "TickInProgress", requests: tuple[str, ...]) -> None:
         """Apply requests, judge faults, and choose mode and goals, see ``TickInProgress.decide``."""
-        state_before, state, entry = open_tick.state_before, open_tick.state, open_tick.entry
+        last_state, state, tick_input = (
+            tick_in_progress.last_state,
+            tick_in_progress.state,
+            tick_in_progress.tick_input,
+        )
         operator_requests, request_events = NO_REQUESTS
         if requests:
             operator_requests, request_events = apply_requests(
                 self.model, self.program, state, requests
             )
         events = (
-            consistency_events(self.model, state_before, state) + request_events
+            consistency_events(self.model, last_state, state) + request_events
             if state.run_table_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += enforce_lease(self.model, state)
-        action, findings = self._judge_faults(state, entry, open_tick.signs)
-        t = entry.t_ns / 1e9
+        action, findings = self._judge_faults(
+            state, tick_input, tick_in_progress.second_controller_signs
+        )
+        t = tick_input.t_ns / 1e9
         mode_events = hand_modes.next_mode(
             self.model,
             self.drives,
             state,
             action,
             operator_requests,
-            open_tick.signs,
+            tick_in_progress.second_controller_signs,
             t,
             self.identities,
         )
         program_events = self._advance_program(state, action)
-        self._write_progress(state, state_before)
-        open_tick.action = action
-        open_tick.events = (
+        self._write_progress(state, last_state)
+        tick_in_progress.action = action
+        tick_in_progress.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
         )
 
     def _command_drives(
-        self, open_tick: "TickInProgress", targets: tuple[TickRequest, ...]
+        self, tick_in_progress: "TickInProgress", targets: tuple[TickRequest, ...]
     ) -> None:
         """Apply targets, and compute the frames to send, see ``TickInProgress.command``."""
-        state, entry = open_tick.state, open_tick.entry
+        state, tick_input = tick_in_progress.state, tick_in_progress.tick_input
         for target in targets:
-            open_tick.events += apply_target(self.model, state, parse_target(target), entry.t_ns)
-        open_tick.state_before_law = state.copy() if state.decisions.pending else None
-        self._compute_torques(state, open_tick.action, entry.k - open_tick.state_before.k)
-        open_tick.sent_frames = self._encode_frames(state, entry.t_ns)
+            tick_in_progress.events += apply_target(
+                self.model, state, parse_target(target), tick_input.t_ns
+            )
+        tick_in_progress.state_before_torques = (
+            state.copy() if state.decisions.pending_gains else None
+        )
+        self._compute_torques(
+            state, tick_in_progress.action, tick_input.k - tick_in_progress.last_state.k
+        )
+        tick_in_progress.sent_frames = self._encode_frames(state, tick_input.t_ns)
 
-    def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
+    def _conclude_tick(self, tick_in_progress: "TickInProgress") -> tuple[ControllerState, TickOut]:
         """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
-        state = open_tick.state
-        if open_tick.state_before_law:
-            open_tick.events += self._design_pending_gains(
-                open_tick.state_before_law,
+        state = tick_in_progress.state
+        if tick_in_progress.state_before_torques:
+            tick_in_progress.events += self._design_pending_gains(
+                tick_in_progress.state_before_torques,
                 state,
-                open_tick.action,
-                open_tick.entry.k - open_tick.state_before.k,
+                tick_in_progress.action,
+                tick_in_progress.tick_input.k - tick_in_progress.last_state.k,
             )
         tick_stages.store_commands(
-            state.block, self.derived.layout.offsets, *self.derived.kernel_constants
+            state.block,
+            self.derived_constants.layout.offsets,
+            *self.derived_constants.kernel_constants,
         )
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         tick_output = TickOut(
-            open_tick.sent_frames,
+            tick_in_progress.sent_frames,
             mode,
             phase,
-            open_tick.action,
-            self.derived.gather_telemetry(state.block),
-            open_tick.events,
+            tick_in_progress.action,
+            self.derived_constants.copy_telemetry(state.block),
+            tick_in_progress.events,
             state.digest(),
         )
         return state, tick_output
@@ -357,10 +373,10 @@ class Controller:
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the filter that estimates tensions.
 
-        Return texts that describe signs of a second controller on the bus.
+        Return texts that describe second_controller_signs of a second controller on the bus.
         """
         block = state.block
-        places = self.derived.layout.offsets
+        places = self.derived_constants.layout.offsets
         missed_ticks = tick_input.k - last_state.k - 1
         tick_stages.begin_tick(
             block,
@@ -371,20 +387,22 @@ class Controller:
             missed_ticks,
             len(frames),
         )
-        signs = self._receive_frames(
+        second_controller_signs = self._receive_frames(
             state,
             frames,
             self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.T_NS)),
         )
-        tick_stages.observe_tick(block, places, *self.derived.kernel_constants)
-        tick_stages.correct_tension_estimate(block, places, *self.derived.kernel_constants)
+        tick_stages.observe_tick(block, places, *self.derived_constants.kernel_constants)
+        tick_stages.correct_tension_estimate(
+            block, places, *self.derived_constants.kernel_constants
+        )
         if state.has_started:
-            predict_filter_states(self.model, self.derived.layout, block, missed_ticks)
-        if tick_stages.conclude_estimate(block, places, *self.derived.kernel_constants):
-            signs += detect_unsolicited_replies(
+            predict_filter_states(self.model, self.derived_constants.layout, block, missed_ticks)
+        if tick_stages.conclude_estimate(block, places, *self.derived_constants.kernel_constants):
+            second_controller_signs += detect_unsolicited_replies(
                 self.drives, self.sensors, last_state, state, tick_input.frames
             )
-        return signs
+        return second_controller_signs
 
     def _receive_frames(
         self, state: ControllerState, frames: Frames, min_receive_ns: int
@@ -399,8 +417,8 @@ class Controller:
         Return the identifiers of received frames that only this host may send. Each identifier
         occurs once.
         """
-        tables = self.derived.wire
-        signs = list[str]()
+        tables = self.derived_constants.wire_tables
+        second_controller_signs = list[str]()
         at = 0
         rows = frames.rows
         entries = tables.entries
@@ -410,23 +428,24 @@ class Controller:
             )
         while True:
             at = cyclic_frames.receive_frames(
-                state.block, self.derived.layout.offsets, *self.derived.kernel_constants, rows, tables.keys, entries,
-                tables.signal_integers, tables.signal_reals, tables.recheck_ranges, tables.rechecks, at, min_receive_ns,
+                state.block, self.derived_constants.layout.offsets, *self.derived_constants.kernel_constants, rows,
+                tables.keys, entries, tables.signal_integers, tables.signal_scalings, tables.recheck_ranges,
+                tables.rechecks, at, min_receive_ns,
             )  # fmt: skip
             if at >= len(rows):
-                return tuple(dict.fromkeys(signs))
+                return tuple(dict.fromkeys(second_controller_signs))
             # The kernel ``receive_frames`` has already counted error frames. So this frame is no
             # error frame.
             frame = frames[at]
-            owner = self.derived.drive_index_by_id.get((frame.bus, frame.can_id))
+            owner = self.derived_constants.drive_index_by_id.get((frame.bus, frame.can_id))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id) in self.derived.amplifier_index_by_id:
+            elif (frame.bus, frame.can_id) in self.derived_constants.amplifier_index_by_id:
                 self._receive_amplifier_frame(state, frame)
             else:
-                signs.append(f"{frame.can_id:#05x}")
+                second_controller_signs.append(f"{frame.can_id:#05x}")
             at += 1
 
     def _groups_not_ready(self, amplifiers: tuple[AmplifierState, ...]) -> tuple[int, ...]:
@@ -446,7 +465,7 @@ class Controller:
 
     def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
-        i = self.derived.amplifier_index_by_id[frame.bus, frame.can_id]
+        i = self.derived_constants.amplifier_index_by_id[frame.bus, frame.can_id]
         amplifiers_before = state.decisions.amplifiers
         state_after = self.sensors.amplifiers[i].receive(amplifiers_before[i], frame)
         if state_after != amplifiers_before[i]:
@@ -478,17 +497,17 @@ class Controller:
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
         tick_stages.store_drive(
-            state.block, self.derived.layout.offsets, n, *drive_state[1:7], *drive_state.recheck,
+            state.block, self.derived_constants.layout.offsets, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state),
             int(drive_state.misread_frame_count != drive_state_before.misread_frame_count),
         )  # fmt: skip
         # The numbers of the drive are in the state block.
-        state_without_values = drive_state.with_values()
-        if state_without_values != drive_state_before:
+        state_without_numbers = drive_state.with_values()
+        if state_without_numbers != drive_state_before:
             drives = state.decisions.drives
-            state.decide(drives=(*drives[:n], state_without_values, *drives[n + 1 :]))
+            state.decide(drives=(*drives[:n], state_without_numbers, *drives[n + 1 :]))
 
     # judge, decide
 
@@ -527,12 +546,14 @@ class Controller:
         )  # before a load cell has been tared, it may read any value
         demanded_action, raw_findings = tick_stages.find_faults(
             state.block,
-            self.derived.layout.offsets,
-            *self.derived.kernel_constants,
-            self.derived.layout.initial,
+            self.derived_constants.layout.offsets,
+            *self.derived_constants.kernel_constants,
+            self.derived_constants.layout.initial,
         )
         new_findings = (
-            newly_active_faults(self.derived.limits, raw_findings, state.view("fault_ticks"))
+            newly_active_faults(
+                self.derived_constants.limits, raw_findings, state.view("fault_ticks")
+            )
             if state.run_table_integer(s.NEW_FAULT_COUNT)
             else []
         )
@@ -541,7 +562,7 @@ class Controller:
             new_findings
             or tick_input.io_events
             or second_controller_signs
-            or decisions.latched
+            or decisions.latched_faults
             or decisions.reported_faults
         ):
             return _ACTION_BY_NUMBER[demanded_action], ()
@@ -550,18 +571,24 @@ class Controller:
             reports, self._has_any_node_answered(state)
         ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
-            decisions.latched, decisions.reported_faults, new_findings, demanded_action, reports
+            decisions.latched_faults,
+            decisions.reported_faults,
+            new_findings,
+            demanded_action,
+            reports,
         )
         if (
-            verdict.latched != decisions.latched
+            verdict.latched_faults != decisions.latched_faults
             or verdict.reported_faults != decisions.reported_faults
         ):
-            state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
+            state.decide(
+                latched_faults=verdict.latched_faults, reported_faults=verdict.reported_faults
+            )
         return verdict.action, verdict.findings
 
     def _has_any_node_answered(self, state: ControllerState) -> bool:
         """Return True if at least one node has answered, or if motors may make torque."""
-        is_node_seen = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
+        is_node_seen = any(phase != DrivePhase.SILENT for phase in state.drive_phases) or bool(
             state.view("group_frames").any()
         )
         return is_node_seen or HandMode.ARMING <= state.mode <= RELAX
@@ -577,7 +604,7 @@ class Controller:
             return ()
         t = state.goal_time + self.model.period
         progress, events = self.program.advance(
-            self.model, state.progress, state.estimate, state.measured, t
+            self.model, state.progress, state.estimate, state.measurements, t
         )
         if progress is not state.progress:
             state.decide(progress=progress)
@@ -591,7 +618,7 @@ class Controller:
         if progress is old_progress:
             return
         if old_progress is None or progress.goals is not old_progress.goals:
-            write_goals(self.model, self.derived.layout, state.block, progress.goals)
+            write_goals(self.model, self.derived_constants.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
         state.set_run_table_integer(s.PROGRAM_HOLDS_OBJECT, progress.grip is not None)
@@ -609,26 +636,34 @@ class Controller:
         The torques are 0 unless the hand is active or relaxing.
         """
         block = state.block
-        places = self.derived.layout.offsets
+        places = self.derived_constants.layout.offsets
         mode = state.mode
         if mode in (ACTIVE, RELAX):
             sample_trajectories(
-                self.model, self.derived.layout, block, state.progress.goals, state.goal_time
+                self.model,
+                self.derived_constants.layout,
+                block,
+                state.progress.goals,
+                state.goal_time,
             )
             write_tension_goals(
-                self.model, self.derived.layout, self.derived.constants, block, int(action)
+                self.model,
+                self.derived_constants.layout,
+                self.derived_constants.constants,
+                block,
+                int(action),
             )
         is_relaxing = mode == RELAX
         rate, opening_rate = (
             (present_relax_rate(state), is_open_loop(state)) if is_relaxing else (0.0, False)
         )
         tick_stages.compute_motor_torques(
-            block, places, *self.derived.kernel_constants, rate, int(opening_rate), ticks
+            block, places, *self.derived_constants.kernel_constants, rate, int(opening_rate), ticks
         )
 
     def _design_pending_gains(
         self,
-        state_before_law: ControllerState,
+        state_before_torques: ControllerState,
         state: ControllerState,
         action: SafetyAction,
         ticks: int,
@@ -638,25 +673,25 @@ class Controller:
         A complete design is used from the next tick on.
 
         Args:
-            state_before_law: state before the motor torques were computed.
+            state_before_torques: state before the motor torques were computed.
             state: state after the motor torques were computed.
             action: reaction that the safety monitor demands.
             ticks: number of control periods since the last tick.
         """
-        pending_gains = state.decisions.pending
+        pending_gains = state.decisions.pending_gains
         assert pending_gains is not None
         if (unfinished := self.design_cache.advance(self.model, pending_gains)) is not None:
-            state.decide(pending=unfinished.pending)
+            state.decide(pending_gains=unfinished.pending_gains)
             return unfinished.events
         if state.mode in (ACTIVE, RELAX):
             other_controller = self.design_cache.controller(self, pending_gains.gains)
-            other_controller._compute_torques(state_before_law, action, ticks)
+            other_controller._compute_torques(state_before_torques, action, ticks)
             step = (
-                state.tendon[s.TORQUE] - state_before_law.tendon[s.TORQUE]
+                state.tendon[s.TORQUE] - state_before_torques.tendon[s.TORQUE]
             ) / self.model.tendon_constants.spool
             state.tendon[s.TRIM_FORCE] += step
             state.set_run_table_integer(s.TRIM_ACTIVE, 1)
-        state.decide(gains=pending_gains.gains, pending=None)
+        state.decide(gains=pending_gains.gains, pending_gains=None)
         return gain_change.gain_change_events(self.model.gains, pending_gains.gains)
 
     # encode
@@ -671,12 +706,14 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
-        frame_rows = np.empty((self.derived.wire.max_frames, WORDS_PER_RECORD), dtype=np.uint64)
+        frame_rows = np.empty(
+            (self.derived_constants.wire_tables.max_frames, WORDS_PER_RECORD), dtype=np.uint64
+        )
         # A hand without sensors needs no SYNC frame. So row 0 is not sent.
-        start = 0 if self.derived.sends_sync else 1
-        if self.derived.sends_sync:
+        start = 0 if self.derived_constants.sends_sync else 1
+        if self.derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
-            frame_rows[0] = self.derived.sync_row
+            frame_rows[0] = self.derived_constants.sync_row
             frame_rows[0, PAYLOAD_WORD] = counter
             state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
@@ -722,7 +759,7 @@ class Controller:
             torque: (N,) commanded torque [N m].
             t_ns: time of the tick [ns].
         """
-        tables = self.derived.wire
+        tables = self.derived_constants.wire_tables
         frame_batches = list[Frames]()
         first_row = 0
         pending_row = start
@@ -732,9 +769,9 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first_row, count = cyclic_frames.encode_commands(
-                    state.block, self.derived.layout.offsets, frame_words, tables.commands,
-                    tables.command_signal_integers, tables.command_signal_reals, tables.templates, torque,
-                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_reals,
+                    state.block, self.derived_constants.layout.offsets, frame_words, tables.commands,
+                    tables.command_signal_integers, tables.command_signal_scalings, tables.templates, torque,
+                    tables.servos, tables.servo_templates, tables.servo_signal_integers, tables.servo_signal_scalings,
                     tables.recheck_ranges, tables.rechecks, first_row, count,
                 )  # fmt: skip
             if first_row >= n:
@@ -769,28 +806,28 @@ class TickInProgress:
 
     Attributes:
         controller: controller with the gains of the tick.
-        state_before: state after the previous tick.
+        last_state: state after the previous tick.
         state: state of the tick. Each step modifies this state.
-        entry: inputs of the tick, without requests.
-        signs: signs of a second controller.
+        tick_input: inputs of the tick, without requests.
+        second_controller_signs: second_controller_signs of a second controller.
         targets: targets of streams among the requests, which ``command`` applies.
         sent_frames: frames to send, which ``command`` has computed.
         action: reaction that the safety monitor demands, which ``decide`` has determined.
         events: events of the tick so far.
-        state_before_law: state before the motor torques were computed. It is kept only while the design of
+        state_before_torques: state before the motor torques were computed. It is kept only while the design of
             other gains is in progress.
     """
 
     controller: Controller
-    state_before: ControllerState
+    last_state: ControllerState
     state: ControllerState
-    entry: TickIn
-    signs: tuple[str, ...]
+    tick_input: TickIn
+    second_controller_signs: tuple[str, ...]
     targets: tuple[TickRequest, ...] = ()
     sent_frames: Frames = NO_FRAMES
     action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
-    state_before_law: ControllerState | None = None
+    state_before_torques: ControllerState | None = None
 
     def decide(self, requests: tuple[TickRequest, ...]) -> None:
         """Apply requests, judge faults, and choose the mode and the goals of the hand.

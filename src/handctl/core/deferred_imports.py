@@ -113,7 +113,7 @@ class DeferredModule:
         return value
 
 
-def import_without_package(name: str) -> ModuleType:
+def import_without_package_init(name: str) -> ModuleType:
     """Import a module of a package, but do not execute the file ``__init__`` of the package.
 
     A later import of the whole package works as usual. The folder of the user's program may contain

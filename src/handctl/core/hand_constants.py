@@ -61,12 +61,12 @@ class HandConstants:
             varies with the joint angle.
     """
 
-    def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
+    def __init__(self, model: HandModel, extra_constants: Mapping[str, object]) -> None:
         """Fill the block with the constants of a hand.
 
         Args:
             model: model of the hand.
-            other_constants: constants that are not in the model, by field: tare, zero, thresholds,
+            extra_constants: constants that are not in the model, by field: tare, zero, thresholds,
                 and constants of drives and sensors.
         """
         self.layout = layout_of_constants(model)
@@ -77,7 +77,7 @@ class HandConstants:
             _link_constants(model),
             _structure_constants(model),
             _posture_constants(model),
-            other_constants,
+            extra_constants,
         ):
             for name, value in constants_group.items():
                 self.layout.view(self.block, name)[...] = value

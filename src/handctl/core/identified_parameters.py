@@ -97,7 +97,7 @@ class IdentifiedParameters(Document):
         """Return the value of a parameter, or ``default`` if the parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else default
 
-    def merged_with_older(
+    def merge_older_parameters(
         self, older_parameters: "IdentifiedParameters | None"
     ) -> "IdentifiedParameters":
         """Return these parameters, and add parameters that only an older identification contains.

@@ -590,18 +590,11 @@ def write_canonical_nan(block: BlockArray, at: TableOffsets) -> None:
         block[i] = math.nan if math.isnan(value) else value
 
 
-MONITOR_TENDON_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon"]
-MONITOR_TENDON_END_ROW = _MONITOR_END_ROWS["tendon"]
-MONITOR_TENDON_INT_FIRST_ROW = _MONITOR_FIRST_ROWS["tendon_int"]
-MONITOR_TENDON_INT_END_ROW = _MONITOR_END_ROWS["tendon_int"]
-MONITOR_JOINT_FIRST_ROW = _MONITOR_FIRST_ROWS["joint"]
-MONITOR_JOINT_END_ROW = _MONITOR_END_ROWS["joint"]
-MONITOR_JOINT_INT_FIRST_ROW = _MONITOR_FIRST_ROWS["joint_int"]
-MONITOR_JOINT_INT_END_ROW = _MONITOR_END_ROWS["joint_int"]
-MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW = (
-    _MONITOR_FIRST_ROWS["run_int"],
-    _MONITOR_END_ROWS["run_int"],
-)
+RESET_TENDON_ROWS = _MONITOR_FIRST_ROWS["tendon"], _MONITOR_END_ROWS["tendon"]
+RESET_TENDON_INTEGER_ROWS = _MONITOR_FIRST_ROWS["tendon_int"], _MONITOR_END_ROWS["tendon_int"]
+RESET_JOINT_ROWS = _MONITOR_FIRST_ROWS["joint"], _MONITOR_END_ROWS["joint"]
+RESET_JOINT_INTEGER_ROWS = _MONITOR_FIRST_ROWS["joint_int"], _MONITOR_END_ROWS["joint_int"]
+RESET_RUN_INTEGER_ROWS = _MONITOR_FIRST_ROWS["run_int"], _MONITOR_END_ROWS["run_int"]
 """For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
 
 
@@ -609,14 +602,14 @@ MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW = (
 def reset_monitor(x: StateTables, initial: StateTables) -> None:
     """Reset the stored values of the fault detectors that run while the motors may make torque."""
     for n in range(x.tendon.shape[1]):
-        for row in range(MONITOR_TENDON_FIRST_ROW, MONITOR_TENDON_END_ROW):
+        for row in range(RESET_TENDON_ROWS[0], RESET_TENDON_ROWS[1]):
             x.tendon[row, n] = initial.tendon[row, n]
-        for row in range(MONITOR_TENDON_INT_FIRST_ROW, MONITOR_TENDON_INT_END_ROW):
+        for row in range(RESET_TENDON_INTEGER_ROWS[0], RESET_TENDON_INTEGER_ROWS[1]):
             x.tendon_int[row, n] = initial.tendon_int[row, n]
     for j in range(x.joint.shape[1]):
-        for row in range(MONITOR_JOINT_FIRST_ROW, MONITOR_JOINT_END_ROW):
+        for row in range(RESET_JOINT_ROWS[0], RESET_JOINT_ROWS[1]):
             x.joint[row, j] = initial.joint[row, j]
-        for row in range(MONITOR_JOINT_INT_FIRST_ROW, MONITOR_JOINT_INT_END_ROW):
+        for row in range(RESET_JOINT_INTEGER_ROWS[0], RESET_JOINT_INTEGER_ROWS[1]):
             x.joint_int[row, j] = initial.joint_int[row, j]
-    for row in range(MONITOR_RUN_INT_FIRST_ROW, MONITOR_RUN_INT_END_ROW):
+    for row in range(RESET_RUN_INTEGER_ROWS[0], RESET_RUN_INTEGER_ROWS[1]):
         x.run_int[row] = initial.run_int[row]

@@ -106,7 +106,7 @@ def store_drive(
     fault_cause: int,
     steady_status: int,
     due_ns: int,
-    misread: int,
+    is_malformed: int,
 ) -> None:
     """Store the values of a drive after a step of its state machine.
 
@@ -128,7 +128,7 @@ def store_drive(
         fault_cause: ``drives.contract.DriveFaultCause`` of the error code, -1 without a fault.
         steady_status: status that the drive reports while its state machine has nothing to do.
         due_ns: time at which the state machine of the drive must run next [ns].
-        misread: 1 if a frame of the drive in this tick had a wrong shape.
+        is_malformed: 1 if a frame of the drive in this tick had a wrong shape.
     """
     x = state_tables(block, at)
     x.tendon[s.POSITION, n] = position
@@ -146,7 +146,7 @@ def store_drive(
     x.tendon_int[s.FAULT_CAUSE, n] = fault_cause
     x.tendon_int[s.EXPECTED_DRIVE_STATUS, n] = steady_status
     x.tendon_int[s.DRIVE_DUE_NS, n] = due_ns
-    if misread:
+    if is_malformed:
         x.node_int[s.HAS_MALFORMED_FRAME, n] = 1
 
 
@@ -204,7 +204,7 @@ def conclude_estimate(
     if x.run_int[s.FILTER_STARTED]:
         posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
     contact_force.update_tip_forces(x, c)
-    contact_force.average_grip_travel(x, c)
+    contact_force.update_grip_travel(x, c)
     return outstanding_requests.close_answered_requests(x, c)
 
 

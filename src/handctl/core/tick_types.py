@@ -264,7 +264,7 @@ class PackedTelemetry:
 TELEMETRY_FIELDS = Telemetry._fields
 """Names of the telemetry fields, in the order of ``Telemetry.packed``."""
 
-FIRST_TELEMETRY_FIELD_COUNT = 25
+ORIGINAL_TELEMETRY_FIELD_COUNT = 25
 """Number of telemetry fields in logs of version 0.1 and before.
 
 Later versions added fields at the end.

@@ -97,7 +97,7 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
         ConfigError: the file cannot be read or names a tendon that the hand does not have.
     """
     new_limits = load_document(path, LimitsFile)
-    old_limits = controller.derived.limits
+    old_limits = controller.derived_constants.limits
     period = controller.model.period
     trip_limits = new_limits.tension_trip_N if isinstance(new_limits.tension_trip_N, dict) else {}
     for name in trip_limits.keys() - set(old_limits.tendons):
@@ -177,7 +177,7 @@ def _judge_ticks(
         judged_state = state.copy()
         judged_state.view("fault_ticks")[...] = judging_state.view("fault_ticks")
         judged_state.decide(
-            latched=judging_state.latched,
+            latched_faults=judging_state.latched_faults,
             reported_faults=judging_state.decisions.reported_faults,
         )
         try:

@@ -63,13 +63,13 @@ class TickVerdict(NamedTuple):
     Attributes:
         action: most severe of the reactions to the faults that are present.
         findings: faults that became active in this tick.
-        latched: all faults that are latched at the end of the tick.
+        latched_faults: all faults that are latched at the end of the tick.
         reported_faults: faults that are reported in this tick.
     """
 
     action: SafetyAction
     findings: tuple[FaultFinding, ...]
-    latched: tuple[LatchedFault, ...]
+    latched_faults: tuple[LatchedFault, ...]
     reported_faults: tuple[ReportedFault, ...]
 
 
@@ -112,7 +112,7 @@ def judge_tick(
     ]
     latched_faults += tuple(
         dict.fromkeys(
-            _latched_fault_of(finding) for finding in new_findings if finding.fault.latched
+            _latched_fault_of(finding) for finding in new_findings if finding.fault.is_latched
         )
     )
     action = max(

@@ -77,13 +77,14 @@ class RunOutcome:
     def was_too_slow(self) -> bool:
         """Return True if a fault occurred because the host or the simulator was too slow."""
         return any(
-            FAULT_BY_ID[latched_fault.id].caused_by_lateness for latched_fault in self.state.latched
+            FAULT_BY_ID[latched_fault.id].caused_by_lateness
+            for latched_fault in self.state.latched_faults
         )
 
     @property
     def exit_code(self) -> ExitCode:
         """Return the exit code of a command that executes only this run."""
-        if self.state.unconfirmed:
+        if self.state.unconfirmed_motors:
             return ExitCode.REMOVE_POWER
         return ExitCode.FAILED if self.state.failure else ExitCode.DONE
 
@@ -98,7 +99,7 @@ class RunOutcome:
             PowerError: a drive did not confirm that it is disabled.
             DriveError: the run ended early for another reason.
         """
-        if self.state.unconfirmed:
+        if self.state.unconfirmed_motors:
             raise PowerError(self.state.failure, location)
         if self.state.failure or not self.state.progress.finished:
             raise DriveError(self.state.failure or "stopped before the end", location, remedy)
@@ -455,7 +456,7 @@ def _publish_tick(
 ) -> None:
     """Write the observation of a tick, and store the values that status lines show."""
     observations.write_record(entry, tick_output, stream_status(state), sent_ns)
-    published_state.commander = state.decisions.commander
+    published_state.commander = state.decisions.commanding_client
 
 
 def _status_callback(

@@ -53,7 +53,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate_hz: float) -> d
         loads: worst-case load of each bus, in the order of the hand file.
         rate_hz: control rate [Hz].
     """
-    is_within_load = all(load.load_at(rate_hz) <= MAX_BUS_LOAD for load in loads)
+    is_within_load = all(load.load_at_rate(rate_hz) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate_hz) for load in loads]
     return {"hand": hand.name, "rate_hz": rate_hz, "most": MAX_BUS_LOAD, "fits": is_within_load, "buses": buses,
             "split": [] if is_within_load else split_motors_over_buses(hand, rate_hz)}  # fmt: skip
@@ -81,14 +81,14 @@ def _bus_fields(load: BusLoad, rate_hz: float) -> dict[str, Any]:
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
         "by_time": load.periodic_load_fraction,
-        "load": load.load_at(rate_hz),
+        "load": load.load_at_rate(rate_hz),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
     }
 
 
 def _row_fields(row: BusLoadRow) -> dict[str, Any]:
-    return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.frames_per_tick,
+    return {"what": row.sender, "bytes": row.size, "fd": row.fd, "per_tick": row.frames_per_tick,
             "per_second": row.frames_per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 
 

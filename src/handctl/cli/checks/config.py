@@ -206,7 +206,7 @@ def _show_or_check_hand(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_rate_of_buses(loads)
-    load = {bus_load.name: bus_load.load_at(rate) for bus_load in loads}
+    load = {bus_load.name: bus_load.load_at_rate(rate) for bus_load in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":

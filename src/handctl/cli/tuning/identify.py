@@ -261,7 +261,7 @@ def _report_results(
             new_entry is not None for new_entry in new_entries.values()
         )
         identified |= {
-            name: new_entry.merged_with_older(identified.get(name))
+            name: new_entry.merge_older_parameters(identified.get(name))
             for name, new_entry in new_entries.items()
             if new_entry is not None
         }

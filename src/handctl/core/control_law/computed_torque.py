@@ -53,7 +53,7 @@ from handctl.core.estimation.blocked_digits import MAX_BLOCKED_EXTRA_TENSION_N
 from handctl.core.estimation.filter_types import SLACK_REGIME
 from handctl.core.estimation.slack_detection import MAX_SLACK_TENSION_N
 from handctl.core.estimation.spool_pair import net_tension_at_spool
-from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
+from handctl.core.estimation.statics import project_onto_digit_motion, winding_efficiency
 from handctl.core.estimation.varying_moment_arms import (
     arm_slope,
     carrier_excursion,
@@ -99,7 +99,7 @@ SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 With 8 N, a spool of ``n_plus_1`` winds at 17 mm/s instead of 9 mm/s. A higher tension would make the
 spool so fast that it counts as the spool of a torn tendon.
 """
-INTEGRATION_SPEED_M_S = 0.005
+MAX_INTEGRATION_SPEED_M_S = 0.005
 INTEGRAL_DECAY_S = 0.02
 """Tendon speed above which a stream does not integrate the tension error [m/s], and time constant of the decay [s]."""
 SLACK_TAKE_UP_SPEED_M_S = 0.02
@@ -246,7 +246,7 @@ def write_motor_torques(
             load[n] = x.tendon[s.REQUIRED_TENSION, n]
         if kind == TENSION:
             force, setpoint, integral = _tension_force(x, c, n, limit[n])
-            force += _feedforward_for_carrying_digits(c, n, carried_rate, carried_acceleration)
+            force += _carrier_feedforward_force(c, n, carried_rate, carried_acceleration)
             load[n] = x.tendon[s.TENSION_GOAL, n] = setpoint
         if kind != LIMP:
             force += x.tendon[s.TRIM_FORCE, n]
@@ -336,16 +336,16 @@ def _write_joint_torques(
     for n in range(len(load)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
+            x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if (
                 x.tendon_int[s.GOAL_KIND, n] == MOTION
-                and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0
+                and c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0
             ):
                 x.joint[s.Q_GOAL, j] = trajectory[0, j]
                 x.joint[s.DQ_GOAL, j] = trajectory[1, j]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             for j in range(joints):
-                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
+                x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint_table[h.CARRIER_ARMS, n, j]
 
 
 @kernel_helper
@@ -404,7 +404,7 @@ def _motion_force_terms(
             # If a part of the excursions cannot come from any motion of the digit, it is an error
             # of the tendon lengths. The feedback ignores this part.
             measured_excursion = (
-                part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
+                project_onto_digit_motion(c, n, x.tendon[s.EXCURSION])
                 + c.tendon[h.EXCURSION_MODEL_OFFSET, n]
             )
         feedback = (
@@ -582,7 +582,7 @@ def _tendon_motion_by_carriers(
 
 
 @kernel_helper
-def _feedforward_for_carrying_digits(
+def _carrier_feedforward_force(
     c: ConstantTables, n: int, rate: float, acceleration: float
 ) -> float:
     """Return the feedforward motor force for the motion of carrying digits [N].
@@ -706,7 +706,7 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
         error: tension error [N].
     """
     integral = x.tendon[s.TENSION_INTEGRAL, n]
-    if is_target_stream_running(x) and abs(x.tendon[s.SPEED, n]) > INTEGRATION_SPEED_M_S:
+    if is_target_stream_running(x) and abs(x.tendon[s.SPEED, n]) > MAX_INTEGRATION_SPEED_M_S:
         return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
     integral += c.run[h.INTEGRAL_GAIN] * error
     return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
@@ -721,9 +721,9 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
     speed = 0.0
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
-        speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
+        speed += c.tendon_coordinate_table[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
         acceleration += (
-            c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
+            c.tendon_coordinate_table[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
         )
     friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
@@ -750,11 +750,11 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
     The friction is computed by the implicit midpoint rule. So friction can stop a motor within a
     period, but cannot reverse its motion.
     """
-    frictionless_speed = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
+    speed_without_friction = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
     )
     return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
-        frictionless_speed / c.tendon[h.FRICTION_STOP_SPEED, n]
+        speed_without_friction / c.tendon[h.FRICTION_STOP_SPEED, n]
     )
 
 

@@ -165,33 +165,34 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     gain = c.run[h.STREAM_ACCELERATION] * period * scale
     slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
     now = x.run_int[s.T_NS] / 1e9
-    aim, aim_rate = position_on_segment(x, k, now)
+    candidate_position, candidate_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
     target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
     # This position moves at the rate of the targets, and reaches the latest target at the end of
     # the segment.
     moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
-    mean = (aim - position) / period
+    mean = (candidate_position - position) / period
     allowed = gain * (1.0 + LIMIT_TOLERANCE)
-    free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
-    free &= (
-        slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
-        and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
+    is_within_limits = abs(mean - rate) <= allowed and abs(candidate_rate - rate) <= allowed
+    is_within_limits &= (
+        slowest - gain * LIMIT_TOLERANCE <= min(mean, candidate_rate)
+        and max(mean, candidate_rate) <= fastest + gain * LIMIT_TOLERANCE
     )
-    free &= (
-        abs(aim_rate - target_rate)
-        <= max_stoppable_speed(abs(moving_target - aim), gain, period) + allowed
+    is_within_limits &= (
+        abs(candidate_rate - target_rate)
+        <= max_stoppable_speed(abs(moving_target - candidate_position), gain, period) + allowed
     )
-    new_rate = aim_rate
-    if not free:
+    new_rate = candidate_rate
+    if not is_within_limits:
         x.run_int[s.LIMITED_COORDINATE_COUNT] += 1
-        apart = moving_target - position - target_rate * period
+        distance_to_target = moving_target - position - target_rate * period
         required_rate = min(
-            max(target_rate + _stoppable_speed_towards(apart, gain, period), slowest), fastest
+            max(target_rate + _stoppable_speed_towards(distance_to_target, gain, period), slowest),
+            fastest,
         )
         new_rate = rate + min(max(required_rate - rate, -gain), gain)
-        aim = position + new_rate * period
-    x.coordinate[s.TRAJECTORY, k] = aim
+        candidate_position = position + new_rate * period
+    x.coordinate[s.TRAJECTORY, k] = candidate_position
     x.coordinate[s.TRAJECTORY + 1, k] = new_rate
     x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
 
@@ -203,7 +204,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        if c.joint_coordinate[h.COUPLING, j, k] != 0.0:
+        if c.joint_coordinate_table[h.COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
     return 1.0
 
@@ -227,12 +228,12 @@ def _allowed_rates(
         gain: largest change of the rate within the period [rad/s].
     """
     position = x.coordinate[s.TRAJECTORY, k]
-    top = c.run[h.STREAM_SPEED] * scale
+    max_rate = c.run[h.STREAM_SPEED] * scale
     slowest = max(
-        -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
+        -max_rate, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
     )
     fastest = min(
-        top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
+        max_rate, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
     max_lead = (
         scale
@@ -255,7 +256,7 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        coupling = c.joint_coordinate[h.COUPLING, j, k]
+        coupling = c.joint_coordinate_table[h.COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]
         total += coupling * coupling

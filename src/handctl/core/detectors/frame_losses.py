@@ -11,7 +11,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from handctl.safety.faults.node import HALF_RATE_MISSING_REPLIES
+from handctl.safety.faults.node import HALF_RATE_LOSS_COUNT
 
 TICKS_OVERDUE_BEFORE_FIRST_READING = 1_000_000
 """Age that is used for a node from which no reading was received so far [ticks]."""
@@ -96,11 +96,11 @@ def update_loss_counts(
             for n in range(tendons):
                 is_late |= cell_ticks_overdue(x, c, n, now_ns) > 0
         recent_bits = x.node_int[s.LOST_REPLY_BITS, node]
-        earlier_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
+        older_bits = x.node_int[s.LOST_REPLY_BITS + 1, node]
         # The two integers form a shift register: the oldest bit of the first integer moves into the
         # second one.
         x.node_int[s.LOST_REPLY_BITS + 1, node] = (
-            earlier_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
+            older_bits << 1 | recent_bits >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
         x.node_int[s.LOST_REPLY_BITS, node] = (
             recent_bits << 1 | (is_late and count_missing_replies)
@@ -145,6 +145,6 @@ def misses_every_second_reply(x: StateTables, node: int) -> bool:
     # The integer is combined by AND with itself, shifted by one bit. The result has a bit of 1 for
     # each pair of consecutive missing replies.
     return (
-        count_set_bits(recent_losses) >= HALF_RATE_MISSING_REPLIES
+        count_set_bits(recent_losses) >= HALF_RATE_LOSS_COUNT
         and count_set_bits(recent_losses & recent_losses >> 1) <= 1
     )

@@ -179,10 +179,10 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_SENSOR_TIME_S:
-            goal = stuck_sensors.motion_since_reading(
+            goal = stuck_sensors.change_since_reading(
                 x.tendon[s.FILTERED_GOAL, n], x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]
             )
-            tension = stuck_sensors.motion_since_reading(
+            tension = stuck_sensors.change_since_reading(
                 stuck_sensors.reference_tension(x, c, n),
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
@@ -191,7 +191,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned_angle = (
-                stuck_sensors.motion_since_reading(
+                stuck_sensors.change_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j),
                     x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j],
                 )

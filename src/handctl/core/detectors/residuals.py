@@ -70,11 +70,11 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded_force = x.tendon[s.COMMANDED_FORCE, n]
         motor_force = commanded_force if math.isnan(force) else force
-        judged_tension = monitored_tension(x, c, n, tared)
+        checked_tension = monitored_tension(x, c, n, tared)
         if not has_started:
             # The two fast filters start at the present tension and at the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = (
-                0.0 if math.isnan(judged_tension) else judged_tension
+                0.0 if math.isnan(checked_tension) else checked_tension
             )
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(motor_force) else motor_force
         position_change = position - x.tendon[s.LAST_POSITION, n]
@@ -91,7 +91,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         residual_sums[COMMAND_DIFFERENCE] = commanded_force - force
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             residual_sums[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
-        residual_sums[TENSION] = judged_tension
+        residual_sums[TENSION] = checked_tension
         residual_sums[QUICK_FORCE] = motor_force
         residual_sums[SLIP] = x.tendon[s.SLIP, n]
         residual_sums[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])

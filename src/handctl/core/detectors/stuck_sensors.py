@@ -116,7 +116,7 @@ def are_tendons_of_joint_taut(x: StateTables, c: ConstantTables, j: int) -> bool
     The spool of a slack tendon does not move the joint.
     """
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
+        if c.joint_tendon_table[h.MOVES_JOINT, j, n] != 0.0 and not x.tendon_int[s.IS_TAUT, n]:
             return False
     return True
 
@@ -128,16 +128,16 @@ def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
         return math.nan
     angle = c.joint[h.ANGLE_OFFSET, j]
     for n in range(x.tendon.shape[1]):
-        if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0:
+        if c.joint_tendon_table[h.MOVES_JOINT, j, n] != 0.0:
             stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
-            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (
+            angle += c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * (
                 x.tendon[s.MEASURED_TRAVEL, n] - stretch
             )
     return angle
 
 
 @kernel_helper
-def motion_since_reading(reference: float, reference_at_reading: float) -> float:
+def change_since_reading(reference: float, reference_at_reading: float) -> float:
     """Return the change of a sensor's reference since the reading of the sensor became constant.
 
     Return 0 if this change is unknown.
@@ -165,7 +165,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+            if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
                 goal += joint_excursion(c, n, j, x.joint[s.Q_GOAL, j])
         last_goal = x.tendon[s.FILTERED_GOAL, n]
         present_excursion = x.tendon[s.EXCURSION, n]

@@ -60,7 +60,7 @@ def detect_tendon_faults(
     x: StateTables, c: ConstantTables, is_armed: bool, evidence: EvidenceTable
 ) -> None:
     """Run the detectors that also work without torque, and write their results into the evidence table."""
-    upper_rail = c.run[h.CELL_SATURATION]
+    saturation_tension = c.run[h.CELL_SATURATION]
     time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
     is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
@@ -68,12 +68,12 @@ def detect_tendon_faults(
         tension = monitored_tension(x, c, n, True)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             tension = abs(tension)  # both directions of a spool pair have the same limit
-        if c.tendon[h.TENSION_TRIP, n] < tension < upper_rail:
+        if c.tendon[h.TENSION_TRIP, n] < tension < saturation_tension:
             evidence[FAULT_T03, n] = tension
         # A measured tension above the drive's torque limit proves that the drive does not obey this
         # limit. A tension that is only estimated proves nothing.
         if (
-            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < upper_rail
+            c.tendon[h.DRIVE_TENSION_LIMIT, n] < tension < saturation_tension
             and c.tendon_int[h.CELL_GROUP, n] >= 0
         ):
             evidence[FAULT_T03B, n] = tension
@@ -99,7 +99,7 @@ def detect_tendon_faults_under_torque(
             evidence[FAULT_T04B, n] = max(unexplained_tension, excess_tension)
         if excess_friction > EXCESS_FRICTION_WARN_N:
             evidence[FAULT_T09, n] = excess_friction
-        force_change = stuck_sensors.motion_since_reading(
+        force_change = stuck_sensors.change_since_reading(
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
         )

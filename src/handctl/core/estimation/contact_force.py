@@ -112,14 +112,14 @@ def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> 
     for n in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
         tension_per_force = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            tension_per_force += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * lever[j]
+            tension_per_force += c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j] * lever[j]
         virtual_work += tension_per_force * x.tendon[s.EXTERNAL_TENSION, n]
         size += tension_per_force * tension_per_force
     return virtual_work / size if size > MIN_SQUARED_RESPONSE else 0.0
 
 
 @kernel_helper
-def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
+def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update the fast and the slow average of the length on each spool minus the stretch of the tendon.
 
     Both averages are equal until the detection of slip begins.

@@ -102,17 +102,17 @@ def correct_tendon_covariance(
             * (state_measurement_covariance[i, 1] * a - state_measurement_covariance[i, 0] * b)
             / determinant
         )
-    correction_complement = np.zeros((STATE_COUNT, STATE_COUNT))
+    identity_minus_correction = np.zeros((STATE_COUNT, STATE_COUNT))
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            correction_complement[i, j] = (1.0 if i == j else 0.0) - (
+            identity_minus_correction[i, j] = (1.0 if i == j else 0.0) - (
                 gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
             )
     # The Joseph form of the covariance is (I - K H) P (I - K H)^T + K R K^T. The Joseph form is
     # symmetric and positive for any gain, even for a gain that leaves the load-cell error
     # uncorrected (Schmidt's consider filter).
     joseph_term = _multiply_by_transposed(
-        _multiply_matrices(correction_complement, P), correction_complement
+        _multiply_matrices(identity_minus_correction, P), identity_minus_correction
     )
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):

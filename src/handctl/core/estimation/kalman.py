@@ -423,7 +423,7 @@ def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vecto
     for j in range(len(result)):
         result[j] = c.joint[h.ANGLE_OFFSET, j] if row == s.EXCURSION else 0.0
         for n in range(x.tendon.shape[1]):
-            result[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
+            result[j] += c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
 
 
 @kernel_helper
@@ -480,7 +480,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         cell = x.tendon[s.MEASURED_TENSION, n]
         # While a tendon is slack, only the encoder determines the length that must still be wound
         # up.
-        is_near_knee = (
+        is_almost_taut = (
             regime == SLACK_REGIME
             and x.tendon_int[s.TENDON_LENGTH_KNOWN, n] == 1
             and is_nearly_taut(x, n)
@@ -495,7 +495,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
             evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
             evidence_count = regime_evidence(
-                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_near_knee
+                regime, evidence_count, tension, cell, x.tendon[s.CELL_ERROR, n], is_almost_taut
             )
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # The spool of a pair turns the joint in both directions. At least one tendon of a spool

@@ -74,7 +74,7 @@ def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> Non
 
 @kernel_helper
 def _reject_outlier(
-    reading_table: NDArray[np.float64],
+    position_table: NDArray[np.float64],
     i: int,
     measured_row: int,
     accepted_row: int,
@@ -87,7 +87,7 @@ def _reject_outlier(
     """Reject a position that is too far from the last accepted position of the same sensor.
 
     Args:
-        reading_table: table of the position, (rows, n).
+        position_table: table of the position, (rows, n).
         i: column of the position in the table.
         measured_row: row of the measured position.
         accepted_row: row of the last accepted position.
@@ -98,21 +98,21 @@ def _reject_outlier(
         limit: largest possible step in a period [rad].
         missed_ticks: see ``reject_outliers``.
     """
-    value = reading_table[measured_row, i]
+    value = position_table[measured_row, i]
     # A comparison with NaN is False. So no position is rejected if the measured or the accepted
     # position is missing.
-    step = abs(value - reading_table[accepted_row, i])
-    gap = reading_table[gap_ticks_row, i] + 1.0 + missed_ticks
-    reading_table[rejected_step_row, i] = 0.0
+    step = abs(value - position_table[accepted_row, i])
+    gap = position_table[gap_ticks_row, i] + 1.0 + missed_ticks
+    position_table[rejected_step_row, i] = 0.0
     if step > limit * gap:
-        reading_table[rejected_step_row, i] = step
-        reading_table[rejection_count_row, i] += 1.0
-        reading_table[measured_row, i] = math.nan
+        position_table[rejected_step_row, i] = step
+        position_table[rejection_count_row, i] += 1.0
+        position_table[measured_row, i] = math.nan
     elif not math.isnan(value):
-        reading_table[accepted_row, i] = value
-        reading_table[rejection_count_row, i] = 0.0
+        position_table[accepted_row, i] = value
+        position_table[rejection_count_row, i] = 0.0
         gap = float(missed_ticks)
-    reading_table[gap_ticks_row, i] = gap
+    position_table[gap_ticks_row, i] = gap
 
 
 @kernel_helper
@@ -145,7 +145,7 @@ def convert_positions(x: StateTables, c: ConstantTables) -> None:
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         excursion = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+            if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
                 excursion += joint_excursion(c, n, j, x.joint[s.MEASURED_JOINT, j])
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
 

@@ -137,10 +137,10 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
             # carrying digits come first, so ``total`` already contains the error of the carrying
             # digits.
             for j in range(joints):
-                variance += square(c.tendon_joint[h.CARRIER_ARMS, n, j]) * total[j]
+                variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
         for j in range(joints):
-            spread[j, n] = c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * excursion
+            spread[j, n] = c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * excursion
             total[j] += square(spread[j, n])
     return spread, total
 
@@ -155,7 +155,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     places of contact. The levers are computed at the angles of the last estimate, so each tick is
     an iteration towards a fixed point.
     """
-    place_count = c.place_joint.shape[1]
+    place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     columns = np.zeros((2 * place_count + 2, joints))
     turns, deviation = _contact_turns(x, c)
@@ -163,13 +163,13 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     for j in range(joints):
         mean = 0.0
         for place in range(place_count):
-            mean += c.place_joint[h.CONTACT_PLACE_PROBABILITY, place, j] * turns[place, j]
+            mean += c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j] * turns[place, j]
         turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_SMOOTHING_FRACTION] * (
             mean - x.joint[s.CONTACT_TURN, j]
         )
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(place_count):
-            root = math.sqrt(c.place_joint[h.CONTACT_PLACE_PROBABILITY, place, j])
+            root = math.sqrt(c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j])
             # The errors are multiplied by the square root of the probability of their place, so
             # that the sum of their squares is the variance over the places.
             columns[place, j] = root * (turns[place, j] - turn)
@@ -193,7 +193,7 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return the turns of the joints by a contact at each assumed place (H, J), and their deviations [rad]."""
-    place_count = c.place_joint.shape[1]
+    place_count = c.place_joint_table.shape[1]
     joints = x.joint.shape[1]
     turns = np.zeros((place_count, joints))
     deviation = np.zeros((place_count, joints))
@@ -205,8 +205,8 @@ def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
             tension_error = math.sqrt(
                 square(MODEL_ERROR_N) + square(MODEL_ERROR_FRACTION * contact_tension)
             )
-            torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * contact_tension
-            error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * tension_error
+            torque[j] += c.joint_tendon_table[h.POSTURE_TORQUE, j, n] * contact_tension
+            error[j] += c.joint_tendon_table[h.POSTURE_TORQUE, j, n] * tension_error
     q = np.zeros(joints)
     lever = np.zeros(joints)
     for j in range(joints):
@@ -279,14 +279,14 @@ def _write_digit_turn(
         for other_joint in range(first_joint, end):
             size += (
                 lever[j]
-                * c.joint_joint[h.COORDINATE_PROJECTION, j, other_joint]
+                * c.joint_joint_table[h.COORDINATE_PROJECTION, j, other_joint]
                 * lever[other_joint]
             )
     size = max(size, MIN_SQUARED_LEVER_M2)
     for j in range(first_joint, end):
         compliance = 0.0
         for other_joint in range(first_joint, end):
-            compliance += lever[other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
+            compliance += lever[other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
         # Unexplained tension is positive if the object pushes the digit open.
         turns[j] = -virtual_work / size * compliance
         deviation[j] = work_error / size * compliance
@@ -329,7 +329,7 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         wrap_angle = wrap_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
+            arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrap_angle += joint_wrap_angle(c, j, x.joint[s.Q, j])
                 friction_arm = arm * c.tendon[h.CAPSTAN_COEFFICIENT, n]
@@ -341,7 +341,7 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
             turn[row, j] = 0.0
             for other_joint in range(joints):
                 turn[row, j] += (
-                    torque[row, other_joint] * c.joint_joint[h.COMPLIANCE, other_joint, j]
+                    torque[row, other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
                 )
 
 
@@ -372,7 +372,7 @@ def _fuse_encoders(
                 covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
             for n in range(spread.shape[1]):
                 covariance[a, b] += spread[a, n] * spread[b, n]
-            covariance[a, b] *= c.joint_joint[h.ARE_IN_SAME_DIGIT, a, b]
+            covariance[a, b] *= c.joint_joint_table[h.ARE_IN_SAME_DIGIT, a, b]
     has_reading = False
     gain = np.zeros(joints)
     covariance_row = np.zeros(joints)
@@ -384,9 +384,9 @@ def _fuse_encoders(
         if last_heard_ns < 0 or age >= MAX_READING_AGE_S:
             continue
         has_reading = True
-        motion_since_reading = x.joint[s.DQ, j] * age
-        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * motion_since_reading)
-        residual = x.joint[s.JOINT_ANGLE, j] + motion_since_reading - x.joint[s.Q, j]
+        change_since_reading = x.joint[s.DQ, j] * age
+        noise = c.joint[h.ENCODER_VARIANCE, j] + square(RATE_ERROR_FRACTION * change_since_reading)
+        residual = x.joint[s.JOINT_ANGLE, j] + change_since_reading - x.joint[s.Q, j]
         for a in range(joints):
             # A row of the covariance is copied before the loop below changes it.
             gain[a] = covariance[a, j] / (covariance[j, j] + noise)
@@ -421,7 +421,9 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
         q[j] = x.joint[s.Q, j]
     for k in range(coordinates):
         for n in range(x.tendon.shape[1]):
-            torque[k] += x.tendon[s.EXTERNAL_TENSION, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
+            torque[k] += (
+                x.tendon[s.EXTERNAL_TENSION, n] * c.tendon_coordinate_table[h.REDUCED_ARMS, n, k]
+            )
     pose = link_poses_of_hand(c, q)
     for d in range(x.digit.shape[1]):
         first_joint = c.digit_int[h.FIRST_JOINT, d]
@@ -456,7 +458,7 @@ def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
             + square(MODEL_ERROR_N)
             + square(MODEL_ERROR_FRACTION * x.tendon[s.EXTERNAL_TENSION, n])
         )
-        arms = c.tendon_coordinate[h.REDUCED_ARMS, n]
+        arms = c.tendon_coordinate_table[h.REDUCED_ARMS, n]
         change = (
             _dot_over_coordinates(c, d, lever, arms)
             * error
@@ -473,7 +475,7 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
     for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            result[k] += c.joint_coordinate[h.COUPLING, j, k] * lever[j]
+            result[k] += c.joint_coordinate_table[h.COUPLING, j, k] * lever[j]
 
 
 @kernel_helper

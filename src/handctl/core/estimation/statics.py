@@ -132,7 +132,7 @@ def subtract_torque_of_passing_tendons(
     for n in range(len(tension)):
         wrap_angle = c.tendon[h.WRAP_ANGLE, n]
         for j in range(len(q)):
-            arm = c.tendon_joint[h.CARRIER_ARMS, n, j]
+            arm = c.tendon_joint_table[h.CARRIER_ARMS, n, j]
             if arm != 0.0:
                 wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] -= pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
@@ -150,7 +150,7 @@ def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     wrap_angle = c.tendon[h.WRAP_ANGLE, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         for j in range(len(q)):
-            if c.tendon_joint[h.CARRIER_ARMS, n, j] != 0.0:
+            if c.tendon_joint_table[h.CARRIER_ARMS, n, j] != 0.0:
                 wrap_angle += joint_wrap_angle(c, j, q[j])
     return wrap_angle
 
@@ -175,7 +175,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         tension[n] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            tension[n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * torque[j]
+            tension[n] += c.tendon_joint_table[h.TORQUE_TO_TENSION, n, j] * torque[j]
 
 
 @kernel_helper
@@ -202,7 +202,7 @@ def write_tensions_at_joints(
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         wrap_angle = wrap_before_digit(c, n, q)
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
+            arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
                 wrap_angle += joint_wrap_angle(c, j, q[j])
                 torque[j] += pulley_torque(c, n, arm, tension[n], friction_state[n], wrap_angle)
@@ -210,7 +210,7 @@ def write_tensions_at_joints(
 
 
 @kernel_helper
-def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
+def project_onto_digit_motion(c: ConstantTables, n: int, tendon_values: Vector) -> float:
     """Return the part of tendon n's value that a motion of the digit explains.
 
     The result is element n of R R^+ v.
@@ -227,9 +227,10 @@ def part_explained_by_motion(c: ConstantTables, n: int, tendon_values: Vector) -
         angle = 0.0
         for other_tendon in range(c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d]):
             angle += (
-                c.joint_tendon[h.EXCURSION_TO_JOINTS, j, other_tendon] * tendon_values[other_tendon]
+                c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, other_tendon]
+                * tendon_values[other_tendon]
             )
-        total += c.tendon_joint[h.MOMENT_ARMS, n, j] * angle
+        total += c.tendon_joint_table[h.MOMENT_ARMS, n, j] * angle
     return total
 
 
@@ -255,12 +256,13 @@ def value_from_other_tendons(
     own_term = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         own_term += (
-            c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n]
+            c.tendon_joint_table[h.MOMENT_ARMS, n, j]
+            * c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n]
         )
     if own_term > MAX_DIAGONAL_ELEMENT:
         return math.nan
     return (
-        part_explained_by_motion(c, n, tendon_values) + offset - own_term * tendon_values[n]
+        project_onto_digit_motion(c, n, tendon_values) + offset - own_term * tendon_values[n]
     ) / (1.0 - own_term)
 
 
@@ -280,9 +282,9 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     wrap_angle = wrap_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+        if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:
             wrap_angle += joint_wrap_angle(c, j, q[j])
-            efficiency += c.tendon_joint[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
+            efficiency += c.tendon_joint_table[h.PULLEY_WEIGHTS, n, j] * capstan_ratio(
                 c, n, 1.0, wrap_angle
             )
     return efficiency

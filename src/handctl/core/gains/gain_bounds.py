@@ -39,7 +39,7 @@ class GainBounds:
         is_low_excluded: True if the value must be greater than ``low``.
         default: default value of the key.
         is_integer: True if the value must be an integer.
-        is_live_changeable: True if the value may be changed while the controller runs.
+        is_changeable_live: True if the value may be changed while the controller runs.
         meaning: meaning of the key, in words. The text is empty if the name of the key is clear.
     """
 
@@ -49,7 +49,7 @@ class GainBounds:
     is_low_excluded: bool
     default: float
     is_integer: bool
-    is_live_changeable: bool
+    is_changeable_live: bool
     meaning: str
 
     def __str__(self) -> str:
@@ -64,12 +64,12 @@ class TendonKey(NamedTuple):
     Attributes:
         tendon: name of the tendon.
         field: name of the force in ``TendonForces``.
-        shared_key: key of the same force for all tendons.
+        common_key: key of the same force for all tendons.
     """
 
     tendon: str
     field: str
-    shared_key: str
+    common_key: str
 
 
 SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
@@ -134,7 +134,7 @@ def bounds_of_key(key: str) -> GainBounds | None:
     if key_parts is None:
         return gain_bounds().get(key)
     meaning = key_description(TendonForces, key_parts.field)
-    return replace(gain_bounds()[key_parts.shared_key], key=key, meaning=meaning)
+    return replace(gain_bounds()[key_parts.common_key], key=key, meaning=meaning)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
@@ -174,7 +174,7 @@ def _gain_of_key(gain_values: Mapping[str, float], key: str) -> float:
     """
     key_parts = tendon_key(key)
     return (
-        gain_values[key_parts.shared_key]
+        gain_values[key_parts.common_key]
         if key_parts and key not in gain_values
         else gain_values[key]
     )
@@ -198,7 +198,7 @@ def gains_with_values(
     content = gains.model_dump(by_alias=True)
     for key, value in gain_values.items():
         bound = checked_gain_bounds(key, value, source_name)
-        if is_live and not bound.is_live_changeable:
+        if is_live and not bound.is_changeable_live:
             expected = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
                 "is designed before arming and cannot change in a run",

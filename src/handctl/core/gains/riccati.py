@@ -5,12 +5,12 @@ The solutions are feedback gains, and covariances of the Kalman filter.
 
 import numpy as np
 
-from handctl.core.deferred_imports import DeferredModule, import_without_package
+from handctl.core.deferred_imports import DeferredModule, import_without_package_init
 from handctl.core.tick_types import Vector
 
 # control.dlqr and control.dlqe also call this solver. An import of the whole package control would
 # also import matplotlib and scipy.signal, which takes longer than the design of the gains.
-_matrix_equations = DeferredModule("control.mateqn", import_without_package)
+_matrix_equations = DeferredModule("control.mateqn", import_without_package_init)
 
 
 def solve_lqr(F: Vector, G: Vector, Q: Vector, R: Vector) -> Vector:

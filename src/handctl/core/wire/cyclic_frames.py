@@ -127,7 +127,7 @@ def receive_frames(
     keys: IntArray,
     entries: IntArray,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first_frame: int,
@@ -144,7 +144,7 @@ def receive_frames(
         keys: see ``WireTables``.
         entries: see ``WireTables``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first_frame: index of the first frame.
@@ -161,7 +161,7 @@ def receive_frames(
     keys = borrowed_array(keys, 0, keys.shape)
     entries = borrowed_array(entries, 0, entries.shape)
     signal_integers = borrowed_array(signal_integers, 0, signal_integers.shape)
-    signal_reals = borrowed_array(signal_reals, 0, signal_reals.shape)
+    signal_scalings = borrowed_array(signal_scalings, 0, signal_scalings.shape)
     recheck_ranges = borrowed_array(recheck_ranges, 0, recheck_ranges.shape)
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first_frame, len(frame_rows)):
@@ -195,14 +195,21 @@ def receive_frames(
             _count_stale_frame(x, entries[entry, GROUP_COLUMN])
         elif kind == SENSOR_FRAMES:
             _decode_sensor_frame(
-                x, t_ns, payload, has_expected_length, entries, entry, signal_integers, signal_reals
+                x,
+                t_ns,
+                payload,
+                has_expected_length,
+                entries,
+                entry,
+                signal_integers,
+                signal_scalings,
             )
         elif (
             kind == STATE_MACHINE_FRAMES
             or kind == HOST_FRAMES
             or not has_expected_length
             or not _decode_drive_frame(
-                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_reals
+                x, c, t_ns, frame_rows[r], entries, entry, signal_integers, signal_scalings
             )
         ):
             return r
@@ -348,7 +355,7 @@ def _decode_sensor_frame(
     entries: IntArray,
     entry: int,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> None:
     """Decode a frame of load cells or joint encoders.
 
@@ -362,7 +369,7 @@ def _decode_sensor_frame(
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
     """
     if not is_length_right:
         x.node_int[s.HAS_MALFORMED_FRAME, x.node_int.shape[1] - 1] = 1
@@ -370,7 +377,7 @@ def _decode_sensor_frame(
     group = entries[entry, GROUP_COLUMN]
     tensions = 0
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
-        value = decode_signal(payload, signal_integers, signal_reals, i)
+        value = decode_signal(payload, signal_integers, signal_scalings, i)
         quantity = signal_integers[i, QUANTITY_COLUMN]
         channel = signal_integers[i, CHANNEL_COLUMN]
         if quantity == COUNTER and value != x.run_int[s.SYNC_COUNTER]:
@@ -390,7 +397,7 @@ def _decode_sensor_frame(
 
 
 @kernel_helper
-def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
+def _is_nearer_to_prediction(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
     """Return True if a position is nearer to the predicted position than the stored position.
 
     The stored position was received earlier in this tick. The tension filter predicts the position
@@ -412,7 +419,7 @@ def _decode_drive_frame(
     entries: IntArray,
     entry: int,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> bool:
     """Decode a frame of a drive.
 
@@ -426,7 +433,7 @@ def _decode_drive_frame(
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         signal_integers: see ``WireTables``.
-        signal_reals: see ``WireTables``.
+        signal_scalings: see ``WireTables``.
     """
     n = entries[entry, OWNER_COLUMN]
     if not _is_steady(x, n):
@@ -442,7 +449,7 @@ def _decode_drive_frame(
         else:
             window = read_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
             window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
-        value = decode_signal(window, signal_integers, signal_reals, i)
+        value = decode_signal(window, signal_integers, signal_scalings, i)
         if math.isnan(value):
             return False
         quantity = signal_integers[i, QUANTITY_COLUMN]
@@ -464,7 +471,7 @@ def _decode_drive_frame(
     if (
         entries[entry, NEAREST_ONLY_COLUMN]
         and x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] > 0
-        and not _is_nearer(x, c, n, position)
+        and not _is_nearer_to_prediction(x, c, n, position)
     ):
         x.tendon_int[s.FEEDBACK_COUNT, n] += 1
         x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] += 1
@@ -492,14 +499,14 @@ def _store_tendon_value(x: StateTables, table_row: int, n: int, value: float) ->
 
 @kernel_helper
 def _can_be_encoded(
-    x: StateTables, n: int, signal_reals: FloatArray, first_signal: int, signals_end: int
+    x: StateTables, n: int, signal_scalings: FloatArray, first_signal: int, signals_end: int
 ) -> bool:
     """Return True if each number of a position command is within the range of its signal."""
     for i in range(first_signal, signals_end):
         if (
-            not signal_reals[i, 2]
+            not signal_scalings[i, 2]
             <= x.servo[s.SERVO_POSITION + i - first_signal, n]
-            <= signal_reals[i, 3]
+            <= signal_scalings[i, 3]
         ):
             return False
     return True
@@ -512,7 +519,7 @@ def _write_position_command(
     frame_row: Any,
     template: Any,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     first_signal: int,
     signals_end: int,
 ) -> None:
@@ -520,7 +527,7 @@ def _write_position_command(
     _copy_record(template, frame_row)
     for i in range(first_signal, signals_end):
         bits = encode_signal(
-            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_reals, i
+            x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_scalings, i
         )
         bits = bytes_reversed(bits) if signal_integers[i, ORDER_COLUMN] else bits
         write_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
@@ -533,7 +540,7 @@ def _write_torque_command(
     torque: float,
     signal: Any,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
 ) -> None:
     """Write a torque command into the record of a frame.
 
@@ -541,7 +548,7 @@ def _write_torque_command(
     """
     _copy_record(template, frame_row)
     if signal >= 0:
-        bits = encode_signal(torque, signal_integers, signal_reals, signal)
+        bits = encode_signal(torque, signal_integers, signal_scalings, signal)
         ordered_bits = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
         write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits)
 
@@ -556,13 +563,13 @@ def encode_commands(
     frame_words: WordRows,
     commands: IntArray,
     signal_integers: IntArray,
-    signal_reals: FloatArray,
+    signal_scalings: FloatArray,
     templates: WordRows,
     torque: FloatArray,
     servos: IntArray,
     servo_templates: WordRows,
     servo_signal_integers: IntArray,
-    servo_signal_reals: FloatArray,
+    servo_signal_scalings: FloatArray,
     recheck_ranges: IntArray,
     rechecks: WordRows,
     first_drive: int,
@@ -576,13 +583,13 @@ def encode_commands(
         frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         signal_integers: ``WireTables.command_signal_integers``.
-        signal_reals: ``WireTables.command_signal_reals``.
+        signal_scalings: ``WireTables.command_signal_scalings``.
         templates: (frames, WORDS_PER_RECORD) records of the commands with zero torque.
         torque: (N,) commanded torque of each drive [N m].
         servos: (N, 2) see ``WireTables``.
         servo_templates: (N, WORDS) see ``WireTables``.
         servo_signal_integers: see ``WireTables``.
-        servo_signal_reals: see ``WireTables``.
+        servo_signal_scalings: see ``WireTables``.
         recheck_ranges: see ``WireTables``.
         rechecks: see ``WireTables``.
         first_drive: index of the first drive whose command is encoded.
@@ -608,13 +615,13 @@ def encode_commands(
         if is_recheck_due and not _is_recheck_regular(x, n, now_ns):
             return n, count
         signal = commands[i, 1]
-        if signal >= 0 and not abs(torque[n]) <= signal_reals[signal, 2]:
+        if signal >= 0 and not abs(torque[n]) <= signal_scalings[signal, 2]:
             return n, count
         first_servo_row = servos[n, 0]
         end = servos[n, 1]
         use_position_command = first_servo_row < end and x.servo[s.SERVO_KP, n] > 0.0
         if use_position_command and not _can_be_encoded(
-            x, n, servo_signal_reals, first_servo_row, end
+            x, n, servo_signal_scalings, first_servo_row, end
         ):
             command_torque_only(x, n)
             use_position_command = False
@@ -626,13 +633,13 @@ def encode_commands(
                 row,
                 servo_templates[n],
                 servo_signal_integers,
-                servo_signal_reals,
+                servo_signal_scalings,
                 first_servo_row,
                 end,
             )
         else:
             _write_torque_command(
-                row, templates[i], torque[n], signal, signal_integers, signal_reals
+                row, templates[i], torque[n], signal, signal_integers, signal_scalings
             )
         count += 1
         if is_recheck_due and signal >= 0:

@@ -71,7 +71,7 @@ class CatalogueRow(NamedTuple):
         moteus: visibility with moteus. The text is empty if it equals ``mit``, because both
             protocols answer each command once.
         robstride: visibility with RobStride. The text is empty if it equals ``mit``.
-        counted_from_event: event from which the longest reaction time counts, as the end of a sentence.
+        reaction_time_start: event from which the longest reaction time counts, as the end of a sentence.
             The text is empty if the time counts from the failure itself.
     """
 
@@ -89,7 +89,7 @@ class CatalogueRow(NamedTuple):
     tested_by: str = "campaign"
     moteus: str = ""
     robstride: str = ""
-    counted_from_event: str = ""
+    reaction_time_start: str = ""
 
     def visibility(self, protocol: str) -> str:
         """Return the visibility of the failure with a drive protocol.
@@ -160,7 +160,7 @@ class Fault:
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 
     @property
-    def latched(self) -> bool:
+    def is_latched(self) -> bool:
         """Return True if the reaction lasts until an operator clears the fault."""
         return self.cleared_by == CLEARED_BY_OPERATOR
 

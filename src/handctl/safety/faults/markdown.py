@@ -57,7 +57,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
     latest_reaction_text += (
         f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
     )
-    latest_reaction_text += f", after {row.counted_from_event}" if row.counted_from_event else ""
+    latest_reaction_text += f", after {row.reaction_time_start}" if row.reaction_time_start else ""
     latest_reaction_text = (
         latest_reaction_text
         if row.ticks or row.ms

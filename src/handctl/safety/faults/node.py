@@ -66,7 +66,7 @@ MIN_OSCILLATION_HZ = 8.0
 The RMS belongs to an amplitude of 11 N. After a command step of 75 N at 5000 N/s this RMS is
 exceeded for only 0.15 s.
 """
-HALF_RATE_MISSING_REPLIES = 7
+HALF_RATE_LOSS_COUNT = 7
 """Number of missing replies in ``MALFORMED_WINDOW_TICKS`` ticks from which a node counts as slow.
 
 A slow node replies at half the control rate. Two replies in a row are missing when the phase between
@@ -304,7 +304,7 @@ FAULT_N14B = declare_fault(
 declare_catalogue_row("N15", "slow node", odrive=_SINGLE_LOSSES_TEXT, ticks=22, required=22)
 FAULT_N15 = declare_fault(
     "N15", "a slow node",
-    f"{HALF_RATE_MISSING_REPLIES} of {MALFORMED_WINDOW_TICKS} replies of a node are missing, and rarely two in a row",
+    f"{HALF_RATE_LOSS_COUNT} of {MALFORMED_WINDOW_TICKS} replies of a node are missing, and rarely two in a row",
     SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_NODE,
     cause="The node replies to every second request only, because its control rate is lower than that of the hand.",
     remedy="Raise the node's rate, or lower the control rate of the hand.",

@@ -170,7 +170,7 @@ FAULT_T04B = declare_fault(
 )  # fmt: skip
 
 declare_catalogue_row("T05", "load cell stuck", ticks=42, required=42,
-    counted_from_event=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
+    reaction_time_start=f"the motor force has varied by {STUCK_CELL_FORCE_RANGE_N + FORCE_RANGE_ERROR_N:g} N",
 )  # fmt: skip
 FAULT_T05 = declare_fault(
     "T05", "a load cell is stuck",
