@@ -24,7 +24,7 @@ from typing import Any
 
 from handctl.core.gains.gain_bounds import gains_with_values
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified_parameters import DIGIT_KEYS
+from handctl.core.identified_parameters import DIGIT_KEY_BY_PARAMETER
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
@@ -198,13 +198,14 @@ def measure_digit(
         name: tendon_fit
         for tendon, tendon_fit in result.items()
         for name in tendon_fit.identifiability.names
-        if name in DIGIT_KEYS
+        if name in DIGIT_KEY_BY_PARAMETER
     }
     row["parameters"] = [
         compare_parameter(name, tendon, true_value, shared_parameters.get(name, tendon_fit))
         for tendon, tendon_fit in result.items()
         for name, true_value in true_parameters(hand, tendon, factors).items()
-        if name not in DIGIT_KEYS or tendon_fit is shared_parameters.get(name, tendon_fit)
+        if name not in DIGIT_KEY_BY_PARAMETER
+        or tendon_fit is shared_parameters.get(name, tendon_fit)
     ]
     return row
 

@@ -240,18 +240,18 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert touched == {"index", "middle", "thumb"}
         assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
         assert height["open"] < -0.05, "the antagonists open the digits"
-        is_closing = antagonist_model().redundancy.side > 0.0
+        is_closing = antagonist_model().redundancy.closing_sign > 0.0
         np.testing.assert_allclose(tension["hold"][is_closing], 40.0, atol=3.0)
         np.testing.assert_allclose(
             tension["hold"][~is_closing],
-            antagonist_model().redundancy.balance[~is_closing],
+            antagonist_model().redundancy.balance_tension[~is_closing],
             atol=2.0,
         )
 
 
 def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
     for digit in antagonist_model().digits:
-        balance = antagonist_model().redundancy.balance[digit.tendons]
+        balance = antagonist_model().redundancy.balance_tension[digit.tendons]
         np.testing.assert_allclose(digit.moment_arms.T @ balance, 0.0, atol=1e-4)
         assert balance.min() == pytest.approx(
             antagonist_model().floor[digit.tendons].min(), rel=1e-3

@@ -144,7 +144,7 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     path.write_text(
         text.replace("bitrate = 1000000", "bitrate = 1000000\ndata_bitrate = 5_000_000")
     )
-    busy_tick_s = bus_loads(load_hand(str(path)))[0].tick_s
+    busy_tick_s = bus_loads(load_hand(str(path)))[0].frame_time_per_tick_s
     sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
     assert busy_tick_s - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
 

@@ -169,7 +169,7 @@ def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: in
 
 VALUES_OUT_OF_RANGE = [
     (s.SERVO_POSITION, 256.1 * math.tau), (s.SERVO_VELOCITY, 51.0), (s.SERVO_KP, 2.6), (s.SERVO_KD, 1.0),
-    (s.SERVO_TORQUE, 0.81), (s.SERVO_LIMIT, 0.81), (s.SERVO_LIMIT, -0.01), (s.SERVO_KD, -0.01),
+    (s.SERVO_TORQUE, 0.81), (s.SERVO_TORQUE_LIMIT, 0.81), (s.SERVO_TORQUE_LIMIT, -0.01), (s.SERVO_KD, -0.01),
 ]  # fmt: skip
 
 
@@ -188,7 +188,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
             run.run_tick()
         assert run.state.view("servo_kp").all()
         layout, tables = run.state.layout, run.controller.derived_constants.wire_tables
-        torque = run.state.tendon[s.TORQUE].copy()
+        torque = run.state.tendon[s.COMMANDED_TORQUE].copy()
         if target_row == s.SERVO_KP and math.isnan(target_value):
             # A comparison of NaN with 0 is false. A command with a kp of NaN is therefore always a
             # torque command.

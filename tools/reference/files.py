@@ -7,8 +7,8 @@ from typing import Annotated, Any, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from handctl.core.gains.gain_bounds import (
+    COMMON_KEY_BY_FORCE,
     GAIN_SECTIONS,
-    SHARED_KEYS,
     TENDON_SECTION,
     bounds_of_key,
     gain_bounds,
@@ -186,7 +186,7 @@ def gains_sections() -> str:
         f"{prose_markdown(TendonForces.__doc__)}\n\nChanges: during a run.",
     ]
     forces = []
-    for field, shared in SHARED_KEYS.items():
+    for field, shared in COMMON_KEY_BY_FORCE.items():
         if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
             forces.append(
                 (

@@ -49,7 +49,7 @@ class BusLoad:
     rows: tuple[BusLoadRow, ...]
 
     @property
-    def tick_s(self) -> float:
+    def frame_time_per_tick_s(self) -> float:
         """Return the time that all frames of one tick take on the bus [s]."""
         return sum(row.frames_per_tick * row.frame_s for row in self.rows)
 
@@ -63,7 +63,7 @@ class BusLoad:
 
     def load_at_rate(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
-        return rate_hz * self.tick_s + self.periodic_load_fraction
+        return rate_hz * self.frame_time_per_tick_s + self.periodic_load_fraction
 
     def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate [Hz] at which the bus load reaches ``load_limit``.
@@ -71,8 +71,8 @@ class BusLoad:
         If no frame is sent in every tick, return infinity.
         """
         return (
-            max(0.0, load_limit - self.periodic_load_fraction) / self.tick_s
-            if self.tick_s
+            max(0.0, load_limit - self.periodic_load_fraction) / self.frame_time_per_tick_s
+            if self.frame_time_per_tick_s
             else float("inf")
         )
 

@@ -246,11 +246,11 @@ class ControllerState:
     @property
     def mode(self) -> HandMode:
         """Return the mode of the hand."""
-        return _MODE_BY_NUMBER[self.run_table_integer(s.MODE)]
+        return _MODE_BY_NUMBER[self.run_table_integer(s.HAND_MODE)]
 
     @mode.setter
     def mode(self, mode: HandMode) -> None:
-        self.set_run_table_integer(s.MODE, mode)
+        self.set_run_table_integer(s.HAND_MODE, mode)
 
     @property
     def mode_start_time(self) -> float:

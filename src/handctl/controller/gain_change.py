@@ -31,7 +31,7 @@ from handctl.programs.requests import REFUSED_PREFIX
 ControllerT = TypeVar("ControllerT")
 """Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
 
-CACHE_SIZE = 8
+MAX_CACHED_DESIGNS = 8
 """Number of designs in the cache: for present gains, for pending gains, and for some earlier gains to return to."""
 
 
@@ -56,7 +56,7 @@ class DesignCache:
     again when it is needed.
 
     Attributes:
-        loop_designs: control loops that are designed so far, for each of the last ``CACHE_SIZE``
+        loop_designs: control loops that are designed so far, for each of the last ``MAX_CACHED_DESIGNS``
             sets of requested gains.
         controllers: controllers whose design is complete.
         gains_in_use: gains of the controller that was returned last.
@@ -114,7 +114,7 @@ class DesignCache:
     ) -> list[Vector]:
         """Design the missing ones of the first ``loop_count`` loops, and return all designed loops."""
         loop_designs = self.loop_designs.setdefault(gains, [])
-        if len(self.loop_designs) > CACHE_SIZE:
+        if len(self.loop_designs) > MAX_CACHED_DESIGNS:
             # A dictionary keeps the order of insertion, so the first entry is the oldest one. The
             # entry of the gains in use is kept.
             least_recent_gains = next(

@@ -687,7 +687,7 @@ class Controller:
             other_controller = self.design_cache.controller(self, pending_gains.gains)
             other_controller._compute_torques(state_before_torques, action, ticks)
             step = (
-                state.tendon[s.TORQUE] - state_before_torques.tendon[s.TORQUE]
+                state.tendon[s.COMMANDED_TORQUE] - state_before_torques.tendon[s.COMMANDED_TORQUE]
             ) / self.model.tendon_constants.spool
             state.tendon[s.TRIM_FORCE] += step
             state.set_run_table_integer(s.TRIM_ACTIVE, 1)
@@ -723,7 +723,7 @@ class Controller:
                 amplifier.phase == DrivePhase.READY for amplifier in amplifiers
             ):
                 state.set_run_table_integer(s.SYNC_COUNT, state.run_table_integer(s.SYNC_COUNT) + 1)
-        torque = state.tendon[s.TORQUE]
+        torque = state.tendon[s.COMMANDED_TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
@@ -762,7 +762,7 @@ class Controller:
         tables = self.derived_constants.wire_tables
         frame_batches = list[Frames]()
         first_row = 0
-        pending_row = start
+        first_unsent_row = start
         count = 1
         is_clearing = state.clearing and state.mode == HandMode.INVENTORY
         n = len(self.drives)
@@ -789,12 +789,12 @@ class Controller:
             self.store_drive_state(state, first_row, drive_state)
             if frames:
                 frame_batches += [
-                    Frames.from_rows(frame_words[pending_row:count]),
+                    Frames.from_rows(frame_words[first_unsent_row:count]),
                     frames_as_records(frames),
                 ]
-                pending_row = count
+                first_unsent_row = count
             first_row += 1
-        remaining_frames = Frames.from_rows(frame_words[pending_row:count])
+        remaining_frames = Frames.from_rows(frame_words[first_unsent_row:count])
         return (
             join_frames([*frame_batches, remaining_frames]) if frame_batches else remaining_frames
         )
@@ -862,7 +862,7 @@ def send_torque_only(state: ControllerState, n: int) -> None:
     """Record that a drive's state machine has sent a torque command instead of a position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
-    servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
+    servo[s.SERVO_TORQUE, n] = state.tendon[s.COMMANDED_TORQUE, n]
 
 
 _ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}

@@ -59,21 +59,21 @@ class BlockSchema:
         tables: names of the tables, in the order of the memory. A name is the name of an axis, or
             the names of several axes joined by ``*``. The name of an integer table ends with
             ``_int``.
-        optional_table: name of the only axis that may have the length 0. The value is empty if no axis
+        optional_axis: name of the only axis that may have the length 0. The value is empty if no axis
             may have it. If this axis has the length 0, it has no effect on
             ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
-    def __init__(self, *tables: str, optional_table: str = "") -> None:
+    def __init__(self, *tables: str, optional_axis: str = "") -> None:
         """Create a schema without fields.
 
         Args:
             tables: names of the tables in memory order.
-            optional_table: name of the axis that may have the length 0, see the attributes of the class.
+            optional_axis: name of the axis that may have the length 0, see the attributes of the class.
         """
         self.tables = tables
-        self.optional_table = optional_table
+        self.optional_axis = optional_axis
         self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
@@ -137,9 +137,9 @@ class BlockLayout:
         self.schema = schema
         self.axes = dict(axes)
         omitted_axis = ""
-        if schema.optional_table:
-            self.axes.setdefault(schema.optional_table, 0)
-            omitted_axis = "" if self.axes[schema.optional_table] else schema.optional_table
+        if schema.optional_axis:
+            self.axes.setdefault(schema.optional_axis, 0)
+            omitted_axis = "" if self.axes[schema.optional_axis] else schema.optional_axis
         table_widths = {table: self._table_width(table) for table in schema.tables}
         end_offsets = np.cumsum(
             [0, *(schema.rows(table) * table_widths[table] for table in schema.tables)]

@@ -81,7 +81,7 @@ FORCE_MIN = _real_field("unwind", "tendon", "N", "smallest motor force")
 FEEDBACK_MASS = _real_field("mass", "tendon", "kg", "mass that the feedback accelerates")
 FEEDFORWARD_MASS = _real_field("inertia", "tendon", "kg",
     "mass for which the trajectory's acceleration is fed forward")  # fmt: skip
-ERROR_GAIN = _real_field(
+EXCURSION_GAIN = _real_field(
     "error_gain", "tendon", "1/s2", "motion loop: acceleration per excursion error"
 )
 SPEED_GAIN = _real_field("speed_gain", "tendon", "1/s", "motion loop: acceleration per speed error")
@@ -123,7 +123,7 @@ TENSION_FEEDBACK = _real_field("tension_feedback", "run", "",
     "gain of the inner tension loop of a moving digit")  # fmt: skip
 INTEGRAL_GAIN = _real_field("integral_gain", "run", "",
     "integral gain of the tension loop, times the period")  # fmt: skip
-PERIOD = _real_field("period", "run", "s", "control period")
+CONTROL_PERIOD = _real_field("period", "run", "s", "control period")
 STREAM_SPEED = _real_field("stream_speed", "run", "rad/s", "largest rate of a streamed motion")
 STREAM_ACCELERATION = _real_field("stream_acceleration", "run", "rad/s2",
     "largest acceleration of a streamed motion")  # fmt: skip
@@ -275,7 +275,7 @@ SLOW_GRIP_UPDATE_FRACTION = _real_field("slow_fraction", "run", "",
 # Detection of contact, and the limits of the fault detectors.
 TOUCH_DECAY = _real_field("touch_kept", "run", "",
     "fraction of the smoothed unexplained tension that remains after a tick")  # fmt: skip
-STEP_LIMIT = _real_field(
+MOTOR_STEP_LIMIT = _real_field(
     "step_limit", "tendon", "rad", "largest step of a motor position in a period"
 )
 JOINT_STEP_LIMIT = _real_field("joint_step_limit", "joint", "rad",
@@ -296,7 +296,7 @@ DRIVE_TENSION_LIMIT = _real_field(
 )
 TORQUE_STEP = _real_field("torque_step", "tendon", "N",
     "force of one count of the drive's torque; 0 for a floating-point torque")  # fmt: skip
-NOISE_LIMIT = _real_field("noise_limit", "run", "rad2",
+POSITION_NOISE_LIMIT = _real_field("noise_limit", "run", "rad2",
     "mean squared jerk of a motor's position above which the position counts as noisy")  # fmt: skip
 DERATING_START_TEMPERATURE = _real_field("temperature_soft", "run", "degC",
     "drive temperature from which the tension limit falls")  # fmt: skip
@@ -321,7 +321,7 @@ CELL_GROUP = _integer_field(
 JOINT_GROUP = _integer_field(
     "joint_group", "joint", "", "frame group of the joint encoder; -1 without one"
 )
-PERIOD_NS = _integer_field("period_ns", "run", "ns", "control period")
+CONTROL_PERIOD_NS = _integer_field("period_ns", "run", "ns", "control period")
 JOINT_SILENCE_NS = _integer_field("mute_ns", "run", "ns",
     "time without a reading after which joint encoders count as silent")  # fmt: skip
 SILENT_TICKS = _integer_field("silent_ticks", "run", "",

@@ -129,10 +129,10 @@ def import_without_package_init(name: str) -> ModuleType:
     loaded_module = sys.modules.get(package)
     if hasattr(loaded_module, "__path__"):
         return importlib.import_module(name)
-    specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
+    module_specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
     package_folders = [
         spec.submodule_search_locations
-        for spec in specs
+        for spec in module_specs
         if spec and spec.submodule_search_locations
     ]
     if not package_folders:

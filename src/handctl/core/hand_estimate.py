@@ -68,7 +68,7 @@ class HandEstimate:
     @property
     def tendon_speed(self) -> Vector:
         """Return the rate of each tendon's travel [m/s]."""
-        return self.tendon[s.SPEED]
+        return self.tendon[s.SPOOL_SPEED]
 
     @property
     def excursion(self) -> Vector:
@@ -83,7 +83,7 @@ class HandEstimate:
     @property
     def motor_disturbance(self) -> Vector:
         """Return the force on each motor that the model does not explain [N]."""
-        return self.tendon[s.DISTURBANCE]
+        return self.tendon[s.MOTOR_DISTURBANCE]
 
     @property
     def external_tension(self) -> Vector:

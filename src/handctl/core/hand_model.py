@@ -181,10 +181,12 @@ class HandModel:
         In a relaxed hand, the tendons of digits with surplus tendons keep their balance tensions. A
         spool pair has no net tension in a relaxed hand.
         """
-        single_tensions = np.where(
-            self.redundancy.balance > 0.0, self.redundancy.balance, MIN_RELAXED_TENSION_N
+        unpaired_tensions = np.where(
+            self.redundancy.balance_tension > 0.0,
+            self.redundancy.balance_tension,
+            MIN_RELAXED_TENSION_N,
         )
-        return np.where(self.is_pair, 0.0, single_tensions)
+        return np.where(self.is_pair, 0.0, unpaired_tensions)
 
     @property
     def is_pair(self) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
-MAX_ENTRIES = 256
+MAX_CACHED_VALUES = 256
 """Largest number of cached values."""
 
 
@@ -67,7 +67,7 @@ class IdentityCache(Generic[T]):
         entry = self._entries.get(id(key))
         if entry is not None and entry[0] is key:
             return entry[1]
-        if len(self._entries) >= MAX_ENTRIES:
+        if len(self._entries) >= MAX_CACHED_VALUES:
             self._entries.clear()
         value = self._function(key)
         # The cache entry refers to the object, so that no other object can get the same identity.

@@ -100,10 +100,10 @@ def to_plain_data(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return (MODEL_MARK, logged_type_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
-        own_values = tuple(
+        field_values = tuple(
             [to_plain_data(getattr(value, field.name)) for field in fields(value) if field.init]
         )
-        return (logged_type_name(type(value)), *own_values)
+        return (logged_type_name(type(value)), *field_values)
     raise TypeError(f"{type(value).__name__} is no plain value")
 
 
@@ -120,7 +120,7 @@ def _first_bytes(type_: type) -> tuple[bytes, tuple[str, ...]]:
     return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
 
 
-def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> bytes:
+def join_field_bytes(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
     The bytes of the fields can come from a cache. This is fast if most fields stay the same
@@ -128,12 +128,12 @@ def join_field_bytes(value: Any, bytes_of_field: Callable[[Any], bytes]) -> byte
 
     Args:
         value: object of a dataclass.
-        bytes_of_field: function that returns ``serialized_bytes`` of a field.
+        serialize_field: function that returns ``serialized_bytes`` of a field.
     """
     kind: type = type(value)
     start, names = _first_bytes(kind)
     # In this version of the format, a tuple is a mark, the number of items, and the items.
-    return start + b"".join([bytes_of_field(getattr(value, name)) for name in names])
+    return start + b"".join([serialize_field(getattr(value, name)) for name in names])
 
 
 def object_from_plain_data(value: Any) -> Any:

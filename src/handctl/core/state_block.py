@@ -43,7 +43,7 @@ STATE_TABLES = (
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
 )  # fmt: skip
 
-STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional_table="servo")
+STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional_axis="servo")
 _real_field = STATE_SCHEMA.declare_real_field
 _integer_field = STATE_SCHEMA.declare_integer_field
 
@@ -51,10 +51,10 @@ _integer_field = STATE_SCHEMA.declare_integer_field
 # contiguous vector (7 N) for filterpy.
 SPOOL_TRAVEL = _real_field("travel", "tendon", "m",
     "length of tendon wound on the spool, predicted to the present")  # fmt: skip
-SPEED = _real_field("speed", "tendon", "m/s", "rate of the travel")
+SPOOL_SPEED = _real_field("speed", "tendon", "m/s", "rate of the travel")
 EXCURSION = _real_field("excursion", "tendon", "m", "tendon excursion at the joints")
 EXCURSION_RATE = _real_field("excursion_rate", "tendon", "m/s", "rate of the excursion")
-DISTURBANCE = _real_field("disturbance", "tendon", "N",
+MOTOR_DISTURBANCE = _real_field("disturbance", "tendon", "N",
     "force on the motor that the model does not explain")  # fmt: skip
 CELL_ERROR = _real_field("cell_error", "tendon", "N",
     "load-cell error, as estimated when the tendon was last slack")  # fmt: skip
@@ -270,7 +270,7 @@ TRIM_ACTIVE = _integer_field("trimmed", "run", "", "1 while a trim is not yet ze
 SAFETY_HOLD_ACTIVE = _integer_field("holding", "run", "", "1 while safety holds the hand")
 
 # Command of this tick.
-TORQUE = _real_field("torque", "tendon", "N m", "commanded motor torque, at the spool")
+COMMANDED_TORQUE = _real_field("torque", "tendon", "N m", "commanded motor torque, at the spool")
 TENSION_GOAL = _real_field("tension_goal", "tendon", "N",
     "commanded tension; NaN without a tension command", initial=NAN)  # fmt: skip
 JOINT_TORQUE = _real_field("joint_torque", "joint", "N m", "commanded joint torque")
@@ -291,7 +291,7 @@ SERVO_KD = _real_field("servo_kd", "servo", "N m s/rad",
     "damping of the drive's position loop; 0 for a torque command")  # fmt: skip
 SERVO_TORQUE = _real_field("servo_torque", "servo", "N m",
     "torque that the drive adds to that of its position loop")  # fmt: skip
-SERVO_LIMIT = _real_field("servo_limit", "servo", "N m",
+SERVO_TORQUE_LIMIT = _real_field("servo_limit", "servo", "N m",
     "torque limit in the command; 0 for a drive whose commands contain none")  # fmt: skip
 LAST_SERVO_COMMAND = _real_field("servo_before", "servo", "",
     "position as the drive has it now, velocity, kp, kd, torque and limit of the last command", rows=6)  # fmt: skip
@@ -515,7 +515,7 @@ NEW_FAULT_COUNT = _integer_field(
 
 # State of the whole run.
 K = _integer_field("k", "run", "", "number of the last tick; -1 before the first", initial=-1)
-MODE = _integer_field("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
+HAND_MODE = _integer_field("mode", "run", "", "mode of the hand, core.tick_types.HandMode")
 MODE_START_TIME = _real_field("mode_since", "run", "s", "time at which the mode began")
 GOAL_TIME = _real_field("goal_time", "run", "s",
     "time of the program, which stands still while safety holds the hand")  # fmt: skip

@@ -158,7 +158,7 @@ def observe_tick(
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     measurements.write_measurements(x, c)
-    if ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE:
+    if ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE:
         measurements.reject_outliers(x, c, x.run_int[s.MISSED_TICKS])
     else:
         measurements.reset_rejected_steps(x)
@@ -195,7 +195,7 @@ def conclude_estimate(
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
         varying_moment_arms.update_structure(x, c)
     kalman.derive_estimate(x, c)
-    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
+    if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         blocked_digits.update_blocked_digits(x, c)
     else:
         blocked_digits.reset_blocked_digits(x)
@@ -238,7 +238,7 @@ def evaluate_goals(
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     computed_torque.update_hold_limits(
-        x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE_MODE
+        x, c, action == HOLD_ACTION and x.run_int[s.HAND_MODE] == ACTIVE_MODE
     )
     digit_reference.follow_trajectories(x, c, x.run_int[s.SAFETY_HOLD_ACTIVE] == 1)
     digit_reference.write_required_torque(x, c, digit_reference.joint_trajectories(x, c))
@@ -281,7 +281,7 @@ def compute_motor_torques(
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
-    if x.run_int[s.MODE] == ACTIVE_MODE or x.run_int[s.MODE] == RELAX_MODE:
+    if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         computed_torque.write_motor_torques(
             x, c, digit_reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
         )
@@ -296,11 +296,13 @@ def store_commands(
     """Store the commands and requests for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
-    mode = x.run_int[s.MODE]
+    mode = x.run_int[s.HAND_MODE]
     for n in range(x.tendon.shape[1]):
         x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.COMMANDED_TENSION, n] = math.nan
         if mode == ACTIVE_MODE or mode == RELAX_MODE:
-            x.tendon[s.COMMANDED_FORCE, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
+            x.tendon[s.COMMANDED_FORCE, n] = (
+                x.tendon[s.COMMANDED_TORQUE, n] / c.tendon[h.SPOOL_RADIUS, n]
+            )
         if mode == ACTIVE_MODE:
             x.tendon[s.COMMANDED_TENSION, n] = x.tendon[s.TENSION_GOAL, n]
     if mode == ACTIVE_MODE:
@@ -316,9 +318,9 @@ def store_commands(
         x.digit[s.IS_IN_CONTACT, d] = 1.0 if has_contact else 0.0
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
-        last_heard_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
+        last_frame_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
         x.tendon[s.MOTOR_AGE, n] = (
-            (now_ns - last_heard_ns) / 1e9 if last_heard_ns >= 0 else math.nan
+            (now_ns - last_frame_ns) / 1e9 if last_frame_ns >= 0 else math.nan
         )
         x.tendon[s.LOGGED_DRIVE_PHASE, n] = x.tendon_int[s.DRIVE_PHASE, n]
         has_reading = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])

@@ -180,11 +180,11 @@ class GraspEnv(HandEnv):
         self._pressing = mean_force_reward
         plant = self.simulated_world.plant
         fall_distance_m = self._height_m - plant.engine.object_pose()[2]
-        sink_start_s = plant.table.dropped_at
+        table_drop_time_s = plant.table.dropped_at
         is_dropped = fall_distance_m > DROP_DISTANCE_M
         is_held = (
-            sink_start_s is not None
-            and plant.t_ns / 1e9 - sink_start_s >= SUCCESS_HOLD_S
+            table_drop_time_s is not None
+            and plant.t_ns / 1e9 - table_drop_time_s >= SUCCESS_HOLD_S
             and not is_dropped
         )
         if is_held:
@@ -195,6 +195,6 @@ class GraspEnv(HandEnv):
             "is_success": is_held,
             "force_N": forces,
             "fallen_m": fall_distance_m,
-            "table_sinks": sink_start_s is not None,
+            "table_sinks": table_drop_time_s is not None,
         }
         return reward, is_held or is_dropped, information

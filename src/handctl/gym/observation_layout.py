@@ -54,16 +54,16 @@ class ObservationLayout:
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)
 
-    def vector(self, value_of_field: Callable[[str], Any]) -> Float32Array:
+    def vector(self, values_of_part: Callable[[str], Any]) -> Float32Array:
         """Return the observation as a vector.
 
         Args:
-            value_of_field: function that takes the name of a part and returns its values. An unknown value
+            values_of_part: function that takes the name of a part and returns its values. An unknown value
                 (NaN) becomes 0.
         """
         row = np.concatenate(
             [
-                np.asarray(value_of_field(observation_part.name), np.float64)
+                np.asarray(values_of_part(observation_part.name), np.float64)
                 for observation_part in self.parts
             ]
         )

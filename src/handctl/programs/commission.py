@@ -197,7 +197,7 @@ class CommissionProgram:
         # The new average has as much weight as all earlier readings together.
         fresh_table = (
             slice(i, i + 1)
-            if model.redundancy.is_sprung[i]
+            if model.redundancy.has_return_springs[i]
             else model.digit_tendons[model.digit_of_tendon[i]]
         )
         table[fresh_table, TARE_SUM] += (
@@ -206,7 +206,7 @@ class CommissionProgram:
         table[fresh_table, REST_SUM] = 0.0
         table[:, START_TRAVEL] = measured.travel
         progress = _with_new_tare(_with_commissioning_table(progress, table))
-        if not model.redundancy.is_sprung[i]:
+        if not model.redundancy.has_return_springs[i]:
             hold_progress, events = self._begin_holding_digit(model, progress, t, is_taut=False)
             return self._check_tare(model, progress) or (hold_progress, events)
         goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
@@ -346,7 +346,7 @@ class CommissionProgram:
             return progress, ()
         table = _commissioning_table(progress)
         table[:, PULL_SUM] += tension
-        if model.redundancy.is_sprung[i]:
+        if model.redundancy.has_return_springs[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
             # spool.
             table[i, ZERO_COLUMN] += measurements.travel[i] / model.tendon_constants.spool[i]
@@ -405,7 +405,7 @@ class CommissionProgram:
             1 < step <= model.tendon_count
             and model.digit_of_tendon[step - 1] == model.digit_of_tendon[step - 2]
         )
-        if is_same_digit and not model.redundancy.is_sprung[step - 1]:
+        if is_same_digit and not model.redundancy.has_return_springs[step - 1]:
             return self._begin_holding_digit(model, replace(progress, step=step), t, is_taut=True)
         passive_goals = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
@@ -554,7 +554,7 @@ def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -
     """Return the table after the results for tendon i are stored and the sums are set to zero."""
     rest_tensions = table[:, REST_SUM] / table[i, REST_SAMPLES]
     rise = table[:, PULL_SUM] / samples - rest_tensions
-    if model.redundancy.is_sprung[i]:
+    if model.redundancy.has_return_springs[i]:
         # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
         # becomes taut.
         stretch = rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool[i]
@@ -568,7 +568,7 @@ def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -
     # Friction holds tension in a tendon that was pulled before. This tension falls without a
     # command. So only an increase counts as crosstalk.
     spring_tensions = np.where(
-        model.redundancy.is_sprung & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
+        model.redundancy.has_return_springs & (tendons < i), np.maximum(rest_tensions, 0.0), 0.0
     )
     other_tendons = model.hand.has_cell & (tendons != i)
     table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - spring_tensions)[other_tendons].max(
@@ -590,10 +590,10 @@ def _encoder_that_turned(model: HandModel, table: Vector, i: int, travel: Vector
         i: index of the pulled tendon.
         travel: (N,) measured travel at the end of the pull [m].
     """
-    is_sprung = model.redundancy.is_sprung
-    joint_travel = np.where(is_sprung, np.abs(travel - table[:, START_TRAVEL]), 0.0)
+    has_return_springs = model.redundancy.has_return_springs
+    joint_travel = np.where(has_return_springs, np.abs(travel - table[:, START_TRAVEL]), 0.0)
     largest = int(joint_travel.argmax())
-    are_encoders_exchanged = is_sprung[i] and joint_travel[largest] > max(
+    are_encoders_exchanged = has_return_springs[i] and joint_travel[largest] > max(
         joint_travel[i], MIN_TAKE_UP_M
     )
     return largest if are_encoders_exchanged else None

@@ -305,7 +305,7 @@ class TaskProgram:
                 contact[d] = True
                 # If a digit already pulls harder than the contact tension, it keeps this tension.
                 start = pull_tensions(model, d, phase.contact_tension_N, estimate)
-                side = model.redundancy.side[tendons]
+                side = model.redundancy.closing_sign[tendons]
                 pulling_tension = np.maximum(side * estimate.tension[tendons], side * start)
                 is_closing_tendon = np.where(model.is_pair[tendons], side != 0.0, side > 0.0)
                 start = np.where(is_closing_tendon, side * pulling_tension, start)
@@ -391,7 +391,9 @@ def _still_tensioned(
 
     Only digits under tension control are checked.
     """
-    limit = np.maximum(phase.tension_N, model.redundancy.balance) + MAX_TENSION_ABOVE_RELEASE_N
+    limit = (
+        np.maximum(phase.tension_N, model.redundancy.balance_tension) + MAX_TENSION_ABOVE_RELEASE_N
+    )
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
         name

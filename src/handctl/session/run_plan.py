@@ -265,7 +265,8 @@ def _check_log(log: Path | None) -> None:
 def highest_rate_of_buses(load_of_bus: Sequence[BusLoad]) -> float:
     """Return the highest of the usual control rates at which no bus is overloaded [Hz]."""
     return highest_rate(
-        (load.tick_s for load in load_of_bus), (load.periodic_load_fraction for load in load_of_bus)
+        (load.frame_time_per_tick_s for load in load_of_bus),
+        (load.periodic_load_fraction for load in load_of_bus),
     )
 
 

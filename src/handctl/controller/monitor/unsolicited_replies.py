@@ -76,12 +76,14 @@ def _detect_duplicate_answers(
     ``STALE_FRAMES``.
     """
     duplicates = state.view("twice")
-    is_excused = not sensors.has_counter and (
+    is_extra_reply_allowed = not sensors.has_counter and (
         state.run_table_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
-    group_answered = last_state.view("group_answered").tolist()
+    was_group_answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
-        if count > 1 and (is_excused or not (sensors.has_counter or group_answered[group])):
+        if count > 1 and (
+            is_extra_reply_allowed or not (sensors.has_counter or was_group_answered[group])
+        ):
             state.set_run_table_integer(
                 s.STALE_FRAMES, state.run_table_integer(s.STALE_FRAMES) + count - 1
             )

@@ -124,7 +124,7 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
         x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
             s.PLANNED_TENSION, n
         ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
-        x.tendon[s.TRIM_FORCE, n] = x.tendon[s.TORQUE, n] = 0.0
+        x.tendon[s.TRIM_FORCE, n] = x.tendon[s.COMMANDED_TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
         x.tendon[s.FRICTION_SLIDER, n] = math.nan
     for j in range(x.joint.shape[1]):
@@ -257,7 +257,7 @@ def write_motor_torques(
                 x, c, n, command_force, _relaxation_envelope(x, c, n, relax_rate, ticks), open_loop
             )
         _write_force_for_tension_filter(x, c, n, command_force, carried_acceleration)
-        x.tendon[s.TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
+        x.tendon[s.COMMANDED_TORQUE, n] = command_force * c.tendon[h.SPOOL_RADIUS, n]
         if is_drive_controlled:
             write_servo_command(x, c, n, own_rate, force - motion_terms[1, n], command_force)
         elif n < x.servo.shape[1]:
@@ -409,13 +409,13 @@ def _motion_force_terms(
             )
         feedback = (
             x.tendon[s.STIFFNESS_FRACTION, n]
-            * c.tendon[h.ERROR_GAIN, n]
+            * c.tendon[h.EXCURSION_GAIN, n]
             * (excursion - measured_excursion)
         )
         feedback += (
             x.tendon[s.DAMPING_FRACTION, n]
             * c.tendon[h.SPEED_GAIN, n]
-            * (rate - x.tendon[s.SPEED, n])
+            * (rate - x.tendon[s.SPOOL_SPEED, n])
         )
         friction_fraction = c.run[h.FRICTION_FRACTION]
         # Tension behind the pulleys, divided by the tension before them. It is the efficiency while
@@ -507,7 +507,7 @@ def _take_up_slack(
     for n in range(x.tendon.shape[1]):
         if _would_pay_out_slack_tendon(x, c, n, motion_terms[1, n]):
             motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            motion_terms[1, n] *= SLACK_TAKE_UP_SPEED_M_S - x.tendon[s.SPEED, n]
+            motion_terms[1, n] *= SLACK_TAKE_UP_SPEED_M_S - x.tendon[s.SPOOL_SPEED, n]
         if c.tendon_int[h.IS_SPOOL_PAIR, n] or not follows_streamed_angles(x, c, n):
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
@@ -515,7 +515,7 @@ def _take_up_slack(
             _, rate, _ = _tendon_motion_on_trajectory(c, n, trajectory)
             motion_terms[0, n] = floor
             motion_terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
-            motion_terms[1, n] *= _slack_take_up_speed(rate) - x.tendon[s.SPEED, n]
+            motion_terms[1, n] *= _slack_take_up_speed(rate) - x.tendon[s.SPOOL_SPEED, n]
             null_space_terms[0, n] = null_space_terms[1, n] = 0.0
         elif motion_terms[1, n] < 0.0:
             motion_terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
@@ -633,15 +633,17 @@ def _motion_force(
         rate = _slack_take_up_speed(rate)
     # If the drive closes the position loop, the position in its command includes the planned
     # stretch of the tendon. The position loop of the drive then also controls the tension.
-    inner_gain = 0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    tension_feedback_gain = (
+        0.0 if _is_position_controlled_by_drive(x, c, n) else c.run[h.TENSION_FEEDBACK]
+    )
     return (
         tension
         + feedback
         + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
         - x.tendon[s.STIFFNESS_FRACTION, n]
         * c.run[h.DISTURBANCE_REJECTION]
-        * x.tendon[s.DISTURBANCE, n]
-        + inner_gain * (tension - x.tendon[s.TENSION, n])
+        * x.tendon[s.MOTOR_DISTURBANCE, n]
+        + tension_feedback_gain * (tension - x.tendon[s.TENSION, n])
         + friction_fraction * c.tendon[h.MOTOR_DAMPING, n] * speed
         + friction_fraction
         * c.tendon[h.MOTOR_COULOMB, n]
@@ -673,9 +675,9 @@ def _tension_force(
     force = (
         setpoint
         + c.tendon[h.TENSION_GAIN, n] * error
-        - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPEED, n]
+        - c.tendon[h.TENSION_SPEED_GAIN, n] * x.tendon[s.SPOOL_SPEED, n]
         + integral
-        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
+        - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.MOTOR_DISTURBANCE, n]
     )
     if slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
@@ -706,8 +708,8 @@ def _tension_integral(x: StateTables, c: ConstantTables, n: int, error: float) -
         error: tension error [N].
     """
     integral = x.tendon[s.TENSION_INTEGRAL, n]
-    if is_target_stream_running(x) and abs(x.tendon[s.SPEED, n]) > MAX_INTEGRATION_SPEED_M_S:
-        return integral * max(1.0 - c.run[h.PERIOD] / INTEGRAL_DECAY_S, 0.0)
+    if is_target_stream_running(x) and abs(x.tendon[s.SPOOL_SPEED, n]) > MAX_INTEGRATION_SPEED_M_S:
+        return integral * max(1.0 - c.run[h.CONTROL_PERIOD] / INTEGRAL_DECAY_S, 0.0)
     integral += c.run[h.INTEGRAL_GAIN] * error
     return min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
@@ -739,7 +741,7 @@ def _relaxation_envelope(
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         last_force = abs(last_force)
     last_force = 0.0 if math.isnan(last_force) else max(last_force, 0.0)
-    lowered_limit = max(last_force - rate * c.run[h.PERIOD] * ticks, 0.0)
+    lowered_limit = max(last_force - rate * c.run[h.CONTROL_PERIOD] * ticks, 0.0)
     return max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
 
 

@@ -38,7 +38,7 @@ def write_goals(
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
             # While the other tendons of a digit pull, a spool pair that moves the digit sideways
             # holds its position.
-            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
+            kinds[tendons][model.redundancy.closing_sign[tendons] == 0.0] = int(GoalKind.MOTION)
         if goal.kind == GoalKind.TENSION and goal.tension is not None:
             tendon[s.TENSION_TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]

@@ -69,7 +69,7 @@ def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     Some drives change the commanded position continuously, at the commanded velocity. For these
     drives, the stored position is the present commanded position in the drive.
     """
-    elapsed = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    elapsed = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     for n in range(x.servo.shape[1]):
         for row in range(SERVO_COMMAND_ROW_COUNT):
             x.servo[s.LAST_SERVO_COMMAND + row, n] = x.servo[s.SERVO_POSITION + row, n]
@@ -85,7 +85,7 @@ def command_torque_only(x: StateTables, n: int) -> None:
     The table of the commands is empty if no drive of the hand closes a position loop.
     """
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
-    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
+    x.servo[s.SERVO_TORQUE, n] = x.tendon[s.COMMANDED_TORQUE, n]
 
 
 @kernel_helper
@@ -93,7 +93,7 @@ def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon controls the position itself in the present tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
-    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.SAFETY_HOLD_ACTIVE]:
+    if x.run_int[s.HAND_MODE] != ACTIVE_MODE or x.run_int[s.SAFETY_HOLD_ACTIVE]:
         return False
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
@@ -142,11 +142,11 @@ def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) ->
         n: index of the tendon.
         rate: rate of the digit's excursion on the trajectory [m/s].
     """
-    gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
+    gain = servo_damping(x, c, n) + 0.5 * c.run[h.CONTROL_PERIOD] * servo_stiffness(x, c, n)
     return (
         gain
         / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
-        * (rate - x.tendon[s.SPEED, n])
+        * (rate - x.tendon[s.SPOOL_SPEED, n])
     )
 
 
@@ -203,7 +203,7 @@ def write_servo_command(
         travel += carrier_excursion(c, n, x.joint[s.Q])
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     motion_in_half_period = (
-        0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.PERIOD] * speed
+        0.0 if c.tendon_int[h.DRIVE_MOVES_TARGET, n] else 0.5 * c.run[h.CONTROL_PERIOD] * speed
     )
     travel += position_lead + motion_in_half_period
     x.servo[s.SERVO_POSITION, n] = travel / spool + c.tendon[h.MOTOR_ZERO, n]
@@ -212,7 +212,7 @@ def write_servo_command(
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
     x.servo[s.SERVO_TORQUE, n] = feedforward_force * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-        x.servo[s.SERVO_LIMIT, n] = (
+        x.servo[s.SERVO_TORQUE_LIMIT, n] = (
             min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
         )
 

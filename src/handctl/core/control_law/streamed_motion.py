@@ -158,7 +158,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
         d: index of the digit.
         k: index of the coordinate.
     """
-    period = c.run[h.PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
+    period = c.run[h.CONTROL_PERIOD] * (1 + x.run_int[s.MISSED_TICKS])
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
     scale = coordinate_scale(c, d, k)

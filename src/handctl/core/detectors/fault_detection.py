@@ -50,7 +50,7 @@ def find_and_debounce_faults(
         The most severe action of all active faults, and the evidence of each fault (faults,
         instances). The evidence of an absent fault is NaN.
     """
-    mode = x.run_int[s.MODE]
+    mode = x.run_int[s.HAND_MODE]
     # Motors may make torque in the states from ARMING to RELAX, but not in DISARM and CUT.
     is_armed = ARMING_MODE <= mode <= RELAX_MODE
     is_torque_cut = mode == CUT_MODE or mode == DISARM_MODE

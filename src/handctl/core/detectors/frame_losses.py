@@ -48,7 +48,7 @@ def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) 
         now_ns,
         x.tendon_int[s.FEEDBACK_RECEIVED_NS, n],
         c.tendon_int[h.CYCLIC_FEEDBACK_PERIOD_NS, n],
-        c.run_int[h.PERIOD_NS],
+        c.run_int[h.CONTROL_PERIOD_NS],
     )
 
 
@@ -66,7 +66,7 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
             last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_RECEIVED_NS, g])
     if c.run_int[h.TENSION_GROUPS] == 0:
         return 0
-    return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.PERIOD_NS])
+    return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.CONTROL_PERIOD_NS])
 
 
 @kernel_helper
@@ -111,7 +111,9 @@ def update_loss_counts(
         ) & MALFORMED_WINDOW_MASK
     # The count of unknown frames decays with a time constant of 1 s. A small count of unknown
     # frames is set to 0, so that the stored value becomes constant.
-    decayed_rate = x.run[s.UNKNOWN_FRAME_RATE] * (1.0 - c.run[h.PERIOD]) + unknown_frame_count
+    decayed_rate = (
+        x.run[s.UNKNOWN_FRAME_RATE] * (1.0 - c.run[h.CONTROL_PERIOD]) + unknown_frame_count
+    )
     x.run[s.UNKNOWN_FRAME_RATE] = decayed_rate if decayed_rate > 1e-3 else 0.0
 
 

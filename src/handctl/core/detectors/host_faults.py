@@ -26,7 +26,7 @@ def detect_host_faults(
 ) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the start of the tick, as a fraction of the control period.
-    lateness_in_periods = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.PERIOD_NS]
+    lateness_in_periods = x.run_int[s.TICK_DELAY_NS] / c.run_int[h.CONTROL_PERIOD_NS]
     missed_ticks = x.run_int[s.MISSED_TICKS]
     if lateness_in_periods > LATE_TICK_FRACTION:
         evidence[FAULT_H01, 0] = lateness_in_periods

@@ -115,9 +115,9 @@ def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence
         group = c.joint_int[h.JOINT_GROUP, j]
         if group > last_group:  # a frame with several joints is tested once, for its first joint
             last_group = group
-            last_heard_ns = x.group_int[s.GROUP_RECEIVED_NS, group]
-            if last_heard_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
-                evidence[FAULT_N02B, j] = (now_ns - last_heard_ns) * 1e-9
+            last_frame_ns = x.group_int[s.GROUP_RECEIVED_NS, group]
+            if last_frame_ns < now_ns - c.run_int[h.JOINT_SILENCE_NS]:
+                evidence[FAULT_N02B, j] = (now_ns - last_frame_ns) * 1e-9
 
 
 @kernel_helper
@@ -152,7 +152,7 @@ def detect_node_faults_under_torque(
         if slip > SLIP_TRIP_DEG:
             evidence[FAULT_N06B, n] = slip
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
-        if jerk > c.run[h.NOISE_LIMIT]:
+        if jerk > c.run[h.POSITION_NOISE_LIMIT]:
             evidence[FAULT_N07, n] = jerk
         command_difference = abs(x.tendon[s.RESIDUAL + residuals.COMMAND_DIFFERENCE, n])
         max_difference = min(
@@ -209,7 +209,7 @@ def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Eviden
     The tension is visible in the load-cell reading or in the torque that the drive reports. If a
     spool has paid out its tendon, its motor no longer pulls. The tendon may still be taut.
     """
-    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.PERIOD] < PULL_AFTER_CUT_TIME_S:
+    if x.run_int[s.TICKS_SINCE_CUT] * c.run[h.CONTROL_PERIOD] < PULL_AFTER_CUT_TIME_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]

@@ -63,7 +63,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
         position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
-        speed = x.tendon[s.SPEED, n] if missed_ticks == 0 else math.nan
+        speed = x.tendon[s.SPOOL_SPEED, n] if missed_ticks == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
         is_cell_usable = tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
@@ -84,7 +84,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
             speed * 1e3
         )
-        inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
+        inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.CONTROL_PERIOD]
         balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
         residual_sums[MOTOR_FORCE] = motor_force
@@ -131,7 +131,7 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     The excess is filtered with a time constant of 20 ms. While the encoder of the motor is noisy,
     the acceleration of the rotor is wrong, and the result is 0. Fault N07 reports the noise.
     """
-    if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.NOISE_LIMIT]:
+    if abs(x.tendon[s.RESIDUAL + JERK, n]) > TRUSTED_NOISE_FRACTION * c.run[h.POSITION_NOISE_LIMIT]:
         return 0.0
     excess = -x.tendon[s.RESIDUAL + QUICK_BALANCE, n]
     return max(excess - _max_explained_difference(x, c, n, QUICK_FORCE), 0.0)

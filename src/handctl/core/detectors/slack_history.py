@@ -79,7 +79,7 @@ def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> 
             )
         elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
             x.tendon[s.TENSION_AT_CUT, n] = tension
-        if ticks * c.run[h.PERIOD] < MIN_READING_DELAY_AFTER_CUT_S:
+        if ticks * c.run[h.CONTROL_PERIOD] < MIN_READING_DELAY_AFTER_CUT_S:
             x.tendon[s.TENSION_AFTER_CUT, n] = math.nan
         elif not math.isnan(tension):
             x.tendon[s.TENSION_AFTER_CUT, n] = tension

@@ -159,8 +159,8 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     the client. While a streamed digit presses on an object, the motion of its goal therefore does
     not count either.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
-    min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.PERIOD]
+    fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
+    min_step = MAX_UNDELAYED_GOAL_SPEED_M_S * c.run[h.CONTROL_PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]

@@ -62,7 +62,7 @@ def detect_tendon_faults(
     """Run the detectors that also work without torque, and write their results into the evidence table."""
     saturation_tension = c.run[h.CELL_SATURATION]
     time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
-    is_hand_relaxed = x.run_int[s.MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
+    is_hand_relaxed = x.run_int[s.HAND_MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
         tension = monitored_tension(x, c, n, True)
@@ -193,9 +193,9 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
     After some time without tension, the tendon is slack (T02). If its spool also turns fast, the
     tendon has snapped (T01).
     """
-    period = c.run[h.PERIOD]
+    period = c.run[h.CONTROL_PERIOD]
     commanded_tension = x.tendon[s.COMMANDED_TENSION, n]
-    speed = x.tendon[s.SPEED, n]
+    speed = x.tendon[s.SPOOL_SPEED, n]
     slack_time = x.tendon_int[s.SLACK_TICKS, n] * period
     if slack_time > SLACK_WARN_S:
         evidence[FAULT_T02A, n] = slack_time

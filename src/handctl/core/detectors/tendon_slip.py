@@ -38,11 +38,11 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
         tension = monitored_tension(x, c, n, tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # At least one tendon of a spool pair is always taut.
-            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.CONTROL_PERIOD]
         elif tension < SLACK_TENSION_N or _is_tautness_unknown(x, c, n):
             x.tendon[s.TAUT_TIME_S, n] = 0.0
         elif tension > TAUT_TENSION_N:
-            x.tendon[s.TAUT_TIME_S, n] += c.run[h.PERIOD]
+            x.tendon[s.TAUT_TIME_S, n] += c.run[h.CONTROL_PERIOD]
         stretch = tension / c.tendon[h.TENDON_STIFFNESS, n]
         length_difference = (
             x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]

@@ -28,20 +28,20 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 @kernel_helper
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
-    period = c.run[h.PERIOD]
+    period = c.run[h.CONTROL_PERIOD]
     slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
     mean_fraction = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
-        fast_part = 0.0
+        fast_deviation = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
         if tared and not math.isnan(deviation):
             x.tendon[s.SLOW_TENSION_DEVIATION, n] += slow_fraction * (
                 deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
             )
-            fast_part = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
+            fast_deviation = deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
         # A missing reading counts as a difference of 0.
         x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] += mean_fraction * (
-            fast_part * fast_part - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
+            fast_deviation * fast_deviation - x.tendon[s.MEAN_SQUARE_TENSION_SWING, n]
         )
         is_oscillating = x.tendon[s.MEAN_SQUARE_TENSION_SWING, n] > square(OSCILLATION_RMS_N)
         x.tendon[s.SWING_DURATION, n] = (

@@ -107,7 +107,7 @@ def update_correlation(x: StateTables, c: ConstantTables, missed_ticks: int) -> 
         c: constants of the hand.
         missed_ticks: ticks missed before the present tick.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / TORQUE_CORRELATION_TIME_S)
+    fraction = 1.0 - math.exp(-c.run[h.CONTROL_PERIOD] / TORQUE_CORRELATION_TIME_S)
     for n in range(x.tendon.shape[1]):
         # The last command and the three commands before it are stored, the newest first.
         command = x.tendon[s.COMMANDED_FORCE, n]
@@ -207,7 +207,7 @@ def is_torque_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool
     return (
         ab
         + COVARIANCE_MARGIN_SIGMAS
-        * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * TORQUE_CORRELATION_TIME_S))
+        * math.sqrt(aa * bb * c.run[h.CONTROL_PERIOD] / (2.0 * TORQUE_CORRELATION_TIME_S))
         < MIN_REPORTED_TORQUE_FRACTION * aa
     )
 
@@ -245,7 +245,7 @@ def does_report_contradict_commands(x: StateTables, c: ConstantTables, n: int) -
     that sends its torque in a separate frame is not tested either, because the torque may be older
     than the reply.
     """
-    window = COMPARED_COMMAND_COUNT * c.run[h.PERIOD]
+    window = COMPARED_COMMAND_COUNT * c.run[h.CONTROL_PERIOD]
     if c.tendon_int[h.CELL_GROUP, n] >= 0 or window < MIN_COMMAND_WINDOW_S:
         return False
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or not c.tendon_int[h.HAS_SINGLE_ANSWER, n]:

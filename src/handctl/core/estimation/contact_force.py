@@ -124,7 +124,7 @@ def update_grip_travel(x: StateTables, c: ConstantTables) -> None:
 
     Both averages are equal until the detection of slip begins.
     """
-    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.SLIP_DETECTION_START]
+    is_slip_judged = x.run[s.GOAL_TIME] + c.run[h.CONTROL_PERIOD] >= x.run[s.SLIP_DETECTION_START]
     for n in range(x.tendon.shape[1]):
         # The length on the spool minus the elastic stretch is the tendon length that moves the
         # joints.

@@ -158,7 +158,7 @@ def predict_covariances(
 @kernel_helper
 def ticks_to_predict(c: ConstantTables, missed_ticks: int) -> int:
     """Return the number of missed ticks over which the covariance is predicted."""
-    return min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / c.run[h.PERIOD]))
+    return min(missed_ticks, round(MAX_TORQUE_HOLD_TIME_S / c.run[h.CONTROL_PERIOD]))
 
 
 @kernel_helper

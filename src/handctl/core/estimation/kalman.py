@@ -263,16 +263,16 @@ def _gate_and_correct_states(
         )
         tension_jump = 0.0
         if is_repeated and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
-            steady_part = 0.0
+            steady_correction = 0.0
             kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATE_COUNT):
-                steady_part += (
+                steady_correction += (
                     c.design[n, kind, h.TENSION_ROW_OFFSET + i]
                     * c.design[n, kind, h.KALMAN_GAIN_OFFSET + 3 * i + 1]
                 )
             # The code below adds the correction by the gain, so only the rest of TENSION_STEP_CORRECTION_FRACTION is
             # applied here.
-            tension_jump = max(TENSION_STEP_CORRECTION_FRACTION - steady_part, 0.0) * cell
+            tension_jump = max(TENSION_STEP_CORRECTION_FRACTION - steady_correction, 0.0) * cell
         if abs(sigmas) > OUTLIER_GATE_SIGMAS and not is_repeated:
             innovations[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
@@ -352,7 +352,7 @@ def _judge_consistency(
         if math.isnan(nis):
             continue
         nis = min(nis, MAX_NIS_SAMPLE)
-        period = c.run[h.PERIOD]
+        period = c.run[h.CONTROL_PERIOD]
         # The averages are first-order low-pass filters. The control period is short compared with
         # the averaging times.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
@@ -364,10 +364,10 @@ def _judge_consistency(
         limit = (
             MAX_CONSISTENT_NIS if x.tendon_int[s.MODEL_INCONSISTENT, n] else MIN_INCONSISTENT_NIS
         )
-        is_doubtful = x.tendon[s.NIS_MEAN, n] > limit
-        if is_doubtful != x.tendon_int[s.MODEL_INCONSISTENT, n]:
+        is_inconsistent = x.tendon[s.NIS_MEAN, n] > limit
+        if is_inconsistent != x.tendon_int[s.MODEL_INCONSISTENT, n]:
             x.run_int[s.CONSISTENCY_CHANGED] = 1
-        x.tendon_int[s.MODEL_INCONSISTENT, n] = is_doubtful
+        x.tendon_int[s.MODEL_INCONSISTENT, n] = is_inconsistent
     _judge_noise(x, c)
 
 
@@ -378,7 +378,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     The added noise is kept for ``MAX_ADDED_NOISE_S``. If the friction in the model is wrong, the
     error is visible only while the tendon moves. The error is largest when the motion reverses.
     """
-    if c.run[h.PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
+    if c.run[h.CONTROL_PERIOD] > ADDED_NOISE_MAX_PERIOD_S:
         return
     total = 0.0
     count = x.tendon.shape[1]
@@ -386,7 +386,7 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
         total += x.tendon[s.NIS_FAST, n]
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
-        remaining_time = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
+        remaining_time = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.CONTROL_PERIOD], 0.0)
         x.tendon[s.ADDED_NOISE_S, n] = (
             MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else remaining_time
         )
@@ -491,7 +491,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
         if has_no_cell:
             # In the model of a slack tendon, the tension is 0. When the tendon has become taut, the
             # estimated disturbance force therefore equals minus the tension.
-            cell = -x.tendon[s.DISTURBANCE, n]
+            cell = -x.tendon[s.MOTOR_DISTURBANCE, n]
             evidence_count = regime_evidence_without_cell(regime, evidence_count, tension, cell)
         else:
             evidence_count = regime_evidence(
@@ -550,7 +550,7 @@ def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
 @kernel_helper
 def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if it is in a planned contact while motors may make torque."""
-    makes_torque = ARMING_MODE <= x.run_int[s.MODE] <= RELAX_MODE
+    makes_torque = ARMING_MODE <= x.run_int[s.HAND_MODE] <= RELAX_MODE
     return (makes_torque and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[
         s.IS_BLOCKED, d
     ] == 1

@@ -63,7 +63,7 @@ def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> Non
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
             x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
-            s.REJECTED_POSITIONS, c.tendon[h.STEP_LIMIT, n], missed_ticks,
+            s.REJECTED_POSITIONS, c.tendon[h.MOTOR_STEP_LIMIT, n], missed_ticks,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
         _reject_outlier(

@@ -32,7 +32,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
     joint_wrap_angle,
     link_poses_of_hand,
-    wrap_before_digit,
+    wrap_angle_before_digit,
     write_static_torque,
     write_tip_levers,
 )
@@ -327,7 +327,7 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrap_angle = wrap_before_digit(c, n, x.joint[s.Q])
+        wrap_angle = wrap_angle_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -379,9 +379,9 @@ def _fuse_encoders(
     for j in range(joints):
         if not c.joint_int[h.IS_ENCODER_FUSED, j]:
             continue
-        last_heard_ns = x.group_int[s.GROUP_RECEIVED_NS, c.joint_int[h.JOINT_GROUP, j]]
-        age = (t_ns - last_heard_ns) / 1e9
-        if last_heard_ns < 0 or age >= MAX_READING_AGE_S:
+        last_frame_ns = x.group_int[s.GROUP_RECEIVED_NS, c.joint_int[h.JOINT_GROUP, j]]
+        age = (t_ns - last_frame_ns) / 1e9
+        if last_frame_ns < 0 or age >= MAX_READING_AGE_S:
             continue
         has_reading = True
         change_since_reading = x.joint[s.DQ, j] * age

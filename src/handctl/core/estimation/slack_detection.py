@@ -169,4 +169,4 @@ def set_offset_of_newly_taut_tendon(
         x.tendon[s.STRETCH_OFFSET, n] = (
             x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
         )
-    x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.DISTURBANCE, n] = 0.0
+    x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.MOTOR_DISTURBANCE, n] = 0.0

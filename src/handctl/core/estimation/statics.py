@@ -139,7 +139,7 @@ def subtract_torque_of_passing_tendons(
 
 
 @kernel_helper
-def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
+def wrap_angle_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the wrap angle of tendon n on all pulleys before the pulleys of its own digit [rad].
 
     Args:
@@ -200,7 +200,7 @@ def write_tensions_at_joints(
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrap_angle = wrap_before_digit(c, n, q)
+        wrap_angle = wrap_angle_before_digit(c, n, q)
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
             arm = c.tendon_joint_table[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -279,7 +279,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    wrap_angle = wrap_before_digit(c, n, q)
+    wrap_angle = wrap_angle_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
         if c.tendon_joint_table[h.MOMENT_ARMS, n, j] != 0.0:

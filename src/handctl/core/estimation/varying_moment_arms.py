@@ -108,7 +108,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 @kernel_helper
 def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon at its spool [m/s], including the part that carrying digits cause."""
-    speed = x.tendon[s.SPEED, n]
+    speed = x.tendon[s.SPOOL_SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
         speed += carrier_excursion(c, n, x.joint[s.DQ])
     return speed

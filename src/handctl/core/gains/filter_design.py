@@ -45,7 +45,7 @@ from handctl.core.tendon_constants import TendonConstants
 
 linalg = DeferredModule("scipy.linalg")
 
-DECAY_TIME_S = 1e4
+HELD_STATE_DECAY_TIME_S = 1e4
 """Time constant with which stretch offset and excursion of a held digit decay to 0 in the model [s].
 
 Without any decay the Riccati equation has no solution. A faster decay changes the estimated
@@ -61,12 +61,12 @@ The added noise covers motor friction that differs from the hand file.
 """
 HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE = 2.0
 """Factor on the motor disturbance of a held tendon while noise is added to its filter."""
-ADDED_TENSION_WALK = 8.0
+ADDED_TENSION_RANDOM_WALK = 8.0
 """Random walk [N/s^0.5] that is added to the tension of a free tendon.
 
 The walk covers joint friction that differs from the hand file.
 """
-ADDED_HELD_TENSION_WALK = 3.0
+HELD_TENSION_RANDOM_WALK = 3.0
 """Random walk [N/s^0.5] that is added to the tension of a held tendon."""
 PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE = 0.25
 """Fraction of the planned change of tension that the filter expects while noise is added."""
@@ -156,10 +156,10 @@ def _continuous_model(
         B[S, 1] = -1.0 / tendons.stiffness[i]
     else:
         A[W, W] = -1.0 / gains.held_time_s
-        A[S, S] = -1.0 / DECAY_TIME_S
+        A[S, S] = -1.0 / HELD_STATE_DECAY_TIME_S
     time = _motor_noise(regime, gains)[1]
     A[D, D] = -1.0 / (time if tendons.has_cell[i] else max(time, FRICTION_TIME_WITHOUT_CELL_S))
-    A[E, E] = A[O, O] = -1.0 / DECAY_TIME_S
+    A[E, E] = A[O, O] = -1.0 / HELD_STATE_DECAY_TIME_S
     return A, B, tension
 
 
@@ -219,7 +219,7 @@ def _add_process_noise(process_noise: Matrix, stiffness: float, regime: TendonRe
         DISTURBANCE_FACTOR_WITH_ADDED_NOISE if is_free else HELD_DISTURBANCE_FACTOR_WITH_ADDED_NOISE
     ) ** 2
     process_noise[S, S] += (
-        (ADDED_TENSION_WALK if is_free else ADDED_HELD_TENSION_WALK) / stiffness
+        (ADDED_TENSION_RANDOM_WALK if is_free else HELD_TENSION_RANDOM_WALK) / stiffness
     ) ** 2
 
 
@@ -268,11 +268,11 @@ def _design_filter_block(
     """
     regime, has_added_noise = regime_and_noise
     A, B, tension = _continuous_model(tendons, i, regime, gains)
-    intensity = _process_noise(tendons, i, regime, gains)
+    noise_intensity = _process_noise(tendons, i, regime, gains)
     if has_added_noise:
-        _add_process_noise(intensity, float(tendons.stiffness[i]), regime)
+        _add_process_noise(noise_intensity, float(tendons.stiffness[i]), regime)
         B[:, 1] *= PLANNED_CHANGE_FRACTION_WITH_ADDED_NOISE
-    F, held_input_matrix, Q = _discretise_model(A, B, intensity, period_s)
+    F, held_input_matrix, Q = _discretise_model(A, B, noise_intensity, period_s)
     H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension

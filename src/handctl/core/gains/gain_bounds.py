@@ -72,7 +72,7 @@ class TendonKey(NamedTuple):
     common_key: str
 
 
-SHARED_KEYS = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
+COMMON_KEY_BY_FORCE = {"motion_force_N": "motion.force_N", "tension_force_N": "tension.force_N"}
 """Key of the force for all tendons, for each field of ``TendonForces`` that can replace this force."""
 
 
@@ -80,9 +80,9 @@ def tendon_key(key: str) -> TendonKey | None:
     """Return the parts of a key that sets the force of a single tendon, or None for any other key."""
     section, _, key_name = key.partition(".")
     tendon, _, field = key_name.rpartition(".")
-    if section != TENDON_SECTION or not tendon or field not in SHARED_KEYS:
+    if section != TENDON_SECTION or not tendon or field not in COMMON_KEY_BY_FORCE:
         return None
-    return TendonKey(tendon, field, SHARED_KEYS[field])
+    return TendonKey(tendon, field, COMMON_KEY_BY_FORCE[field])
 
 
 @cache
@@ -144,7 +144,7 @@ def values_by_key(gains: Gains) -> dict[str, float]:
         for key in gain_bounds()
     }
     for tendon_gains in gains.tendon:
-        forces = {field: getattr(tendon_gains, field) for field in SHARED_KEYS}
+        forces = {field: getattr(tendon_gains, field) for field in COMMON_KEY_BY_FORCE}
         values |= {
             f"{TENDON_SECTION}.{tendon_gains.name}.{field}": force
             for field, force in forces.items()

@@ -71,8 +71,8 @@ def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> Mo
     return combine_loop_designs(
         tendons,
         [
-            design_control_loop(tendons, gains, period_s, piece_index)
-            for piece_index in range(control_loop_count(tendons))
+            design_control_loop(tendons, gains, period_s, loop_index)
+            for loop_index in range(control_loop_count(tendons))
         ],
     )
 

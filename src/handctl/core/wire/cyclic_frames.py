@@ -167,12 +167,12 @@ def receive_frames(
     for r in range(first_frame, len(frame_rows)):
         # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
-        head_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
-        can_id = head_word & ID_MASK & ~ERROR_FLAG
-        bus = head_word >> BUS_BIT & BYTE_MASK
-        length = head_word >> LENGTH_BIT & BYTE_MASK
+        header_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
+        can_id = header_word & ID_MASK & ~ERROR_FLAG
+        bus = header_word >> BUS_BIT & BYTE_MASK
+        length = header_word >> LENGTH_BIT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
-        is_error_frame = head_word & ERROR_FLAG != 0
+        is_error_frame = header_word & ERROR_FLAG != 0
         if entry == NO_FRAME_ENTRY or (
             is_error_frame and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES
         ):
@@ -351,7 +351,7 @@ def _decode_sensor_frame(
     x: StateTables,
     t_ns: Any,
     payload: Any,
-    is_length_right: bool,
+    has_valid_length: bool,
     entries: IntArray,
     entry: int,
     signal_integers: IntArray,
@@ -365,13 +365,13 @@ def _decode_sensor_frame(
         x: state tables.
         t_ns: reception time [ns].
         payload: first eight bytes of the frame's payload.
-        is_length_right: True if the payload has the expected length.
+        has_valid_length: True if the payload has the expected length.
         entries: see ``WireTables``.
         entry: row of the frame in ``entries``.
         signal_integers: see ``WireTables``.
         signal_scalings: see ``WireTables``.
     """
-    if not is_length_right:
+    if not has_valid_length:
         x.node_int[s.HAS_MALFORMED_FRAME, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP_COLUMN]

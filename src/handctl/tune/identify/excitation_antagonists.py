@@ -272,7 +272,10 @@ def _balanced_tensions(hand: Hand, digit: DigitModel) -> Array:
     """
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon])
     ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon])
-    return TAUT_TENSION_RATIO * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance
+    return (
+        TAUT_TENSION_RATIO
+        * redundancy_of_hand((digit,), floor, ceiling, hand.is_pair).balance_tension
+    )
 
 
 def _stretched_tensions(hand: Hand, digit: DigitModel) -> tuple[Array, list[tuple[Array, Array]]]:

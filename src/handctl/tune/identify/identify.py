@@ -8,7 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified_parameters import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
+from handctl.core.identified_parameters import (
+    DIGIT_KEY_BY_PARAMETER,
+    PARAMETER_UNITS,
+    IdentifiedParameters,
+)
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -51,7 +55,7 @@ rest and slow motions determine the other parameters, such as the torque gain.
 """
 LOW_COHERENCE_TEXT = f"coherence is below {MIN_COHERENCE:g}"
 """Reason for which a parameter of the motion of a rotor is not kept."""
-SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
+SWEEP_PARAMETERS = (*DIGIT_KEY_BY_PARAMETER, "capstan")
 """Parameters that are invalid if the digit touched an obstacle during the sweeps.
 
 Parameters of motor and tendon stay valid, because they do not depend on the torque balance of the

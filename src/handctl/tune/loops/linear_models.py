@@ -383,7 +383,7 @@ def _operating_point(
         bench.run_control_law(block)
         return np.append(
             table[STATE_ROWS, tendon],
-            table[s.TORQUE, tendon] / model.tendon_constants.spool[tendon],
+            table[s.COMMANDED_TORQUE, tendon] / model.tendon_constants.spool[tendon],
         )
 
     table = bench.layout.table(operating_point, "tendon")
@@ -425,7 +425,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     table[s.SPOOL_TRAVEL] = (
         table[s.EXCURSION] + OPERATING_TENSION_N / model.tendon_constants.stiffness
     )
-    table[s.SPEED] = table[s.EXCURSION_RATE] = (
+    table[s.SPOOL_SPEED] = table[s.EXCURSION_RATE] = (
         block_diag(*(digit.moment_arms for digit in digits)) @ dq
     )
     table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
@@ -449,7 +449,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
                 position,
                 rate,
                 reached_values[s.EXCURSION, digit.tendons],
-                reached_values[s.SPEED, digit.tendons],
+                reached_values[s.SPOOL_SPEED, digit.tendons],
                 tendon - digit.tendons.start,
             )
             for digit, position, rate in zip(model.digits, coordinates, rates, strict=True)
