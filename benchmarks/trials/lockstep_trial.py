@@ -201,7 +201,7 @@ def _trial_record(
         for entry, tick_output, *_ in rows
         for event in tick_output.events
     ]
-    design = controller.model.filter
+    design = controller.model.filter_design
     return TrialRecord(
         hand,
         controller,

@@ -45,10 +45,12 @@ def gains_with_own_force(force_N: float) -> Gains:
 
 
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: HandModel) -> None:
-    shared_design = design_motion(jamia_model.space, Gains(), jamia_model.period)
-    own_design = design_motion(jamia_model.space, gains_with_own_force(5.0), jamia_model.period)
+    shared_design = design_motion(jamia_model.tendon_constants, Gains(), jamia_model.period)
+    own_design = design_motion(
+        jamia_model.tendon_constants, gains_with_own_force(5.0), jamia_model.period
+    )
     design_with_common_force = design_motion(
-        jamia_model.space,
+        jamia_model.tendon_constants,
         gains_with_values(Gains(), {"motion.force_N": 5.0}, "test"),
         jamia_model.period,
     )
@@ -60,7 +62,7 @@ def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia_model: H
     assert np.array_equal(own_design.stiffness[1:], shared_design.stiffness[1:])
     assert np.array_equal(own_design.tension, shared_design.tension)
     tension = gains_with_values(Gains(), {"tendon.index_tendon.tension_force_N": 2.0}, "test")
-    held_design = design_motion(jamia_model.space, tension, jamia_model.period)
+    held_design = design_motion(jamia_model.tendon_constants, tension, jamia_model.period)
     assert held_design.tension[0] < shared_design.tension[0]
     assert np.array_equal(held_design.stiffness, shared_design.stiffness)
 

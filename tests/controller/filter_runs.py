@@ -284,6 +284,8 @@ def design_arrays_by_tendon(
     return np.array(
         [
             getattr(designs_of_tendon[kind], array_name)
-            for designs_of_tendon, kind in zip(model.filter.blocks, regime_by_tendon, strict=True)
+            for designs_of_tendon, kind in zip(
+                model.filter_design.blocks, regime_by_tendon, strict=True
+            )
         ]
     )

@@ -409,7 +409,7 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
     mass = model.tendon_constants.motor_mass + model.tendon_constants.load_mass
     requested_force = model.floor + mass * (
-        model.motion.stiffness * excursion + model.motion.damping * rate
+        model.motion_design.stiffness * excursion + model.motion_design.damping * rate
     )
     limit = model.torque_limit / model.tendon_constants.spool
     np.testing.assert_allclose(

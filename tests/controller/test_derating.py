@@ -66,8 +66,8 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
             jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, tension_limits
         )
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
-    force = command.torque / jamia.space.spool
-    assert (force <= tension_limits + jamia.space.coulomb + 1e-9).all()
+    force = command.torque / jamia.tendon_constants.spool
+    assert (force <= tension_limits + jamia.tendon_constants.coulomb + 1e-9).all()
     assert force[1] > 30.0
     _, command = run_law_tick(
         jamia,
@@ -78,7 +78,10 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
         tension_limits,
     )
     assert command.tension[0] <= 9.0 + 1e-9
-    assert (command.torque / jamia.space.spool <= tension_limits + jamia.space.coulomb + 1e-9).all()
+    assert (
+        command.torque / jamia.tendon_constants.spool
+        <= tension_limits + jamia.tendon_constants.coulomb + 1e-9
+    ).all()
 
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:

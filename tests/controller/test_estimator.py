@@ -38,7 +38,7 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
         model, state, empty_readings(model), force, flags_without_contact(model)
     )
     for i, row in enumerate(state_after.filter_states.reshape(-1, STATE_COUNT)):
-        block = model.filter.blocks[i][TendonRegime.FREE]
+        block = model.filter_design.blocks[i][TendonRegime.FREE]
         np.testing.assert_allclose(
             row / FILTER_STATE_UNITS,
             (block.F @ x[i] + block.B @ [force[i], 0.0]) / FILTER_STATE_UNITS,
@@ -297,7 +297,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
     """
     x, _ = state_at_rest(jamia11, 20.0, 0.7)
     balance = load_statics(jamia11, x, np.zeros(len(x))).resistance
-    x[:, X] = x[:, S] + balance / jamia11.space.stiffness
+    x[:, X] = x[:, S] + balance / jamia11.tendon_constants.stiffness
     ends = {}
     for with_encoders in (False, True):
         wrong_states = x.copy()

@@ -124,7 +124,7 @@ def run_monte_carlo(
     contact = (not free,) * len(model.digits)
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
-    tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
+    tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter_design.blocks])
     for k in range(tick_count):
         # The motor of this test holds the tendon as a controller would. The planned rate of change
         # keeps the tension from drifting.
@@ -138,7 +138,7 @@ def run_monte_carlo(
             40.0 * truth[:, V] + 400.0 * free * away
         )
         rate = 5.0 * (40.0 - tension)
-        z = truth @ model.filter.blocks[0][regime].H.T
+        z = truth @ model.filter_design.blocks[0][regime].H.T
         z[:, 1] = tension
         z += sigma * rng.normal(size=(n, MEASUREMENT_COUNT))
         if missing_measurements is not None:
@@ -282,7 +282,9 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         int(TendonRegime.FREE),
     )
     assert state_after.covariance is not None
-    steady = [model.filter.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)]
+    steady = [
+        model.filter_design.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)
+    ]
     np.testing.assert_array_equal(state_after.covariance[first_tendon], steady[first_tendon])
     state_after_one_tick, _ = run_filter_tick(
         model, state, readings_without_travel, force, zero_vector, touched
@@ -336,7 +338,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
     state = state_with_tendons_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
-    blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter.blocks]
+    blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter_design.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
@@ -390,7 +392,7 @@ def test_covariance_grows_over_skipped_ticks(
             joseph_update(
                 blocks_of_tendon[TendonRegime.FREE], blocks_of_tendon[TendonRegime.FREE].P, read
             )[1]
-            for blocks_of_tendon in model.filter.blocks
+            for blocks_of_tendon in model.filter_design.blocks
         ]
     )
     for _ in range(
@@ -409,7 +411,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
     state, second = state_with_tendons_in_regime(model, TendonRegime.FREE, x), x.copy()
-    blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
+    blocks = [blocks[TendonRegime.FREE] for blocks in model.filter_design.blocks]
     P = [block.P.copy() for block in blocks]
     compared = 0
     for _ in range(300):

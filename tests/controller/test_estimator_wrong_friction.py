@@ -211,7 +211,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
 @pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     """While the filter doubts its model, the errors of all states of a taut tendon decay."""
-    for blocks in model_of(hand).filter.blocks:
+    for blocks in model_of(hand).filter_design.blocks:
         for regime in (TendonRegime.FREE, TendonRegime.HELD):
             block = blocks[regime + len(TendonRegime)]
             own_indices = np.delete(np.arange(STATE_COUNT), 5)

@@ -66,7 +66,7 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
     model: HandModel, regime: TendonRegime
 ) -> None:
     for i in first_and_last_tendon(model):
-        block = model.filter.blocks[i][regime]
+        block = model.filter_design.blocks[i][regime]
         F, G, Q = integrate_one_period(model, i, regime)
         np.testing.assert_allclose(
             block.F * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], F, rtol=1e-7, atol=1e-8
@@ -100,7 +100,7 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
 
 @pytest.mark.parametrize("regime", TendonRegime)
 def test_measurement_rows_predict_the_measurements(model: HandModel, regime: TendonRegime) -> None:
-    for i, blocks in enumerate(model.filter.blocks):
+    for i, blocks in enumerate(model.filter_design.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
         taut = regime != TendonRegime.SLACK
@@ -143,7 +143,7 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
 ) -> None:
     gains = jamia11.gains.filter
     ticks_per_joint_frame = jamia11.hand.sensor_node.joint_decimation
-    for blocks in jamia11.filter.blocks:
+    for blocks in jamia11.filter_design.blocks:
         for block in blocks:
             remaining_fraction = (1.0 - block.K[S, 2]) ** (
                 gains.joint_time_s / (ticks_per_joint_frame * jamia11.period)
@@ -152,9 +152,9 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
             assert block.K[O, 2] == -block.K[S, 2]
             assert not np.delete(block.K[:, 2], [S, O]).any()
             np.testing.assert_allclose(block.tension_row @ block.K[:, 2], 0.0, atol=1e-9)
-    assert not any(block.K[:, 2].any() for blocks in jamia.filter.blocks for block in blocks), (
-        "no joint encoders"
-    )
+    assert not any(
+        block.K[:, 2].any() for blocks in jamia.filter_design.blocks for block in blocks
+    ), "no joint encoders"
 
 
 def test_the_transition_of_all_tendons_is_that_of_its_blocks(
@@ -162,14 +162,14 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 ) -> None:
     n = model.tendon_count
     kinds = rng.integers(0, 2 * len(TendonRegime), n)
-    transition = model.filter.transition(kinds.tobytes())
+    transition = model.filter_design.transition(kinds.tobytes())
     x, u = rng.normal(size=(n, STATE_COUNT)), rng.normal(size=(n, 2))
     moved, driven = (
         (transition.F @ x.T.ravel()).reshape(STATE_COUNT, n).T,
         (transition.B @ u.T.ravel()).reshape(STATE_COUNT, n).T,
     )
     for i, kind in enumerate(kinds.tolist()):
-        block = model.filter.blocks[i][kind]
+        block = model.filter_design.blocks[i][kind]
         np.testing.assert_allclose(moved[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(driven[i], block.B @ u[i], rtol=1e-9, atol=1e-12)
 
@@ -187,7 +187,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
         "P": h.COVARIANCE_OFFSET,
         "H": h.MEASUREMENT_MATRIX_OFFSET,
     }
-    for blocks_of_tendon, rows in zip(model.filter.blocks, design, strict=True):
+    for blocks_of_tendon, rows in zip(model.filter_design.blocks, design, strict=True):
         for block, row in zip(blocks_of_tendon, rows, strict=True):
             for name, first_element in {
                 **offset_by_matrix,
@@ -213,7 +213,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
 
 
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
-    design = FilterDesign(jamia.filter.blocks * 2)
+    design = FilterDesign(jamia.filter_design.blocks * 2)
     kinds = [
         np.array(kinds_of_tendons)
         for kinds_of_tendons in itertools.islice(
@@ -235,7 +235,7 @@ def test_asking_for_other_gains_gives_other_filters() -> None:
         hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0
     )
     free_tension_variances = [
-        m.filter.blocks[0][TendonRegime.FREE].tension_variance
+        m.filter_design.blocks[0][TendonRegime.FREE].tension_variance
         for m in (model_with_packaged_gains, model_with_larger_rate)
     ]
     assert free_tension_variances[1] > free_tension_variances[0], (
@@ -253,6 +253,6 @@ def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
 
     The tendons of the thumb have other designs, because a thumb tendon moves another mass.
     """
-    blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
+    blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter_design.blocks, strict=True))
     assert blocks["index_t1"] is blocks["ring_t1"]
     assert len({id(kinds_of_tendons) for kinds_of_tendons in blocks.values()}) == 5

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.controller.controller_state import ControllerState
-from handctl.controller.gain_change import CACHE_SIZE, DesignCache
+from handctl.controller.gain_change import MAX_CACHED_DESIGNS, DesignCache
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
@@ -74,7 +74,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
     gains = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     complete_controller = designs.controller(run, gains)
-    for force in range(20, 20 + 3 * CACHE_SIZE):
+    for force in range(20, 20 + 3 * MAX_CACHED_DESIGNS):
         designs.advance(
             jamia,
             PendingGains(
@@ -82,7 +82,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
             ),
         )
         assert designs.controller(run, gains) is complete_controller
-    assert len(designs.loop_designs) == CACHE_SIZE
+    assert len(designs.loop_designs) == MAX_CACHED_DESIGNS
     assert gains in designs.loop_designs
     assert set(designs.controllers) <= set(designs.loop_designs)
 
@@ -134,10 +134,13 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(
     bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
     outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
-    outs += [bench_with_rising_tension.tick() for _ in range(control_loop_count(jamia.space) + 2)]
+    outs += [
+        bench_with_rising_tension.tick()
+        for _ in range(control_loop_count(jamia.tendon_constants) + 2)
+    ]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
     at = [i for i, event_of_tick in enumerate(events) if event_of_tick]
-    assert at == [control_loop_count(jamia.space) - 1]
+    assert at == [control_loop_count(jamia.tendon_constants) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert bench_with_rising_tension.state.decisions.gains is not None
     assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 45.0
@@ -187,7 +190,7 @@ def test_a_change_makes_no_step_in_torque(
     bench = noiseless_hand(jamia)
     bench.tick(request_text)
     bench.run(0.1)
-    for _ in range(control_loop_count(jamia.space) - 1):
+    for _ in range(control_loop_count(jamia.tendon_constants) - 1):
         bench.tick(
             gain_request(gain_by_key)
         ) if bench.state.decisions.pending_gains is None else bench.tick()
@@ -240,7 +243,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     for state in (old_state, new_state):
         np.testing.assert_array_equal(tension_limits_of(old_controller.model, state), limit)
         assert (
-            state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
+            state.view("torque") / jamia.tendon_constants.spool
+            <= limit + jamia.tendon_constants.coulomb + 1e-9
         ).all()
 
 
@@ -339,7 +343,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(
                 "test",
                 is_live=True,
             )
-            design = design_motion(jamia.space, gains, jamia.period)
+            design = design_motion(jamia.tendon_constants, gains, jamia.period)
             assert np.isfinite(
                 [design.stiffness, design.damping, design.tension, design.tension_speed]
             ).all(), key

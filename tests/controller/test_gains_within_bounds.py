@@ -51,10 +51,10 @@ def test_gains_within_bounds_are_designed_or_refused(exponent_by_gain: dict[str,
     with suppress(ConfigError):
         model = HandModel.from_hand(load_hand("jamia_bench"), gains, 500.0)
         design_arrays = [
-            model.motion.stiffness,
-            model.motion.damping,
-            model.motion.tension,
-            model.motion.tension_speed,
+            model.motion_design.stiffness,
+            model.motion_design.damping,
+            model.motion_design.tension,
+            model.motion_design.tension_speed,
         ]
-        design_arrays += [block.K for blocks in model.filter.blocks for block in blocks]
+        design_arrays += [block.K for blocks in model.filter_design.blocks for block in blocks]
         assert all(np.isfinite(design_array).all() for design_array in design_arrays)

@@ -55,7 +55,7 @@ def estimate(model: HandModel) -> SyntheticEstimate:
 def test_motion_feedback_applies_each_gain(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    space, gains, design = model.tendon_constants, model.gains.motion, model.motion
+    space, gains, design = model.tendon_constants, model.gains.motion, model.motion_design
     mass = space.motor_mass + space.load_mass
     motor_force_before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
@@ -163,7 +163,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     estimate, goals, design = (
         estimate_under_tension(model, 20.0),
         holding_goals(model, 20.0),
-        model.motion,
+        model.motion_design,
     )
     state = LawState.idle_at_tensions(estimate.tension)
     force_before = (
@@ -205,7 +205,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     needed = (
         space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
     )
-    needed += (model.motion.tension_speed + space.motor_damping) * speed
+    needed += (model.motion_design.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
         motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, goals_at_rest),
         needed,

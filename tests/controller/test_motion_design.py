@@ -138,15 +138,17 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:
     period = jamia.period
-    default_design = design_motion(jamia.space, Gains(), period)
+    default_design = design_motion(jamia.tendon_constants, Gains(), period)
     design_with_small_position_error = design_motion(
-        jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period
+        jamia.tendon_constants, Gains(motion=MotionGains(position_error_m=2e-4)), period
     )
-    gentle_design = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
+    gentle_design = design_motion(
+        jamia.tendon_constants, Gains(motion=MotionGains(force_N=5.0)), period
+    )
     assert (design_with_small_position_error.stiffness > default_design.stiffness).all()
     assert (gentle_design.stiffness < default_design.stiffness).all()
     design_with_small_tension_error = design_motion(
-        jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period
+        jamia.tendon_constants, Gains(tension=TensionGains(tension_error_N=1.0)), period
     )
     assert (design_with_small_tension_error.tension > default_design.tension).all()
     assert (default_design.damping > 0).all()

@@ -201,7 +201,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                     motor_direction * (position - motor.zero_rad)
                     + 0.5 * model.period * motor_direction * velocity
                 )
-                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
+                predicted_position = p + run.controller.motor_zeros[n] + 0.5 * model.period * v
                 torque = (
                     STIFF_KP_N_M_PER_RAD * kp * (target - predicted_position)
                     + motor_direction * added_torque
@@ -232,7 +232,7 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
                     run.state.view(name)[n] / model.tendon_constants.spool[n]
                     for name in ("travel", "speed")
                 )
-                predicted_position = p + run.controller.zero[n] + 0.5 * model.period * v
+                predicted_position = p + run.controller.motor_zeros[n] + 0.5 * model.period * v
                 torque = (
                     decoded_command.kp * (decoded_command.position - predicted_position)
                     + decoded_command.kd * (decoded_command.velocity - v)

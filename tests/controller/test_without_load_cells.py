@@ -180,7 +180,7 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (calibration.zero(hand) - offset) * model_of(
             *tendons_without_cells
-        ).space.spool
+        ).tendon_constants.spool
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
 
@@ -213,7 +213,7 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
         == file.tendon[0].tension_trip_N - margin[0]
     )
     assert controller.derived_constants.limits.tension_trip[1] == file.tendon[1].tension_trip_N
-    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter.held_tension_sigma[0]
+    assert margin[0] == MARGIN_SIGMAS_WITHOUT_CELL * bare_model.filter_design.held_tension_sigma[0]
 
 
 def test_a_hand_without_sensors_sends_no_sync() -> None:

@@ -172,8 +172,8 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     assert again.program == program
     assert again.arm_at_once is False
     assert again.model.period == first_controller.model.period
-    assert again.tare.tobytes() == first_controller.tare.tobytes()
-    assert again.zero.tobytes() == first_controller.zero.tobytes()
+    assert again.tare_tensions.tobytes() == first_controller.tare_tensions.tobytes()
+    assert again.motor_zeros.tobytes() == first_controller.motor_zeros.tobytes()
     assert again.initial_state().digest() == first_controller.initial_state().digest()
 
 

@@ -65,7 +65,7 @@ def synthetic_limits(tendon_count: int) -> SafetyLimits:
     return SafetyLimits(
         *names, tension_trip=(140.0,) * tendon_count, drive_limit=(160.0,) * tendon_count,
         tension_rail=244.0, tension_low=-5.0, silent_ticks=6, silent_ticks_of_single_motor=4, stalled_ticks=5,
-        frames=64, noise=1e-4,
+        max_frames_per_tick=64, max_position_noise=1e-4,
     )  # fmt: skip
 
 
@@ -132,11 +132,11 @@ class SyntheticMonitor:
         """Replace the names and thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
-            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
+            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.max_position_noise,
             temperature_soft=limits.temperature_soft, temperature_hard=limits.temperature_hard,
             tension_rail=limits.tension_rail, tension_low=limits.tension_low, silent_ticks=limits.silent_ticks,
             one_silent_ticks=limits.silent_ticks_of_single_motor, stalled_ticks=limits.stalled_ticks,
-            frames_limit=limits.frames,
+            frames_limit=limits.max_frames_per_tick,
         )  # fmt: skip
 
     def set_constants(self, **constant_by_name: Any) -> None:

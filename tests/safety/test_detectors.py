@@ -74,7 +74,7 @@ EXAMPLE_FAULT = Fault(
     "by itself",
     "Why.",
     "Do.",
-    debounce=3,
+    debounce_ticks=3,
     reports=("x",),
 )
 

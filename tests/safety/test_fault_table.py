@@ -79,7 +79,7 @@ def check_fault_alone(
             for reported_fault in verdict.reported_faults
             if reported_fault.id == fault_id
         ]
-        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce or fault_id in {
+        counts = max(present, default=0) >= FAULT_BY_ID[fault_id].debounce_ticks or fault_id in {
             mark.id for mark in verdict.latched_faults
         }
         actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
@@ -296,7 +296,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
     assert len(DETECTOR_ROWS) <= len(monitor_at_rest().view("fault_ticks")), (
         "there is room for how long each is present"
     )
-    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
+    assert [fault.debounce_ticks for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
     assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
     assert {
         fault.id for faults_of_kind in FAULTS_BY_EVENT_KIND.values() for fault in faults_of_kind
@@ -363,7 +363,7 @@ def redeclare_fault(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         })  # fmt: skip
         debounce, actions = DEBOUNCE_TICKS.copy(), ACTION_NUMBERS.copy()
         for row, (fault, _) in enumerate(changed_rows):
-            debounce[row], actions[row] = fault.debounce, fault.action
+            debounce[row], actions[row] = fault.debounce_ticks, fault.action
         monkeypatch.setattr(judgement, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "ACTION_NUMBERS", actions)
@@ -380,10 +380,14 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
     fault = FAULT_BY_ID[fault_id]
     other_clearing = CLEARED_BY_ITSELF if fault.is_latched else CLEARED_BY_OPERATOR
     changed = [
-        replace(fault, debounce=fault.debounce + 1),
+        replace(fault, debounce_ticks=fault.debounce_ticks + 1),
         replace(fault, cleared_by=other_clearing),
     ]
-    changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
+    changed += (
+        [replace(fault, debounce_ticks=fault.debounce_ticks - 1)]
+        if fault.debounce_ticks > 1
+        else []
+    )
     changed += [
         replace(fault, action=SafetyAction(fault.action + step))
         for step in (-1, 1)

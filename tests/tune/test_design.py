@@ -82,13 +82,13 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     # Without separate force weights, the tendons of both digits would have the small force weight
     # that the heavy digit requires.
     shared_gains = gain_design.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared_gains).motion.stiffness[
+    assert model_with_gains(model, shared_gains).motion_design.stiffness[
         1
     ] < 0.6 * stiffness_of_motion_loop(model, gain_design.gains)
     redesigned_model = model_with_gains(model, gain_design.as_weights())
     assert np.allclose(
-        redesigned_model.motion.stiffness,
-        model_with_gains(model, gain_design.gains).motion.stiffness,
+        redesigned_model.motion_design.stiffness,
+        model_with_gains(model, gain_design.gains).motion_design.stiffness,
         rtol=1e-6,
     )
 
@@ -98,7 +98,7 @@ def stiffness_of_motion_loop(model: HandModel, gains: Gains) -> float:
 
     The model of the hand has the given gains.
     """
-    return float(model_with_gains(model, gains).motion.stiffness[1])
+    return float(model_with_gains(model, gains).motion_design.stiffness[1])
 
 
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
@@ -124,8 +124,8 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
     assert not keeps_required_margins(model_with_gains(jamia, gains_with_more_authority), plants)
     redesigned_model = model_with_gains(jamia, gain_design.as_weights())
     assert np.allclose(
-        redesigned_model.motion.stiffness,
-        model_with_gains(jamia, gain_design.gains).motion.stiffness,
+        redesigned_model.motion_design.stiffness,
+        model_with_gains(jamia, gain_design.gains).motion_design.stiffness,
         rtol=1e-6,
     )
 
@@ -151,7 +151,7 @@ def test_the_closed_loop_has_the_requested_poles(
     fast_model = HandModel.from_hand(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast_model.period)
-    K = np.array([[fast_model.motion.stiffness[0], fast_model.motion.damping[0]]])
+    K = np.array([[fast_model.motion_design.stiffness[0], fast_model.motion_design.damping[0]]])
     poles = np.log(np.linalg.eigvals(F - G @ K)) / fast_model.period
     assert np.abs(poles) / (2.0 * math.pi) == pytest.approx(
         [pole_frequency_hz, pole_frequency_hz], rel=0.03

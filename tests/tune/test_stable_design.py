@@ -117,7 +117,9 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force_N: float) -> None:
     """
     model = model_with_force_weight(force_N)
     K = controller_system(model, 0, LoopKind.TENSION)
-    force_per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
+    force_per_newton = (
+        model.motion_design.tension[0] + model.gains.tension.integral_per_s * model.period
+    )
     assert force_per_newton > 0.5
     states = K.C[0]
     integral = states[np.isclose(states, 1.0)]

@@ -231,7 +231,7 @@ def clear_latched_faults(state: ControllerState) -> None:
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
         reported_fault._replace(
-            ticks=min(reported_fault.ticks, FAULT_BY_ID[reported_fault.id].debounce - 1)
+            ticks=min(reported_fault.ticks, FAULT_BY_ID[reported_fault.id].debounce_ticks - 1)
         )
         for reported_fault in state.decisions.reported_faults
     ]

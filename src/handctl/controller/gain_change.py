@@ -99,7 +99,7 @@ class DesignCache:
             designed_model = replace(
                 model,
                 gains=gains,
-                motion=combine_loop_designs(model.tendon_constants, loop_designs),
+                motion_design=combine_loop_designs(model.tendon_constants, loop_designs),
             )
             self.controllers[gains] = replace(
                 old_controller,

@@ -100,7 +100,7 @@ def _relaxed_goal(model: HandModel, start_tensions: Vector) -> Vector:
 
 
 def _envelope_start(
-    model: HandModel, state: ControllerState, sign: Vector, accounted_force: Vector
+    model: HandModel, state: ControllerState, sign: Vector, plausible_tension: Vector
 ) -> Vector:
     """Return the motor force (N,) at which the envelope of each tendon starts [N].
 
@@ -112,12 +112,12 @@ def _envelope_start(
         model: model of the hand.
         state: state when relaxing starts.
         sign: (N,) direction of the commanded force.
-        accounted_force: (N,) largest tension in this direction that agrees with the measurement or
+        plausible_tension: (N,) largest tension in this direction that agrees with the measurement or
             the setpoint [N].
     """
     commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     return sign * np.minimum(
-        sign * commanded_force, accounted_force + model.tendon_constants.coulomb
+        sign * commanded_force, plausible_tension + model.tendon_constants.coulomb
     )
 
 

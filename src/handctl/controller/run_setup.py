@@ -137,8 +137,8 @@ class RunSetup(Document):
         return RunSetup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
-            tare_N=tuple(controller.tare.tolist()),
-            zero_rad=tuple(controller.zero.tolist()),
+            tare_N=tuple(controller.tare_tensions.tolist()),
+            zero_rad=tuple(controller.motor_zeros.tolist()),
             identities=controller.identities,
             program=_setup_of_program(controller.program),
             identified_hand=""

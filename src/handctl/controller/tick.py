@@ -164,8 +164,8 @@ class Controller:
         drives: the motor of each tendon, in the order of the tendons.
         sensors: sensor node of the hand.
         program: program that sets the goals of the digits.
-        tare: (N,) tare of each load cell [N].
-        zero: (N,) zero angle of each motor [rad].
+        tare_tensions: (N,) tare of each load cell [N].
+        motor_zeros: (N,) zero angle of each motor [rad].
         arm_at_once: True to arm the hand without a request, as soon as every node has replied.
         identities: identities of the drives in the calibration, or an empty tuple if they are
             unknown.
@@ -182,8 +182,8 @@ class Controller:
     drives: tuple[Drive, ...]
     sensors: SensorInterface
     program: Program
-    tare: Vector
-    zero: Vector
+    tare_tensions: Vector
+    motor_zeros: Vector
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
     replacement_limits: SafetyLimits | None = None
@@ -199,7 +199,7 @@ class Controller:
             compile_kernels()
         limits = self.replacement_limits or safety_limits(self.model, self.drives, self.sensors)
         constants = compiled_constants(
-            self.model, self.drives, self.sensors, limits, self.tare, self.zero
+            self.model, self.drives, self.sensors, limits, self.tare_tensions, self.motor_zeros
         )
         derived_constants = (
             self.reusable_constants.with_constants(limits, constants)

@@ -95,8 +95,8 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "load_stiffness": tendons.load_stiffness,
         "load_damping": tendons.load_damping,
         "spool": tendons.spool,
-        "capstan": model.friction,
-        "wrap": model.wrap,
+        "capstan": model.friction_coefficient,
+        "wrap": model.wrap_angle,
         "floor": model.floor,
         "ceiling": model.ceiling,
         "torque_gain": 1.0 if model.torque_gain is None else model.torque_gain,
@@ -140,10 +140,10 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
         "unwind": np.where(model.is_pair, -1.0, -MAX_UNWINDING_FORCE_FRACTION) * limit,
         "mass": tendons.motor_mass + tendons.load_mass,
         "inertia": motion.inertia_share * tendons.motor_mass,
-        "error_gain": model.motion.stiffness,
-        "speed_gain": model.motion.damping,
-        "tension_gain": model.motion.tension,
-        "tension_speed_gain": model.motion.tension_speed,
+        "error_gain": model.motion_design.stiffness,
+        "speed_gain": model.motion_design.damping,
+        "tension_gain": model.motion_design.tension,
+        "tension_speed_gain": model.motion_design.tension_speed,
         "half": half_period_gain,
         "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * tendons.coulomb,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
@@ -171,8 +171,8 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     tendons = model.tendon_constants
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
     inertia = (tendons.motor_mass + tendons.load_mass) * tendons.spool**2
-    stiffness = inertia * model.motion.stiffness
-    damping = inertia * model.motion.damping
+    stiffness = inertia * model.motion_design.stiffness
+    damping = inertia * model.motion_design.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
     max_stiffness = inertia * (MAX_PHASE_RAD / model.period) ** 2
@@ -314,7 +314,7 @@ def _contact_place_probabilities(digits: tuple[DigitModel, ...], digit: DigitMod
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
     """Return all numbers of the filter designs of a hand (N, KINDS, ELEMENTS)."""
     return np.array(
-        [[_block_elements(block) for block in tendon] for tendon in model.filter.blocks]
+        [[_block_elements(block) for block in tendon] for tendon in model.filter_design.blocks]
     )
 
 

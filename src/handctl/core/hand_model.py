@@ -46,16 +46,16 @@ class HandModel:
             hand.
         coordinate_limits: (2, C) lowest and highest value of each coordinate [rad].
         tendon_constants: constants of the hand along the tendons.
-        filter: constant Kalman filter of each tendon.
-        motion: feedback gains of the motion loop and the tension loop of each tendon.
+        filter_design: constant Kalman filter of each tendon.
+        motion_design: feedback gains of the motion loop and the tension loop of each tendon.
         digit_of_tendon: for each tendon, the index of its digit.
         excursion_to_joints: (J, N) change of each joint angle per excursion of each tendon [rad/m].
         torque_to_tension: (N, J) smallest tensions per torque of each joint [1/m].
         pulleys: (N, J) 1 if a tendon passes the pulley of a joint, 0 if not.
         pulley_weights: (N, J) moment arm at each pulley, divided by the sum of all moment arms of
             the tendon.
-        friction: (N,) friction coefficient of the pulleys.
-        wrap: (N,) wrap angle of each tendon before its first joint pulley [rad].
+        friction_coefficient: (N,) friction coefficient of the pulleys.
+        wrap_angle: (N,) wrap angle of each tendon before its first joint pulley [rad].
         floor: (N,) smallest allowed tension at the load cell [N]. For a spool pair, the smallest
             value is the negative of the largest net tension.
         ceiling: (N,) largest allowed tension at the load cell [N]. For a spool pair, the value is
@@ -80,14 +80,14 @@ class HandModel:
     coordinate_limits: Vector
     digit_of_tendon: tuple[int, ...]
     tendon_constants: TendonConstants
-    filter: FilterDesign
-    motion: MotionDesign
+    filter_design: FilterDesign
+    motion_design: MotionDesign
     excursion_to_joints: Vector
     torque_to_tension: Vector
     pulleys: Vector
     pulley_weights: Vector
-    friction: Vector
-    wrap: Vector
+    friction_coefficient: Vector
+    wrap_angle: Vector
     floor: Vector
     ceiling: Vector
     torque_limit: Vector
@@ -152,14 +152,14 @@ class HandModel:
                 for _ in range(digit.tendons.start, digit.tendons.stop)
             ),
             tendon_constants=tendon_constants,
-            filter=filter_design,
-            motion=design_motion(tendon_constants, gains, 1.0 / rate_hz),
+            filter_design=filter_design,
+            motion_design=design_motion(tendon_constants, gains, 1.0 / rate_hz),
             excursion_to_joints=linalg.block_diag(*(digit.excursion_to_joints for digit in digits)),
             torque_to_tension=linalg.block_diag(*(digit.torque_to_tension for digit in digits)),
             pulleys=(arms > 0.0).astype(np.float64),
             pulley_weights=arms / arms.sum(axis=1, keepdims=True),
-            friction=np.array([tendon.friction_coefficient for tendon in tendons]),
-            wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
+            friction_coefficient=np.array([tendon.friction_coefficient for tendon in tendons]),
+            wrap_angle=np.array([tendon.wrap_angle_rad for tendon in tendons]),
             floor=floor,
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),

@@ -269,7 +269,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
         # the joint's scale.
         arms = ((digit.reduced_moment_arms * digit.coordinate_units.scale) ** 2).sum(axis=1)
         mass = (model.tendon_constants.motor_mass + model.tendon_constants.load_mass)[digit.tendons]
-        full_stiffness = arms * mass * model.motion.stiffness[digit.tendons]
+        full_stiffness = arms * mass * model.motion_design.stiffness[digit.tendons]
         stiffness[digit.tendons] = np.clip(
             stream.joint_stiffness / full_stiffness, MIN_STIFFNESS_FRACTION, 1.0
         )

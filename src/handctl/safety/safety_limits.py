@@ -63,8 +63,8 @@ class SafetyLimits:
             limit [degC].
         temperature_hard: drive temperature at which the tension limit reaches the tension floor
             [degC].
-        frames: number of frames in a tick above which the bus counts as flooded.
-        noise: mean squared jerk of a motor's measured position above which the measurement counts
+        max_frames_per_tick: number of frames in a tick above which the bus counts as flooded.
+        max_position_noise: mean squared jerk of a motor's measured position above which the measurement counts
             as noisy [rad^2].
     """
 
@@ -80,8 +80,8 @@ class SafetyLimits:
     stalled_ticks: int = MIN_STALLED_TICKS
     temperature_soft: float = SOFT_TEMPERATURE_LIMIT_DEGC
     temperature_hard: float = HARD_TEMPERATURE_LIMIT_DEGC
-    frames: int = MIN_FLOOD_FRAMES
-    noise: float = math.inf
+    max_frames_per_tick: int = MIN_FLOOD_FRAMES
+    max_position_noise: float = math.inf
 
     @property
     def nodes(self) -> tuple[str, ...]:

@@ -102,9 +102,9 @@ def judge_tick(
     for fault, location, value in locate_reports(event_reports):
         ticks = ticks_by_report.get((fault.id, location), 0) + 1
         present_reports.append(ReportedFault(fault.id, location, ticks))
-        if ticks >= fault.debounce:
+        if ticks >= fault.debounce_ticks:
             action = max(action, fault.action)
-        if ticks == fault.debounce:
+        if ticks == fault.debounce_ticks:
             findings.append(FaultFinding(fault, location, value))
     # A detector may find a latched fault again, but the log gets no second entry.
     new_findings = [

@@ -56,8 +56,8 @@ def safety_limits(
         tension_low=sensors.tension_low,
         silent_ticks=tick_count_for_time(MAX_SILENCE_S, model.period, MIN_SILENT_TICKS),
         stalled_ticks=tick_count_for_time(MAX_STALL_S, model.period, MIN_STALLED_TICKS),
-        noise=_noise_limit(model),
-        frames=max_frames_per_tick(drives, sensors),
+        max_position_noise=_noise_limit(model),
+        max_frames_per_tick=max_frames_per_tick(drives, sensors),
     )
 
 
@@ -97,7 +97,7 @@ def compiled_constants(
         "drive_limit": limits.drive_limit,
         "torque_step": [torque_resolution(drive) for drive in drives] / model.tendon_constants.spool,
         **servo_resolutions(model, drives),
-        "noise_limit": limits.noise,
+        "noise_limit": limits.max_position_noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
         "tension_rail": limits.tension_rail,
@@ -112,7 +112,7 @@ def compiled_constants(
         "silent_ticks": limits.silent_ticks,
         "one_silent_ticks": limits.silent_ticks_of_single_motor,
         "stalled_ticks": limits.stalled_ticks,
-        "frames_limit": limits.frames,
+        "frames_limit": limits.max_frames_per_tick,
         "tension_groups": sensors.tension_frames,
     })  # fmt: skip
 

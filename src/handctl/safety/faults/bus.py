@@ -184,7 +184,7 @@ FAULT_B10 = declare_fault(
 declare_catalogue_row("B11", "babbling idiot", ticks=3, required=3)
 FAULT_B11A = declare_fault(
     "B11a", "the bus is flooded", "In two ticks, more frames arrive than all nodes can send",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=2, name="bus",
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=2, name="bus",
     cause="A node or another program sends without pause (babbling idiot).",
     remedy="Unplug one node after the other until the traffic stops. Replace or reconfigure the last one.",
 )  # fmt: skip
@@ -192,7 +192,7 @@ FAULT_B11A = declare_fault(
 # debounce.
 FAULT_B11B = declare_fault(
     "B11b", "the bus stays flooded", "In ten ticks, more frames arrive than all nodes can send",
-    SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce=10, name="bus",
+    SafetyAction.CUT, CLEARED_BY_OPERATOR, FAULT_PLACE_HAND, debounce_ticks=10, name="bus",
     cause="A node or another program sends without pause (babbling idiot), so that commands may not arrive.",
     remedy="Remove the power. Unplug one node after the other until the traffic stops, and replace the last one.",
 )  # fmt: skip
@@ -214,7 +214,7 @@ declare_fault(
 )  # fmt: skip
 declare_fault(
     "B13b", "lasting errors on the bus", "The interface is error-passive for 20 ticks",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_passive",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=20, reports=("error_passive",),
     cause="A plug is loose, a termination is missing, a bit rate is wrong, or a node has lost power.",
     remedy="Check plugs, termination (60 ohm) and bit rate of all nodes, and run handctl bus doctor.",
 )  # fmt: skip
@@ -230,7 +230,7 @@ declare_fault(
 declare_catalogue_row("B15", "send queue full", ticks=3, required=3)
 declare_fault(
     "B15", "the send queue is full", "The interface refuses frames in two ticks",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=2, reports=("enobufs",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=2, reports=("enobufs",),
     cause="The bus is overloaded, or no node acknowledges frames.",
     remedy="Check the bus load with handctl bus plan, and power and cable of the nodes.",
 )  # fmt: skip
@@ -265,7 +265,7 @@ declare_catalogue_row(
 )
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce=20, reports=("error_frame",),
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, debounce_ticks=20, reports=("error_frame",),
     cause="The bit rate is wrong, the hand has no power, or a cable is not connected.",
     remedy="Switch the hand on, check cable and bit rate, and run handctl bus doctor.",
 )  # fmt: skip

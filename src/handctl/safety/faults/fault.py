@@ -121,7 +121,7 @@ class Fault:
         cleared_by: the way in which the fault ends, ``CLEARED_BY_OPERATOR`` or ``CLEARED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
-        debounce: number of consecutive ticks with the fault after which the fault becomes active.
+        debounce_ticks: number of consecutive ticks with the fault after which the fault becomes active.
         relax_method: method of removing the torque if the action is RELAX.
         fault_places: kinds of parts that the fault can affect. The value is empty for a reported fault.
         name: name of the only instance, if the fault has the kind ``FAULT_PLACE_HAND``.
@@ -143,7 +143,7 @@ class Fault:
     cleared_by: str
     cause: str
     remedy: str
-    debounce: int = 1
+    debounce_ticks: int = 1
     relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP
     fault_places: tuple[str, ...] = ()
     name: str = ""
@@ -196,7 +196,7 @@ def declare_fault(
     *fault_places: str,
     cause: str,
     remedy: str,
-    debounce: int = 1,
+    debounce_ticks: int = 1,
     relax_method: RelaxMethod = RelaxMethod.TENSION_LOOP,
     name: str = "",
     reports: tuple[str, ...] = (),
@@ -220,7 +220,7 @@ def declare_fault(
         cleared_by,
         cause,
         remedy,
-        debounce,
+        debounce_ticks,
         relax_method,
         fault_places,
         name,

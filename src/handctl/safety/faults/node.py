@@ -210,13 +210,13 @@ declare_catalogue_row("N09", "over-temperature", odrive=f"{VISIBLE_FAULT}: reque
 FAULT_N09A = declare_fault(
     "N09a", "a drive is warm",
     "The temperature is above the soft limit, and the controller lowers the limit of the tension",
-    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR, debounce=HIGH_TEMPERATURE_TICKS,
+    SafetyAction.WARN, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR, debounce_ticks=HIGH_TEMPERATURE_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the hand rest, hold with less tension, or improve the cooling.",
 )  # fmt: skip
 FAULT_N09B = declare_fault(
     "N09b", "a drive is too hot", "The temperature is above the hard limit",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, debounce=HIGH_TEMPERATURE_TICKS,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_MOTOR, debounce_ticks=HIGH_TEMPERATURE_TICKS,
     cause="The hand holds a high tension for a long time, or the drive has too little cooling.",
     remedy="Let the drive cool down. Hold with less tension, or improve the cooling.",
 )  # fmt: skip
@@ -270,7 +270,7 @@ declare_catalogue_row("N13", "two nodes with one id", odrive=_EXCESS_REPLIES_TEX
     why="2 ticks if the second reply has different bytes, else two replies in three ticks in a row")  # fmt: skip
 FAULT_N13 = declare_fault(
     "N13", "two nodes with one identifier", "A node sends two replies to one request, in three ticks in a row",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, debounce=3, relax_method=RelaxMethod.OPEN_LOOP,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_NODE, debounce_ticks=3, relax_method=RelaxMethod.OPEN_LOOP,
     cause="Two nodes on the bus have the same identifier.",
     remedy="Connect the nodes one at a time, run handctl scan, and give each its own identifier.",
 )  # fmt: skip

@@ -103,7 +103,7 @@ declare_catalogue_row("T01", "snap", ticks=10, required=3,
 )  # fmt: skip
 FAULT_T01 = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce=2,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=2,
     cause="The tendon has torn, or its clamp has opened.",
     remedy="Inspect the tendon and its clamp, replace them, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -193,7 +193,7 @@ declare_catalogue_row("T06", "load cell saturated", ticks=4, required=4)
 FAULT_T06 = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_CELL_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
-    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce=SATURATED_CELL_TICKS,
+    SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON, debounce_ticks=SATURATED_CELL_TICKS,
     relax_method=RelaxMethod.FAST_TENSION_LOOP,
     makes_tension_unreliable=True, needs_load_cell=True,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",

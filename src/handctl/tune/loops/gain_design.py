@@ -283,7 +283,7 @@ def _positive_root(squared_value: float, expected_text: str) -> float:
 def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
     """Return the model with other gains of the motion loop and the tension loop, but with the same filter."""
     return replace(
-        model, gains=gains, motion=design_motion(model.tendon_constants, gains, model.period)
+        model, gains=gains, motion_design=design_motion(model.tendon_constants, gains, model.period)
     )
 
 

@@ -505,7 +505,7 @@ def _joint_gain(model: HandModel) -> Matrix:
     The value is 1 if joint encoders measure the excursion of the tendon.
     """
     is_joint_measured = [
-        bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks
+        bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter_design.blocks
     ]
     return np.where(is_joint_measured, 1.0, math.nan)
 
