@@ -149,10 +149,10 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
         )
         rows: list[TickRow] = []
         with simulator_settings.begin_run(controller) as run:
-            inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
+            inputs = run.state.tendon[[s.FILTER_INPUT_FORCE, s.PLANNED_TENSION_RATE]].T
             for entry, tick_output in run.run_ticks(trial.time_limit_s):
                 rows.append((entry, tick_output, inputs, run.state))
-                inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
+                inputs = run.state.tendon[[s.FILTER_INPUT_FORCE, s.PLANNED_TENSION_RATE]].T
         record = _trial_record(hand, controller, rows, read_truth(path), run.state)
     # A digit that hits something makes all results of a motion larger, and no other check sees it.
     if trial.scene == FREE_MOTION_SCENE and record.contact_force().any():

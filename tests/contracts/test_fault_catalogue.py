@@ -106,7 +106,7 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
         if row.accepted_faults[:1] == ("B11b",):  # second stage of the fault B11, after ten ticks
             assert row.max_ticks == 11
             continue
-        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_ms(500.0), row
+        assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_time_ms(500.0), row
         extra_ms_by_protocol = {
             p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
         }
@@ -114,7 +114,7 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
         for protocol in ("mit", "cia402"):
             assert row.max_ticks * 2.0 + row.max_extra_ms + extra_ms_by_protocol.get(
                 protocol, 0.0
-            ) <= entry.max_reaction_ms(500.0), row
+            ) <= entry.max_reaction_time_ms(500.0), row
 
 
 REQUIRED_TICKS = """\

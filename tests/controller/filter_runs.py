@@ -244,7 +244,7 @@ def state_after_first_readings(
     """
     controller_state = state_with_filter(model, state)
     controller_state.mode = HandMode.SILENT
-    controller_state.view("position")[...] = travel / model.tendon_constants.spool
+    controller_state.view("position")[...] = travel / model.tendon_constants.spool_radius
     controller_state.view("group_frames")[...] = with_load_cells
     tick_stages.observe_tick(
         controller_state.block, controller_state.layout.offsets, *stage_constants(model)

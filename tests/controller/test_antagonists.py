@@ -158,7 +158,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (
             calibration.zero(hand) - offset
-        ) * run.controller.model.tendon_constants.spool
+        ) * run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
         task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))

@@ -131,7 +131,7 @@ def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> No
     measured_calibration = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(measured_calibration.tare(model.hand), CELL_BIAS_N, atol=0.15)
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.tendon_constants.spool,
+        measured_calibration.zero(model.hand) * model.tendon_constants.spool_radius,
         TAUT_TRAVEL_M,
         atol=5e-6,
     )
@@ -322,7 +322,9 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
         measured_calibration.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
     )
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.tendon_constants.spool, 0.3e-3, atol=1e-5
+        measured_calibration.zero(model.hand) * model.tendon_constants.spool_radius,
+        0.3e-3,
+        atol=1e-5,
     )
 
 
@@ -384,7 +386,7 @@ def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: Contro
         np.array(
             [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
         )
-        / commissioning_bench.controller.model.tendon_constants.spool
+        / commissioning_bench.controller.model.tendon_constants.spool_radius
     )
     assert asked_names.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"

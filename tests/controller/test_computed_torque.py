@@ -134,7 +134,7 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
         _, hold_command = run_law_tick(
             model, law, estimate, holding_goals(model, tension), 2.0 + model.period
         )
-        force = (hold_command.torque - moved.torque) / model.tendon_constants.spool
+        force = (hold_command.torque - moved.torque) / model.tendon_constants.spool_radius
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
             "one step of the ramp, times the gain"
         )
@@ -172,8 +172,10 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
             holding_goals(model, 50.0, tension_limit=12.0),
             k * model.period,
         )
-        assert (np.abs(command.torque) <= 12.0 * model.tendon_constants.spool * (1 + 1e-12)).all()
-    np.testing.assert_allclose(command.torque, 12.0 * model.tendon_constants.spool)
+        assert (
+            np.abs(command.torque) <= 12.0 * model.tendon_constants.spool_radius * (1 + 1e-12)
+        ).all()
+    np.testing.assert_allclose(command.torque, 12.0 * model.tendon_constants.spool_radius)
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
@@ -201,7 +203,8 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
             model, law, slack_estimate, holding_goals(model, 3.0), k * model.period
         )
     assert (
-        command.torque / model.tendon_constants.spool > model.tendon_constants.coulomb + 2.0
+        command.torque / model.tendon_constants.spool_radius
+        > model.tendon_constants.coulomb_friction + 2.0
     ).all()
     _, command = run_law_tick(
         model,
@@ -264,7 +267,7 @@ class ClosedLoopPlant:
             goals,
             tick_index * model.period,
         )
-        force, dt = self.command.torque / space.spool, model.period / self.STEPS_PER_TICK
+        force, dt = self.command.torque / space.spool_radius, model.period / self.STEPS_PER_TICK
         sliding = self.tendon_states.copy()
         sliding[:, V] = 1.0
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
@@ -273,7 +276,7 @@ class ClosedLoopPlant:
         x, v, s, w = (self.tendon_states[:, state_column].copy() for state_column in (X, V, S, W))
         for _ in range(self.STEPS_PER_TICK):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
-            friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
+            friction = space.coulomb_friction * np.tanh(v / 2.5e-3) + space.motor_damping * v
             v += dt * (force - tension - friction) / space.motor_mass
             x += dt * v
             if self.digits_fixed:
@@ -311,13 +314,20 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
         law, command = run_law_tick(model, LawState.initial_law_state(n), estimate, goals, 0.0)
-        requested_force, v, friction_sum = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
+        requested_force, v, friction_sum = (
+            command.torque / space.spool_radius,
+            x[:, V].copy(),
+            np.zeros(n),
+        )
         for _ in range(steps):
-            friction = space.coulomb * np.tanh(v / 2.5e-3)
+            friction = space.coulomb_friction * np.tanh(v / 2.5e-3)
             v += dt * (requested_force - estimate.tension - friction) / space.motor_mass
             friction_sum += friction / steps
-        errors.append((law.force - (requested_force - friction_sum)) / space.coulomb)
-        naive.append((friction_sum - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
+        errors.append((law.force - (requested_force - friction_sum)) / space.coulomb_friction)
+        naive.append(
+            (friction_sum - space.coulomb_friction * np.tanh(x[:, V] / 2.5e-3))
+            / space.coulomb_friction
+        )
     assert np.abs(errors).max() < 0.5
     assert np.sqrt(np.mean(np.square(errors))) < 0.2
     assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(naive)))
@@ -411,9 +421,9 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     requested_force = model.floor + mass * (
         model.motion_design.stiffness * excursion + model.motion_design.damping * rate
     )
-    limit = model.torque_limit / model.tendon_constants.spool
+    limit = model.torque_limit / model.tendon_constants.spool_radius
     np.testing.assert_allclose(
-        command.torque / model.tendon_constants.spool,
+        command.torque / model.tendon_constants.spool_radius,
         np.clip(requested_force, -MAX_UNWINDING_FORCE_FRACTION * limit, limit),
     )
 

@@ -66,8 +66,8 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
             jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, tension_limits
         )
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
-    force = command.torque / jamia.tendon_constants.spool
-    assert (force <= tension_limits + jamia.tendon_constants.coulomb + 1e-9).all()
+    force = command.torque / jamia.tendon_constants.spool_radius
+    assert (force <= tension_limits + jamia.tendon_constants.coulomb_friction + 1e-9).all()
     assert force[1] > 30.0
     _, command = run_law_tick(
         jamia,
@@ -79,8 +79,8 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
     )
     assert command.tension[0] <= 9.0 + 1e-9
     assert (
-        command.torque / jamia.tendon_constants.spool
-        <= tension_limits + jamia.tendon_constants.coulomb + 1e-9
+        command.torque / jamia.tendon_constants.spool_radius
+        <= tension_limits + jamia.tendon_constants.coulomb_friction + 1e-9
     ).all()
 
 
@@ -125,7 +125,10 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
         events += warm_grasp.run_tick().events
     tension_after = warm_grasp.simulated_hand.truth()["tension"]
     assert min(tension_before) > 20.0
-    assert tension_after[0] < 14.0 + 2.0 * warm_grasp.controller.model.tendon_constants.coulomb[0]
+    assert (
+        tension_after[0]
+        < 14.0 + 2.0 * warm_grasp.controller.model.tendon_constants.coulomb_friction[0]
+    )
     assert min(tension_after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
     assert warm_grasp.last_output.mode == HandMode.ACTIVE

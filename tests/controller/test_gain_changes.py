@@ -243,8 +243,8 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     for state in (old_state, new_state):
         np.testing.assert_array_equal(tension_limits_of(old_controller.model, state), limit)
         assert (
-            state.view("torque") / jamia.tendon_constants.spool
-            <= limit + jamia.tendon_constants.coulomb + 1e-9
+            state.view("torque") / jamia.tendon_constants.spool_radius
+            <= limit + jamia.tendon_constants.coulomb_friction + 1e-9
         ).all()
 
 

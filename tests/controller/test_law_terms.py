@@ -38,7 +38,7 @@ def motor_force_of(
     state = LawState.idle_at_tensions(estimate.tension)
     return (
         run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
-        / model.tendon_constants.spool
+        / model.tendon_constants.spool_radius
     )
 
 
@@ -168,7 +168,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     state = LawState.idle_at_tensions(estimate.tension)
     force_before = (
         run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque
-        / model.tendon_constants.spool
+        / model.tendon_constants.spool_radius
     )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
@@ -178,7 +178,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         off = estimate._replace(**{name: getattr(estimate, name) + size})
         force_after = (
             run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque
-            / model.tendon_constants.spool
+            / model.tendon_constants.spool_radius
         )
         np.testing.assert_allclose(
             force_after - force_before, slope * size, rtol=1e-6, err_msg=name
@@ -203,7 +203,8 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
             trajectory.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
     needed = (
-        space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
+        space.coulomb_friction * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
+        + space.motor_mass * acceleration
     )
     needed += (model.motion_design.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
@@ -230,8 +231,8 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     slack_torque = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
     taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
     np.testing.assert_allclose(
-        (slack_torque - taut) / model.tendon_constants.spool,
-        model.tendon_constants.coulomb,
+        (slack_torque - taut) / model.tendon_constants.spool_radius,
+        model.tendon_constants.coulomb_friction,
         rtol=0.02,
     )
 

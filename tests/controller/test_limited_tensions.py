@@ -50,8 +50,10 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         hold_limits,
     )
     np.testing.assert_allclose(command.tension, expected_limit)
-    requested_force = command.torque / jamia.tendon_constants.spool
-    np.testing.assert_allclose(requested_force, expected_limit + jamia.tendon_constants.coulomb)
+    requested_force = command.torque / jamia.tendon_constants.spool_radius
+    np.testing.assert_allclose(
+        requested_force, expected_limit + jamia.tendon_constants.coulomb_friction
+    )
     np.testing.assert_allclose(law.setpoint, expected_limit)
     np.testing.assert_array_equal(law.held, hold_limits)
 
@@ -65,7 +67,7 @@ def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
         0.0,
     )
     np.testing.assert_allclose(command.tension, HIGH_TENSION_N)
-    assert (command.torque / jamia.tendon_constants.spool > HIGH_TENSION_N).all()
+    assert (command.torque / jamia.tendon_constants.spool_radius > HIGH_TENSION_N).all()
     assert law.held is None
 
 
@@ -89,10 +91,13 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
         None,
         np.full(n, 6.0),
     )[1]
-    assert (free.torque / jamia.tendon_constants.spool > 6.0 + jamia.tendon_constants.coulomb).all()
+    assert (
+        free.torque / jamia.tendon_constants.spool_radius
+        > 6.0 + jamia.tendon_constants.coulomb_friction
+    ).all()
     np.testing.assert_array_less(
-        limited_command.torque / jamia.tendon_constants.spool,
-        6.0 + jamia.tendon_constants.coulomb + 1e-9,
+        limited_command.torque / jamia.tendon_constants.spool_radius,
+        6.0 + jamia.tendon_constants.coulomb_friction + 1e-9,
     )
     np.testing.assert_allclose(limited_command.q, free.q)
     assert (np.abs(free.dq) > 0.1).all()
@@ -113,7 +118,9 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held_limit: bool) -> None:
     law, command = run_law_tick(
         jamia, state_with_trim, estimate_under_tension(jamia, 20.0), requested_force, 0.0
     )
-    np.testing.assert_allclose((command.torque - plain.torque) / jamia.tendon_constants.spool, 2.0)
+    np.testing.assert_allclose(
+        (command.torque - plain.torque) / jamia.tendon_constants.spool_radius, 2.0
+    )
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_DECAY_TIME_S), rtol=1e-3)
     state_with_small_trim = state_with_trim._replace(

@@ -194,7 +194,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 assert 0.0 < kp <= 1.0
                 assert 0.0 < kd <= 1.0
                 p, v = (
-                    run.state.view(name)[n] / model.tendon_constants.spool[n]
+                    run.state.view(name)[n] / model.tendon_constants.spool_radius[n]
                     for name in ("travel", "speed")
                 )
                 target = (
@@ -210,7 +210,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
-                margin = LIMIT_MARGIN_N * model.tendon_constants.spool[n]
+                margin = LIMIT_MARGIN_N * model.tendon_constants.spool_radius[n]
                 assert limit == pytest.approx(
                     min(abs(torque_of_law) + margin, motor.torque_max_N_m), rel=1e-6
                 )
@@ -229,7 +229,7 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
             for n in range(4):
                 decoded_command = decode_command(commands[n + 1], ranges)
                 p, v = (
-                    run.state.view(name)[n] / model.tendon_constants.spool[n]
+                    run.state.view(name)[n] / model.tendon_constants.spool_radius[n]
                     for name in ("travel", "speed")
                 )
                 predicted_position = p + run.controller.motor_zeros[n] + 0.5 * model.period * v
@@ -346,9 +346,11 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
             run.run_tick()
         motors: Any = run.simulated_hand.world.plant.motors  # type: ignore[attr-defined]
         has_position_loop = sent_stiffness(run) > 0.0
-        forces = np.abs(run.state.view("torque")) / run.controller.model.tendon_constants.spool
+        forces = (
+            np.abs(run.state.view("torque")) / run.controller.model.tendon_constants.spool_radius
+        )
         limit = forces + LIMIT_MARGIN_N * has_position_loop
-        sent = run.state.view("servo_limit") / run.controller.model.tendon_constants.spool
+        sent = run.state.view("servo_limit") / run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(sent[has_position_loop], limit[has_position_loop])
         assert has_position_loop.sum() >= 3, "only the blocked digit has a torque command"
         tension_at_loss = np.array(run.simulated_hand.truth()["tension"])
@@ -468,7 +470,8 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) 
         for _ in range(20):
             run.run_tick()
         limit = (
-            float(run.state.view("servo_limit")[1]) / run.controller.model.tendon_constants.spool[1]
+            float(run.state.view("servo_limit")[1])
+            / run.controller.model.tendon_constants.spool_radius[1]
         )
         run.state.view("servo_position")[1] += 2.0 * force_sign
         run.run_tick()
@@ -479,7 +482,7 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(force_sign: int) 
             limit
             < 0.5
             * run.controller.model.torque_limit[1]
-            / run.controller.model.tendon_constants.spool[1]
+            / run.controller.model.tendon_constants.spool_radius[1]
         )
 
 

@@ -181,7 +181,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
         travel_errors = (
             calibration.zero(hand) - offset
-        ) * run.controller.model.tendon_constants.spool - wound
+        ) * run.controller.model.tendon_constants.spool_radius - wound
         np.testing.assert_allclose(travel_errors, 0.0, atol=1e-4)
 
         run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)

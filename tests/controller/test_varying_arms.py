@@ -36,7 +36,7 @@ def _update_structure(
     constants: BlockArray,
     constant_places: TableOffsets,
 ) -> None:
-    varying_moment_arms.update_structure(
+    varying_moment_arms.update_moment_arm_tables(
         state_tables(block, state_places), constant_tables(constants, constant_places)
     )
 

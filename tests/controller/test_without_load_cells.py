@@ -180,7 +180,7 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (calibration.zero(hand) - offset) * model_of(
             *tendons_without_cells
-        ).tendon_constants.spool
+        ).tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 
 

@@ -107,7 +107,7 @@ def test_the_filter_counts_with_the_drive_s_encoder(
     tendons = collect_tendon_constants(
         hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
     )
-    np.testing.assert_allclose(tendons.encoder_step, expected_step_m * tendons.spool)
+    np.testing.assert_allclose(tendons.encoder_step, expected_step_m * tendons.spool_radius)
 
 
 REQUIRED_OPTIONS = {

@@ -198,5 +198,7 @@ class WiredDrives:
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
-        layout.table(block, "run")[[h.CELL_MIN, h.CELL_MAX], 0] = self.sensors.cell_range
+        layout.table(block, "run")[[h.MIN_CELL_RANGE, h.MAX_CELL_RANGE], 0] = (
+            self.sensors.cell_range
+        )
         return block, layout.offsets

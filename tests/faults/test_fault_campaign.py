@@ -527,7 +527,10 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
         space = simulation.controller.model.tendon_constants
         at = simulation.simulated_hand.truth()["tension"][0]
         v = (
-            abs(float(simulation.last_output.telemetry.motor_velocity[0]) * float(space.spool[0]))
+            abs(
+                float(simulation.last_output.telemetry.motor_velocity[0])
+                * float(space.spool_radius[0])
+            )
             + 0.01
         )
         row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")

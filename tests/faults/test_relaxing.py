@@ -66,7 +66,7 @@ class TrueTendonState(NamedTuple):
 
 def observe_instant(simulation: SimulatedRun) -> TrueTendonState:
     peer: Any = simulation.simulated_hand
-    spool = simulation.controller.model.tendon_constants.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
     ]
@@ -201,7 +201,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
             table, model = simulation.state.tendon, simulation.controller.model
             explained = (
                 np.maximum(table[s.TENSION], model.relaxed_tensions)
-                + model.tendon_constants.coulomb
+                + model.tendon_constants.coulomb_friction
             )
             assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
         if fault_command.startswith("cross"):

@@ -141,7 +141,7 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
-    assert row_with_reason.max_reaction_ms(200.0) == 35.0
+    assert row_with_reason.max_reaction_time_ms(200.0) == 35.0
 
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:

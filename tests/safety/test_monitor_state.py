@@ -17,8 +17,8 @@ from handctl.core.detectors.residuals import (
     EXCESS_FRICTION,
     MOTOR_FORCE,
     QUICK_FORCE,
+    RESIDUAL_TIME_CONSTANTS_S,
     TENSION,
-    TIME_CONSTANTS_S,
 )
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
@@ -641,7 +641,7 @@ def test_refused_goals_are_reported_in_their_tick():
 def test_thresholds_follow_from_the_hand():
     assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
     assert residuals.TORQUE_CONSTANT_TOLERANCE == 0.1
-    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
+    assert RESIDUAL_TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 
 
 def test_fast_residuals_start_at_the_first_reading():

@@ -222,7 +222,9 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
                 "measured_travel": TAUT_TENSION_N / SOFT_STIFFNESS,
             }
         )
-        call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+        call_interpreted(
+            tendon_slip.update_tendon_slip, monitor.state_tables, monitor.hand_tables, True
+        )
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
     apart = pulley_limit / DEG_PER_RAD * 0.02
@@ -254,6 +256,8 @@ def test_a_tendon_without_load_cell_and_torque_is_not_off_its_pulley(
             "tension": TAUT_TENSION_N,
         }
     )
-    call_interpreted(tendon_slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+    call_interpreted(
+        tendon_slip.update_tendon_slip, monitor.state_tables, monitor.hand_tables, True
+    )
     assert np.isnan(monitor.field_values("slip")[0]) != is_checked
     assert (monitor.field_values("taut_s")[0] == 0.0) != is_checked

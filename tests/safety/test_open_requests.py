@@ -6,7 +6,7 @@ A reply to such a request may be late. A reply without any request is a duplicat
 import pytest
 
 from handctl.core.detectors.outstanding_requests import (
-    MAX_REQUESTS,
+    MAX_OUTSTANDING_REQUESTS,
     add_requests,
     close_answered_requests,
 )
@@ -32,7 +32,7 @@ class OpenRequests(SyntheticMonitor):
         """Return the ticks of the requests to each motor that have no reply yet."""
         numbers, ticks = (
             self.view("open_questions"),
-            self.view("question").reshape(MAX_REQUESTS, -1),
+            self.view("question").reshape(MAX_OUTSTANDING_REQUESTS, -1),
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
@@ -87,10 +87,12 @@ def test_a_request_increases_the_number_of_outstanding_replies(
 
 def test_outstanding_requests_are_limited() -> None:
     questions = OpenRequests(((),))
-    for k in range(3 * MAX_REQUESTS):
+    for k in range(3 * MAX_OUTSTANDING_REQUESTS):
         questions.send_requests(k)
-        assert len(questions.outstanding[0]) == min(k + 1, MAX_REQUESTS)
-    assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
+        assert len(questions.outstanding[0]) == min(k + 1, MAX_OUTSTANDING_REQUESTS)
+    assert questions.outstanding[0] == tuple(
+        range(2 * MAX_OUTSTANDING_REQUESTS, 3 * MAX_OUTSTANDING_REQUESTS)
+    )
 
 
 @pytest.mark.parametrize(("open_request_ticks", "reply_counts", "outstanding_after_tick", "excess_motors"), [
@@ -119,7 +121,7 @@ def test_replies_match_requests_and_the_rest_is_excess(
     assert questions.field_values("surplus") == expected
 
 
-@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_REQUESTS - 1])
+@pytest.mark.parametrize("ticks_without_reply", [2, 3, MAX_OUTSTANDING_REQUESTS - 1])
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(
     ticks_without_reply: int,
 ) -> None:

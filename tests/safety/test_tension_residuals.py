@@ -16,8 +16,8 @@ from handctl.core.detectors.residuals import (
     COMMAND_DIFFERENCE,
     EXCESS_FRICTION,
     FULL_FRICTION_SPEED_M_S,
+    RESIDUAL_TIME_CONSTANTS_S,
     TENSION,
-    TIME_CONSTANTS_S,
 )
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import TORQUE_DIFFERENCE_LIMIT_N
@@ -297,7 +297,7 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(spool_speed):
     balance = (
         30.0 - 20.0 - MOTOR_DAMPING * spool_speed - COULOMB_FRICTION_N * np.tanh(spool_speed / 1e-3)
     )
-    filter_gain = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
+    filter_gain = -np.expm1(-PERIOD_S / RESIDUAL_TIME_CONSTANTS_S[BALANCE])
     assert rotor.filtered_residual(BALANCE) == pytest.approx(filter_gain * balance, rel=1e-12)
 
 

@@ -166,7 +166,7 @@ def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
     """
     if simulation.last_output is None:
         return [0.0] * simulation.controller.model.tendon_count
-    spool = simulation.controller.model.tendon_constants.spool
+    spool = simulation.controller.model.tendon_constants.spool_radius
     return [
         float(v)
         for v in np.nan_to_num(np.abs(simulation.last_output.telemetry.motor_velocity * spool))
@@ -297,7 +297,9 @@ class ReactionStart:
     def _motor_force(self, simulation: SimulatedRun) -> float:
         """Return the force of the scenario's motor at its tendon [N]."""
         torque = simulation.simulated_hand.truth()["torque"][self._tendon]
-        return float(torque / simulation.controller.model.tendon_constants.spool[self._tendon])
+        return float(
+            torque / simulation.controller.model.tendon_constants.spool_radius[self._tendon]
+        )
 
 
 def _observe_tick(

@@ -85,9 +85,9 @@ def apply_requests(
         if not is_routine_request(text):
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
-            operator_requests = replace(operator_requests, stop=True)
+            operator_requests = replace(operator_requests, is_stop_requested=True)
         elif isinstance(request, CutTorqueRequest):
-            operator_requests = replace(operator_requests, cut=True)
+            operator_requests = replace(operator_requests, is_cut_requested=True)
         elif isinstance(request, ArmRequest):
             state.arming_requested = True
         elif isinstance(request, ClearFaultsRequest):

@@ -55,8 +55,8 @@ RELEASE_DETECTION_TICKS = 2
 class OperatorRequests:
     """Stop and cut requests from the operator in a tick."""
 
-    stop: bool = False
-    cut: bool = False
+    is_stop_requested: bool = False
+    is_cut_requested: bool = False
 
 
 class ModeInputs(NamedTuple):
@@ -65,7 +65,7 @@ class ModeInputs(NamedTuple):
     Attributes:
         model: model of the hand.
         drives: drives of all motors.
-        elapsed: time since the present mode began [s].
+        time_in_mode: time since the present mode began [s].
         action: reaction that the safety monitor demands.
         operator_requests: stop and cut requests from the operator.
         other_host_signs: signs that a second controller uses the bus. Signs are frames that only a host
@@ -76,7 +76,7 @@ class ModeInputs(NamedTuple):
 
     model: HandModel
     drives: tuple[Drive, ...]
-    elapsed: float
+    time_in_mode: float
     action: SafetyAction
     operator_requests: OperatorRequests
     other_host_signs: tuple[str, ...]
@@ -91,7 +91,9 @@ class ModeInputs(NamedTuple):
     def has_no_mode_override(self) -> bool:
         """Return True if no safety reaction, operator request or other host determines the next mode."""
         return self.action < RELAX and not (
-            self.other_host_signs or self.operator_requests.stop or self.operator_requests.cut
+            self.other_host_signs
+            or self.operator_requests.is_stop_requested
+            or self.operator_requests.is_cut_requested
         )
 
 
@@ -200,11 +202,13 @@ def next_mode(
 def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
     makes_torque = state.mode in TORQUE_MODES
-    if makes_torque and (inputs.operator_requests.cut or inputs.action == SafetyAction.CUT):
+    if makes_torque and (
+        inputs.operator_requests.is_cut_requested or inputs.action == SafetyAction.CUT
+    ):
         return HandMode.CUT, _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.action == SafetyAction.RELAX:
         return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
-    if state.mode in _MODE_AFTER_STOP and inputs.operator_requests.stop:
+    if state.mode in _MODE_AFTER_STOP and inputs.operator_requests.is_stop_requested:
         return _MODE_AFTER_STOP[state.mode], ""
     return _next_mode_before_arming(state, inputs) if state.mode in MODES_BEFORE_ARMING else None
 
@@ -214,7 +218,7 @@ def _next_mode_before_arming(state: ControllerState, inputs: ModeInputs) -> Next
 
     Return None if the run continues.
     """
-    if inputs.operator_requests.stop or inputs.operator_requests.cut:
+    if inputs.operator_requests.is_stop_requested or inputs.operator_requests.is_cut_requested:
         return HandMode.DONE, ""
     if inputs.other_host_signs:
         return (
@@ -244,7 +248,9 @@ def _latched_faults(state: ControllerState) -> str:
 
 
 def _next_mode_after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.INVENTORY if inputs.elapsed >= LISTENING_DURATION_S else HandMode.SILENT), ""
+    return (
+        HandMode.INVENTORY if inputs.time_in_mode >= LISTENING_DURATION_S else HandMode.SILENT
+    ), ""
 
 
 def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -256,7 +262,7 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
     ]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return HandMode.DONE, "; ".join(wrong_amplifiers)
-    if wrong_drives and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
+    if wrong_drives and not (state.clearing and inputs.time_in_mode < INVENTORY_TIMEOUT_S):
         return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ERRORS_ADVICE
     is_group_missing = not state.view("group_frames").all()
     if (
@@ -265,7 +271,7 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
         and not is_group_missing
     ):
         return HandMode.READY, ""
-    if inputs.elapsed < INVENTORY_TIMEOUT_S:
+    if inputs.time_in_mode < INVENTORY_TIMEOUT_S:
         return HandMode.INVENTORY, ""
     unready_drives = [
         (name, drive) for name, drive in named_drives if drive.phase != DrivePhase.READY
@@ -338,7 +344,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
         )
     return (
         HandMode.ARMING
-        if state.arming_requested and inputs.elapsed >= READY_DURATION_S
+        if state.arming_requested and inputs.time_in_mode >= READY_DURATION_S
         else HandMode.READY
     ), ""
 
@@ -369,7 +375,7 @@ def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
 def _next_mode_after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
     if all(phase == DrivePhase.ENABLED for phase in state.drive_phases):
         return HandMode.ACTIVE, ""
-    if inputs.elapsed < ARMING_TIMEOUT_S:
+    if inputs.time_in_mode < ARMING_TIMEOUT_S:
         return HandMode.ARMING, ""
     late_names = [
         name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
@@ -388,7 +394,7 @@ def _next_mode_after_relax(state: ControllerState, inputs: ModeInputs) -> NextMo
         inputs.model, state
     )
     return (
-        HandMode.DISARM if is_relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX
+        HandMode.DISARM if is_relaxed or inputs.time_in_mode >= RELAX_TIMEOUT_S else HandMode.RELAX
     ), ""
 
 
@@ -405,13 +411,13 @@ def _next_mode_after_disarm(state: ControllerState, inputs: ModeInputs) -> NextM
         ticks_without_torque = state.run_table_integer(s.TICKS_SINCE_CUT) - RELEASE_DETECTION_TICKS
         is_checked = ticks_without_torque * inputs.model.period >= PULL_AFTER_CUT_TIME_S
         return (HandMode.DONE if is_checked else HandMode.DISARM), ""
-    if inputs.elapsed < DISARM_TIMEOUT_S:
+    if inputs.time_in_mode < DISARM_TIMEOUT_S:
         return HandMode.DISARM, ""
     return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
 def _next_mode_after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.DISARM if inputs.elapsed >= TORQUE_CUT_DURATION_S else HandMode.CUT), ""
+    return (HandMode.DISARM if inputs.time_in_mode >= TORQUE_CUT_DURATION_S else HandMode.CUT), ""
 
 
 def _next_mode_after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:

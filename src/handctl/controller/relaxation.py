@@ -60,10 +60,12 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     present_tensions = (
         np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + SETPOINT_MARGIN_N
     )
-    setpoint = sign * table[s.SETPOINT]
+    setpoint = sign * table[s.TENSION_SETPOINT]
     # A digit that follows a position goal has no tension setpoint.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present_tensions), setpoint)
-    start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
+    start = np.minimum(
+        setpoint, np.maximum(sign * table[s.FILTER_INPUT_FORCE], 0.0) + START_MARGIN_N
+    )
     goals = tuple(
         DigitGoal(
             GoalKind.TENSION,
@@ -73,7 +75,7 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
-    table[s.SETPOINT] = sign * start
+    table[s.TENSION_SETPOINT] = sign * start
     # COMMANDED_FORCE is the commanded motor force. The envelope starts from this force in the next
     # tick.
     explained_force = present_tensions
@@ -117,7 +119,7 @@ def _envelope_start(
     """
     commanded_force = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
     return sign * np.minimum(
-        sign * commanded_force, plausible_tension + model.tendon_constants.coulomb
+        sign * commanded_force, plausible_tension + model.tendon_constants.coulomb_friction
     )
 
 

@@ -48,7 +48,7 @@ def present_references(model: HandModel, state: ControllerState) -> tuple[Vector
 
 def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present tension setpoints of each digit [N]."""
-    return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
+    return tuple(state.tendon[s.TENSION_SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
 def open_stream(model: HandModel, state: ControllerState, request: OpenStreamRequest) -> TickEvent:
@@ -201,7 +201,7 @@ def _begin_tension_ramp(
 
     Arguments: see ``_begin_segment``.
     """
-    setpoint = state.tendon[s.SETPOINT]
+    setpoint = state.tendon[s.TENSION_SETPOINT]
     goal_tensions = target_tensions(model, stream, target_values, setpoint, state.estimate.q)
     limited_tensions = np.clip(goal_tensions, model.floor, model.ceiling)
     goal_tension = np.minimum(
@@ -215,7 +215,7 @@ def _begin_tension_ramp(
     for d in streamed_digits(model, stream):
         tendons = model.digit_tendons[d]
         state.tendon[s.TENSION_TARGET, tendons] = goal_tension[tendons]
-        state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(
+        state.tendon[s.TENSION_SETPOINT_STEP, tendons] = np.minimum(
             np.abs(goal_tension - setpoint)[tendons] / ticks, step
         )
     is_streamed = np.array([name in stream.names for name in model.hand.tendon_names])
@@ -294,7 +294,7 @@ def stream_status(state: ControllerState) -> StreamStatus:
         return _EMPTY_STREAM_STATUS
     is_running = state.run_table_integer(s.STREAM_STATE) == s.RUNNING_STREAM
     age_s = (
-        (state.run_table_integer(s.T_NS) - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
+        (state.run_table_integer(s.TICK_TIME_NS) - state.run_table_integer(s.STREAM_SENT_NS)) / 1e9
         if is_running
         else math.nan
     )

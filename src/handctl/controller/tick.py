@@ -390,7 +390,7 @@ class Controller:
         second_controller_signs = self._receive_frames(
             state,
             frames,
-            self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.T_NS)),
+            self.sensors.earliest_answer_time_ns(last_state.run_table_integer(s.TICK_TIME_NS)),
         )
         tick_stages.observe_tick(block, places, *self.derived_constants.kernel_constants)
         tick_stages.correct_tension_estimate(
@@ -496,7 +496,7 @@ class Controller:
         """
         drive_state_before = state.decisions.drives[n]
         drive = self.drives[n]
-        tick_stages.store_drive(
+        tick_stages.store_drive_values(
             state.block, self.derived_constants.layout.offsets, n, *drive_state[1:7], *drive_state.recheck,
             int(drive_state.phase), drive_state.error,
             int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
@@ -688,7 +688,7 @@ class Controller:
             other_controller._compute_torques(state_before_torques, action, ticks)
             step = (
                 state.tendon[s.COMMANDED_TORQUE] - state_before_torques.tendon[s.COMMANDED_TORQUE]
-            ) / self.model.tendon_constants.spool
+            ) / self.model.tendon_constants.spool_radius
             state.tendon[s.TRIM_FORCE] += step
             state.set_run_table_integer(s.TRIM_ACTIVE, 1)
         state.decide(gains=pending_gains.gains, pending_gains=None)

@@ -52,10 +52,10 @@ DIGIT_OF_TENDON = _integer_field("digit", "tendon", "", "index of the tendon's d
 CLOSING_SIGN = _real_field("side", "tendon", "",
     "1 for a tendon that closes its digit, -1 for one that opens it")  # fmt: skip
 OPEN_EXCURSION = _real_field("open_excursion", "tendon", "m", "excursion at the lower joint limits")
-EXCURSION_LOW = _real_field(
+MIN_EXCURSION = _real_field(
     "excursion_low", "tendon", "m", "smallest excursion within the joint limits"
 )
-EXCURSION_HIGH = _real_field(
+MAX_EXCURSION = _real_field(
     "excursion_high", "tendon", "m", "largest excursion within the joint limits"
 )
 MARGIN_WITHOUT_CELL = _real_field("blind", "tendon", "N",
@@ -76,8 +76,8 @@ HAS_CONSTANT_LENGTH = _integer_field("absolute", "tendon", "",
     "1 if the tendon keeps its length when it becomes taut, so that its excursion follows")  # fmt: skip
 
 # Control law.
-FORCE_MAX = _real_field("limit", "tendon", "N", "largest motor force")
-FORCE_MIN = _real_field("unwind", "tendon", "N", "smallest motor force")
+MAX_MOTOR_FORCE = _real_field("limit", "tendon", "N", "largest motor force")
+MIN_MOTOR_FORCE = _real_field("unwind", "tendon", "N", "smallest motor force")
 FEEDBACK_MASS = _real_field("mass", "tendon", "kg", "mass that the feedback accelerates")
 FEEDFORWARD_MASS = _real_field("inertia", "tendon", "kg",
     "mass for which the trajectory's acceleration is fed forward")  # fmt: skip
@@ -144,8 +144,8 @@ PARENT_JOINT = _integer_field("parent", "joint", "",
     "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
 JOINT_SCALE = _real_field("joint_scale", "joint", "rad/rad or m/rad",
     "motion that counts like 1 rad in thresholds: 1, less for a prismatic joint", initial=1.0)  # fmt: skip
-JOINT_MIN = _real_field("low", "joint", "rad", "smallest joint angle")
-JOINT_MAX = _real_field("high", "joint", "rad", "largest joint angle")
+MIN_JOINT_ANGLE = _real_field("low", "joint", "rad", "smallest joint angle")
+MAX_JOINT_ANGLE = _real_field("high", "joint", "rad", "largest joint angle")
 ANGLE_RANGE_SIGMA = _real_field("range_sigma", "joint", "rad",
     "standard deviation of an angle of which only the range is known")  # fmt: skip
 ENCODER_VARIANCE = _real_field("encoder_variance", "joint", "rad2",
@@ -180,7 +180,7 @@ TORQUE_TO_TENSION = _real_field("torque_to_tension", "tendon*joint", "1/m",
     "smallest tensions per joint torque")  # fmt: skip
 PULLEY_WEIGHTS = _real_field("pulley_weight", "tendon*joint", "",
     "moment arm at a pulley, as a fraction of the sum over all pulleys of the tendon")  # fmt: skip
-COUPLING = _real_field("coupling", "joint*coordinate", "", "joint angles per coordinate")
+JOINT_COUPLING = _real_field("coupling", "joint*coordinate", "", "joint angles per coordinate")
 REDUCED_ARMS = _real_field(
     "reduced_arms", "tendon*coordinate", "m", "moment arms about the coordinates"
 )
@@ -304,11 +304,11 @@ DERATING_END_TEMPERATURE = _real_field("temperature_hard", "run", "degC",
     "drive temperature at which the tension limit has fallen to the floor")  # fmt: skip
 CELL_SATURATION = _real_field("tension_rail", "run", "N",
     "tared reading from which a load cell counts as saturated")  # fmt: skip
-TENSION_LOW = _real_field("tension_low", "run", "N",
+MIN_CELL_READING = _real_field("tension_low", "run", "N",
     "reading, after any tare, below which no tension can be")  # fmt: skip
-CELL_MIN = _real_field("cell_low", "run", "N",
+MIN_CELL_RANGE = _real_field("cell_low", "run", "N",
     "reading before the tare at the lower end of a load cell's range")  # fmt: skip
-CELL_MAX = _real_field("cell_high", "run", "N",
+MAX_CELL_RANGE = _real_field("cell_high", "run", "N",
     "reading before the tare at the upper end of a load cell's range")  # fmt: skip
 CYCLIC_FEEDBACK_PERIOD_NS = _integer_field("cyclic_ns", "tendon", "ns",
     "period of feedback that the drive sends by itself; 0 if every tick requests feedback")  # fmt: skip

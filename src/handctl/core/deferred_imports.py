@@ -3,7 +3,7 @@
 Modules of these packages that handctl does not use are not imported. The import of ``scipy.stats``,
 ``scipy.ndimage`` and the plots of control takes longer than the import of all other modules of a
 run. Half of the import time of ``scipy.linalg`` is spent on modules for Fortran compilers and for
-tests. Each module in ``UNUSED_MODULES`` is replaced by a stand-in object. The stand-in imports the
+tests. Each module in ``DEFERRED_MODULES`` is replaced by a stand-in object. The stand-in imports the
 real module when one of the module's functions is used for the first time.
 """
 
@@ -15,7 +15,7 @@ from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
-UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
+DEFERRED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 """Modules that filterpy or scipy import, for functions that handctl does not call."""
 
 
@@ -64,11 +64,11 @@ class _StandInModule(ModuleType):
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Replace the modules in ``UNUSED_MODULES`` by stand-ins, for the duration of a ``with`` block.
+    """Replace the modules in ``DEFERRED_MODULES`` by stand-ins, for the duration of a ``with`` block.
 
     Each stand-in also becomes an attribute of the package that contains its module.
     """
-    module_names = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
+    module_names = [name.rpartition(".") for name in DEFERRED_MODULES if name not in sys.modules]
     packages_and_modules = [
         (importlib.import_module(package), module_name) for package, _, module_name in module_names
     ]

@@ -20,7 +20,7 @@ from handctl.core.control_law.computed_torque import (
 )
 from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
 from handctl.core.deferred_imports import DeferredModule
-from handctl.core.detectors.residuals import TIME_CONSTANTS_S
+from handctl.core.detectors.residuals import RESIDUAL_TIME_CONSTANTS_S
 from handctl.core.estimation import blocked_digits, contact_force, posture
 from handctl.core.estimation.filter_types import FilterBlock
 from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
@@ -90,11 +90,11 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
     return {
         "motor_mass": tendons.motor_mass,
         "motor_damping": tendons.motor_damping,
-        "coulomb": tendons.coulomb,
+        "coulomb": tendons.coulomb_friction,
         "stiffness": tendons.stiffness,
         "load_stiffness": tendons.load_stiffness,
         "load_damping": tendons.load_damping,
-        "spool": tendons.spool,
+        "spool": tendons.spool_radius,
         "capstan": model.friction_coefficient,
         "wrap": model.wrap_angle,
         "floor": model.floor,
@@ -133,7 +133,7 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
     tendons = model.tendon_constants
     motion = model.gains.motion
     tension = model.gains.tension
-    limit = model.torque_limit / tendons.spool
+    limit = model.torque_limit / tendons.spool_radius
     half_period_gain = 0.5 * model.period / tendons.motor_mass
     return {
         "limit": limit,
@@ -145,7 +145,7 @@ def _control_law_constants(model: HandModel) -> dict[str, object]:
         "tension_gain": model.motion_design.tension,
         "tension_speed_gain": model.motion_design.tension_speed,
         "half": half_period_gain,
-        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * tendons.coulomb,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half_period_gain * tendons.coulomb_friction,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -170,7 +170,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     """
     tendons = model.tendon_constants
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
-    inertia = (tendons.motor_mass + tendons.load_mass) * tendons.spool**2
+    inertia = (tendons.motor_mass + tendons.load_mass) * tendons.spool_radius**2
     stiffness = inertia * model.motion_design.stiffness
     damping = inertia * model.motion_design.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
@@ -332,10 +332,10 @@ def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: flo
 
     In an update, a residual moves by this fraction of its distance to the input.
     """
-    sample_periods = np.full((len(TIME_CONSTANTS_S), model.tendon_count), model.period)
+    sample_periods = np.full((len(RESIDUAL_TIME_CONSTANTS_S), model.tendon_count), model.period)
     sample_periods[2] = motor_period  # row COMMAND_DIFFERENCE
     sample_periods[5] = joint_period  # row SLIP
-    return np.asarray(1.0 - np.exp(-sample_periods / np.array(TIME_CONSTANTS_S)[:, None]))
+    return np.asarray(1.0 - np.exp(-sample_periods / np.array(RESIDUAL_TIME_CONSTANTS_S)[:, None]))
 
 
 assert h.CELL_ERROR_OBSERVABLE_OFFSET == FILTER_DESIGN_SIZE - 1

@@ -60,7 +60,7 @@ CELL_ERROR = _real_field("cell_error", "tendon", "N",
     "load-cell error, as estimated when the tendon was last slack")  # fmt: skip
 STRETCH_OFFSET = _real_field("stretch_offset", "tendon", "m",
     "travel less excursion at which the stretch begins")  # fmt: skip
-FILTER_FORCE = _real_field("force", "tendon", "N",
+FILTER_INPUT_FORCE = _real_field("force", "tendon", "N",
     "commanded motor force less motor friction: first input of the filter")  # fmt: skip
 PLANNED_TENSION_RATE = _real_field("rate", "tendon", "N/s",
     "planned rate of the tension: second input of the filter")  # fmt: skip
@@ -70,9 +70,9 @@ CELL_INNOVATION_SIGMAS = _real_field("surprise", "tendon", "",
     "last load-cell innovation in standard deviations; 0 without a reading")  # fmt: skip
 NIS_MEAN = _real_field("nis_mean", "tendon", "",
     "normalised innovation squared, averaged over 1 s", initial=2.0)  # fmt: skip
-NIS_FAST = _real_field("nis_lately", "tendon", "", initial=2.0,
+RECENT_NIS_MEAN = _real_field("nis_lately", "tendon", "", initial=2.0,
     meaning="normalised innovation squared of the model without added noise, averaged over 0.25 s")  # fmt: skip
-ADDED_NOISE_S = _real_field(
+ADDED_NOISE_TIME_S = _real_field(
     "wary", "tendon", "s", "time for which the filter still adds process noise"
 )
 REGIME = _integer_field(
@@ -204,7 +204,7 @@ TRAJECTORY = _real_field("way", "coordinate", "rad, /s, /s2",
     "position, rate and acceleration on the trajectory", rows=3)  # fmt: skip
 TENSION_TARGET = _real_field("target", "tendon", "N",
     "tension that the setpoint of the tension loop approaches")  # fmt: skip
-SETPOINT_STEP = _real_field("target_step", "tendon", "N",
+TENSION_SETPOINT_STEP = _real_field("target_step", "tendon", "N",
     "largest change of the tension setpoint in a tick")  # fmt: skip
 FORCE_LIMIT = _real_field("force_limit", "tendon", "N", "largest motor force that the goal allows")
 STIFFNESS_FRACTION = _real_field("stiffness_fraction", "tendon", "",
@@ -248,7 +248,7 @@ LIMITED_COORDINATE_COUNT = _integer_field("stream_limited", "run", "",
     "number of coordinates that speed or acceleration limits hold back in this tick")  # fmt: skip
 
 # Control law.
-SETPOINT = _real_field("setpoint", "tendon", "N", "present setpoint of the tension loop")
+TENSION_SETPOINT = _real_field("setpoint", "tendon", "N", "present setpoint of the tension loop")
 REQUIRED_TENSION = _real_field("load", "tendon", "N",
     "tension at the joints that the trajectory requires")  # fmt: skip
 REQUIRED_JOINT_TORQUE = _real_field("joint_required", "joint", "N m",
@@ -403,26 +403,26 @@ STUCK_TEST_POSITION = _real_field("motor_value", "tendon", "m", initial=NAN,
     meaning="last reading of the motor encoder along the tendon, for the stuck test")  # fmt: skip
 REFERENCE_AT_LAST_MOTOR_CHANGE = _real_field("motor_anchor", "tendon", "m, N", rows=2, initial=NAN,
     meaning="goal and tension when the reading of the motor encoder last changed")  # fmt: skip
-MOTOR_STUCK = _integer_field("motor_stuck", "tendon", "",
+MOTOR_UNCHANGED_COUNT = _integer_field("motor_stuck", "tendon", "",
     "number of readings since the motor encoder's reading last changed")  # fmt: skip
 STUCK_TEST_TENSION = _real_field("cell_value", "tendon", "N",
     "last load-cell reading, for the stuck test", initial=NAN)  # fmt: skip
 FORCE_RANGE_SINCE_CELL_CHANGE = _real_field("cell_anchor", "tendon", "N", rows=2, initial=NAN,
     meaning="smallest and largest motor force since the load-cell reading last changed")  # fmt: skip
-CELL_STUCK = _integer_field("cell_stuck", "tendon", "",
+CELL_UNCHANGED_COUNT = _integer_field("cell_stuck", "tendon", "",
     "number of readings since the load-cell reading last changed")  # fmt: skip
 STUCK_TEST_ANGLE = _real_field("joint_value", "joint", "rad",
     "last reading of the joint encoder, for the stuck test", initial=NAN)  # fmt: skip
 ANGLE_AT_LAST_JOINT_CHANGE = _real_field("joint_anchor", "joint", "rad",
     "joint angle by the spools when the joint reading last changed", initial=NAN)  # fmt: skip
-JOINT_STUCK = _integer_field("joint_stuck", "joint", "",
+JOINT_UNCHANGED_COUNT = _integer_field("joint_stuck", "joint", "",
     "number of readings since the joint encoder's reading last changed")  # fmt: skip
 TAUT_TIME_S = _real_field("taut_s", "tendon", "s", "time for which the tendon has been taut")
 IS_TAUT = _integer_field("bears", "tendon", "",
     "1 if taut by the filtered tension, so that spool and joints move together")  # fmt: skip
 SLIP_REFERENCE = _real_field("slip_from", "tendon", "m", initial=NAN,
     meaning="travel less stretch and joint excursion, measured when the tendon became taut")  # fmt: skip
-SLIP = _real_field("slip", "tendon", "deg", initial=NAN,
+TENDON_SLIP = _real_field("slip", "tendon", "deg", initial=NAN,
     meaning="spool against joint encoders since the tendon became taut, as mean joint angle")  # fmt: skip
 DERAILED_READINGS = _real_field("derailed", "tendon", "",
     "number of readings in a row with more slip than any stretch explains")  # fmt: skip
@@ -491,7 +491,7 @@ FAULT_TICKS = _integer_field("fault_ticks", "instance", "",
     "number of ticks in a row in which each fault is present", rows=64)  # fmt: skip
 
 # Facts of this tick that the fault detectors judge.
-T_NS = _integer_field("t_ns", "run", "ns", "time of the tick")
+TICK_TIME_NS = _integer_field("t_ns", "run", "ns", "time of the tick")
 TICK_DELAY_NS = _integer_field("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _integer_field("missed", "run", "", "number of ticks skipped before this tick")
 RECEIVED_FRAMES = _integer_field("frames", "run", "", "number of frames received in this tick")

@@ -70,7 +70,7 @@ def begin_tick(
     """
     x = state_tables(block, at)
     x.run_int[s.K] = k
-    x.run_int[s.T_NS] = t_ns
+    x.run_int[s.TICK_TIME_NS] = t_ns
     x.run_int[s.TICK_DELAY_NS] = lateness_ns
     x.run_int[s.MISSED_TICKS] = missed_ticks
     x.run_int[s.RECEIVED_FRAMES] = frames
@@ -88,7 +88,7 @@ def begin_tick(
 
 
 @kernel("block", "layout", "count", "real", "real", "real", "real", *("count",) * 11)
-def store_drive(
+def store_drive_values(
     block: BlockArray,
     at: TableOffsets,
     n: int,
@@ -175,7 +175,7 @@ def correct_tension_estimate(
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        varying_moment_arms.update_structure(x, c)
+        varying_moment_arms.update_moment_arm_tables(x, c)
     if x.run_int[s.FILTER_STARTED]:
         kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
@@ -193,7 +193,7 @@ def conclude_estimate(
     x = state_tables(block, at)
     c = constant_tables(constants, constant_offsets)
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
-        varying_moment_arms.update_structure(x, c)
+        varying_moment_arms.update_moment_arm_tables(x, c)
     kalman.derive_estimate(x, c)
     if x.run_int[s.HAND_MODE] == ACTIVE_MODE or x.run_int[s.HAND_MODE] == RELAX_MODE:
         blocked_digits.update_blocked_digits(x, c)
@@ -202,7 +202,7 @@ def conclude_estimate(
     for j in range(x.joint.shape[1]):
         x.joint[s.Q_SIGMA, j] = math.nan
     if x.run_int[s.FILTER_STARTED]:
-        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
+        posture.estimate_joint_angles(x, c, x.run_int[s.K], x.run_int[s.TICK_TIME_NS])
     contact_force.update_tip_forces(x, c)
     contact_force.update_grip_travel(x, c)
     return outstanding_requests.close_answered_requests(x, c)
@@ -316,7 +316,7 @@ def store_commands(
     for d in range(x.digit.shape[1]):
         has_contact = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.IS_BLOCKED, d] == 1
         x.digit[s.IS_IN_CONTACT, d] = 1.0 if has_contact else 0.0
-    now_ns = x.run_int[s.T_NS]
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for n in range(x.tendon.shape[1]):
         last_frame_ns = x.tendon_int[s.FEEDBACK_RECEIVED_NS, n]
         x.tendon[s.MOTOR_AGE, n] = (

@@ -42,7 +42,7 @@ from handctl.programs.stream_plans import target_horizon_s
 from handctl.session.run_plan import check_hand_ready, default_control_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
-RATE_HZ = 50.0
+ACTION_RATE_HZ = 50.0
 """Desired rate of the actions of an environment [Hz].
 
 The actual rate is the nearest rate whose period is a whole number of ticks.
@@ -83,7 +83,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     has_tensions: ClassVar = False
     """True if an action contains a tension for each digit, after its targets."""
     metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": ["rgb_array"], "render_fps": round(RATE_HZ)
+        "render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)
     }  # fmt: skip
 
     def __init__(
@@ -136,7 +136,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.names = self.hand.joints if space == "joint" else self.hand.digit_names
         self.low_deg, self.high_deg = _target_range_deg(self.model, space)
         rate = 1.0 / self.model.period
-        self.ticks = max(1, round(rate / RATE_HZ))
+        self.ticks = max(1, round(rate / ACTION_RATE_HZ))
         self.step_s = self.ticks * self.model.period
         self.max_steps = max(1, round(duration_s / self.step_s))
         self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)

@@ -25,12 +25,12 @@ class ObservationPart(NamedTuple):
 
     Attributes:
         name: name of the part with the unit, as in ``handctl.client.Observation``.
-        axis: name of each value of the part, e.g. the names of the joints.
+        value_names: name of each value of the part, e.g. the names of the joints.
         low, high: bounds of every value of the part.
     """
 
     name: str
-    axis: tuple[str, ...]
+    value_names: tuple[str, ...]
     low: float
     high: float
 
@@ -48,8 +48,8 @@ class ObservationLayout:
     def __init__(self, parts: Sequence[ObservationPart]) -> None:
         """Place the values of the parts in the vector, one part after the other."""
         self.parts = tuple(parts)
-        self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.axis])
-        sizes = [len(part.axis) for part in parts]
+        self.names = tuple([f"{part.name}[{name}]" for part in parts for name in part.value_names])
+        sizes = [len(part.value_names) for part in parts]
         low = np.repeat(np.array([part.low for part in parts], np.float32), sizes)
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)

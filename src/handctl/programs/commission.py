@@ -294,7 +294,7 @@ class CommissionProgram:
             stretch = tension[own_tendons] / model.tendon_constants.stiffness[own_tendons]
             table[own_tendons, ZERO_COLUMN] += (
                 measurements.travel[own_tendons] - stretch - excursion
-            ) / model.tendon_constants.spool[own_tendons]
+            ) / model.tendon_constants.spool_radius[own_tendons]
         progress = replace(
             _with_commissioning_table(progress, table),
             touching=(waiting_tendon + 1, *progress.touching[1:]),
@@ -349,7 +349,7 @@ class CommissionProgram:
         if model.redundancy.has_return_springs[i]:
             # The motor angle [rad] is the travel of the tendon [m] divided by the radius of the
             # spool.
-            table[i, ZERO_COLUMN] += measurements.travel[i] / model.tendon_constants.spool[i]
+            table[i, ZERO_COLUMN] += measurements.travel[i] / model.tendon_constants.spool_radius[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASUREMENT_DURATION_S:
             other_encoder = _encoder_that_turned(model, table, i, measurements.travel)
@@ -557,11 +557,13 @@ def _table_with_results(model: HandModel, table: Vector, i: int, samples: int) -
     if model.redundancy.has_return_springs[i]:
         # The pull stretches the tendon. So the motor turns beyond the position at which the tendon
         # becomes taut.
-        stretch = rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool[i]
+        stretch = (
+            rise[i] / model.tendon_constants.stiffness[i] / model.tendon_constants.spool_radius[i]
+        )
         table[i, ZERO_COLUMN] = (
             table[i, ZERO_COLUMN] / samples
             - stretch
-            - model.redundancy.excursion_at_lower_limits[i] / model.tendon_constants.spool[i]
+            - model.redundancy.excursion_at_lower_limits[i] / model.tendon_constants.spool_radius[i]
         )
     table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)

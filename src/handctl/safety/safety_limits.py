@@ -84,6 +84,6 @@ class SafetyLimits:
     max_position_noise: float = math.inf
 
     @property
-    def nodes(self) -> tuple[str, ...]:
+    def node_names(self) -> tuple[str, ...]:
         """Return the names of all nodes: the motors, followed by one name for the load cells."""
         return (*self.motors, LOAD_CELLS)

@@ -160,7 +160,7 @@ def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int)
         FAULT_PLACE_TENDON: limits.tendons,
         FAULT_PLACE_MOTOR: limits.motors,
         FAULT_PLACE_JOINT: limits.joints,
-        FAULT_PLACE_NODE: limits.nodes,
+        FAULT_PLACE_NODE: limits.node_names,
     }
     return names[fault_place][i] if fault_place in names else fault.name
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.gain_bounds import LIVE_SECTIONS, changed_gain_values, values_by_key
+from handctl.core.gains.gain_bounds import LIVE_GAIN_SECTIONS, changed_gain_values, values_by_key
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import HandMode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -246,7 +246,7 @@ class VerifyObserver:
         values = {
             key: value
             for key, value in value_by_key.items()
-            if key.partition(".")[0] in LIVE_SECTIONS
+            if key.partition(".")[0] in LIVE_GAIN_SECTIONS
         }
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 

@@ -10,7 +10,7 @@ from handctl.core.tick_types import Vector
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import SignalCoding, SignalQuantity
-from handctl.safety.faults.node import NOISE_FACTOR
+from handctl.safety.faults.node import POSITION_NOISE_FACTOR
 from handctl.safety.safety_limits import (
     MAX_SILENCE_S,
     MAX_STALL_S,
@@ -95,7 +95,7 @@ def compiled_constants(
         "joint_period": joint_period,
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
-        "torque_step": [torque_resolution(drive) for drive in drives] / model.tendon_constants.spool,
+        "torque_step": [torque_resolution(drive) for drive in drives] / model.tendon_constants.spool_radius,
         **servo_resolutions(model, drives),
         "noise_limit": limits.max_position_noise,
         "temperature_soft": limits.temperature_soft,
@@ -149,7 +149,9 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
             if signal.quantity in inputs:
                 # A floating-point number has finer steps than the encoder that measures the
                 # position.
-                encoder = model.tendon_constants.encoder_step[n] / model.tendon_constants.spool[n]
+                encoder = (
+                    model.tendon_constants.encoder_step[n] / model.tendon_constants.spool_radius[n]
+                )
                 step = (
                     max(signal.step, encoder)
                     if signal.quantity == SignalQuantity.POSITION
@@ -162,7 +164,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
         "servo_moves": [drive.cyclic_messages.moves_commanded_position for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],
-        "servo_rounding": torque / model.tendon_constants.spool,
+        "servo_rounding": torque / model.tendon_constants.spool_radius,
     }
 
 
@@ -209,11 +211,13 @@ def _noise_limit(model: HandModel) -> float:
     # radius is a force. This force divided by the mass is an acceleration along the tendon. This
     # acceleration divided by the spool radius is the angular acceleration of the rotor.
     acceleration = float(
-        (model.torque_limit / tendons.spool / tendons.motor_mass / tendons.spool).max()
+        (
+            model.torque_limit / tendons.spool_radius / tendons.motor_mass / tendons.spool_radius
+        ).max()
     )
     rounding_noise = (
-        ROUNDING_NOISE_COUNTS * float((tendons.encoder_step / tendons.spool).max()) ** 2
+        ROUNDING_NOISE_COUNTS * float((tendons.encoder_step / tendons.spool_radius).max()) ** 2
     )
-    return NOISE_FACTOR * (
+    return POSITION_NOISE_FACTOR * (
         (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
     )

@@ -91,7 +91,7 @@ HOLD_MARGIN_N = 1.0
 
 The margin is about the error of the estimated tension.
 """
-ROUNDING_FACTOR = 1.0 - 1e-12
+ENVELOPE_ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
 SLACK_TAKE_UP_TENSION_N = SNAP_MIN_COMMAND_N
 """Tension with which a stream of tensions takes up a slack tendon if its setpoint is lower [N].
@@ -120,8 +120,8 @@ def command_zero_torque(x: StateTables, c: ConstantTables) -> None:
     """
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
-        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
+        x.tendon[s.TENSION_SETPOINT, n] = x.tendon[s.TENSION, n]
+        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_INPUT_FORCE, n] = x.tendon[
             s.PLANNED_TENSION, n
         ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
         x.tendon[s.TRIM_FORCE, n] = x.tendon[s.COMMANDED_TORQUE, n] = 0.0
@@ -262,7 +262,7 @@ def write_motor_torques(
             write_servo_command(x, c, n, own_rate, force - motion_terms[1, n], command_force)
         elif n < x.servo.shape[1]:
             command_torque_only(x, n)
-        x.tendon[s.SETPOINT, n] = setpoint
+        x.tendon[s.TENSION_SETPOINT, n] = setpoint
         x.tendon[s.TENSION_INTEGRAL, n] = integral
         if kind == MOTION:
             predict_tension_of_moving_tendon(x, c, n, rate, winding_direction[n])
@@ -284,7 +284,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
         force: motor force [N].
         limit: present tension limit [N].
     """
-    force = min(max(force, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    force = min(max(force, c.tendon[h.MIN_MOTOR_FORCE, n]), c.tendon[h.MAX_MOTOR_FORCE, n])
     # The largest motor force is the tension limit plus the friction that the motor has to overcome.
     bound = limit + c.tendon[h.MOTOR_COULOMB, n]
     force = min(force, bound)
@@ -307,12 +307,12 @@ def _write_force_for_tension_filter(
         carrier_acceleration: acceleration of the tendon caused by the trajectories of digits that carry its
             digit [m/s2].
     """
-    x.tendon[s.FILTER_FORCE, n] = force - _motor_friction(x, c, n, force)
+    x.tendon[s.FILTER_INPUT_FORCE, n] = force - _motor_friction(x, c, n, force)
     if c.run_int[h.HAS_CARRIER_ARMS]:
         # In the filter, the spool travel does not include the motion of carrying digits. So the
         # force for that motion is subtracted.
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
+        x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carrier_acceleration
+        x.tendon[s.FILTER_INPUT_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
             c, n, x.joint[s.DQ]
         )
 
@@ -666,8 +666,8 @@ def _tension_force(
     target = min(x.tendon[s.TENSION_TARGET, n], limit)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         target = max(target, -limit)
-    step = x.tendon[s.SETPOINT_STEP, n]
-    last_setpoint = x.tendon[s.SETPOINT, n]
+    step = x.tendon[s.TENSION_SETPOINT_STEP, n]
+    last_setpoint = x.tendon[s.TENSION_SETPOINT, n]
     setpoint = last_setpoint + min(max(target - last_setpoint, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
     slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
@@ -742,7 +742,10 @@ def _relaxation_envelope(
         last_force = abs(last_force)
     last_force = 0.0 if math.isnan(last_force) else max(last_force, 0.0)
     lowered_limit = max(last_force - rate * c.run[h.CONTROL_PERIOD] * ticks, 0.0)
-    return max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit) * ROUNDING_FACTOR
+    return (
+        max(min(last_force, c.tendon[h.RELAXED_TENSION, n]), lowered_limit)
+        * ENVELOPE_ROUNDING_FACTOR
+    )
 
 
 @kernel_helper

@@ -122,7 +122,7 @@ def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
     trajectory = np.zeros((3, joints))
     for j in range(joints):
         for k in range(x.coordinate.shape[1]):
-            coupling = c.joint_coordinate_table[h.COUPLING, j, k]
+            coupling = c.joint_coordinate_table[h.JOINT_COUPLING, j, k]
             if coupling != 0.0:
                 for order in range(3):
                     trajectory[order, j] += coupling * x.coordinate[s.TRAJECTORY + order, k]

@@ -45,7 +45,7 @@ def predict_tension_of_moving_tendon(
     """Predict the tension of a moving tendon at the next tick, and the rate of change of this tension.
 
     Args:
-        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_FORCE`` of the
+        x: state tables, with ``PLANNED_TENSION`` of the last tick and ``FILTER_INPUT_FORCE`` of the
             present tick.
         c: constants of the hand.
         n: index of the tendon.
@@ -57,7 +57,9 @@ def predict_tension_of_moving_tendon(
     period = c.run[h.CONTROL_PERIOD]
     tension = x.tendon[s.TENSION, n]
     load = x.tendon[s.REQUIRED_TENSION, n]
-    accelerating_force = x.tendon[s.FILTER_FORCE, n] + x.tendon[s.MOTOR_DISTURBANCE, n] - tension
+    accelerating_force = (
+        x.tendon[s.FILTER_INPUT_FORCE, n] + x.tendon[s.MOTOR_DISTURBANCE, n] - tension
+    )
     mean_speed = (
         x.tendon[s.SPOOL_SPEED, n] + 0.5 * period / c.tendon[h.MOTOR_MASS, n] * accelerating_force
     )

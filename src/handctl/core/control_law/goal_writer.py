@@ -43,7 +43,7 @@ def write_goals(
             tendon[s.TENSION_TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
             )
-            tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
+            tendon[s.TENSION_SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         trajectory_kinds[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
         if isinstance(goal.trajectory, StreamedTrajectory):

@@ -191,7 +191,9 @@ def write_servo_command(
     """
     spool = c.tendon[h.SPOOL_RADIUS, n]
     kp = servo_stiffness(x, c, n)
-    feedforward_force = min(max(feedforward, c.tendon[h.FORCE_MIN, n]), c.tendon[h.FORCE_MAX, n])
+    feedforward_force = min(
+        max(feedforward, c.tendon[h.MIN_MOTOR_FORCE, n]), c.tendon[h.MAX_MOTOR_FORCE, n]
+    )
     position_lead = (
         (force - feedforward_force - servo_speed_force(x, c, n, rate)) * spool * spool / kp
     )
@@ -213,7 +215,7 @@ def write_servo_command(
     x.servo[s.SERVO_TORQUE, n] = feedforward_force * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
         x.servo[s.SERVO_TORQUE_LIMIT, n] = (
-            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
+            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.MAX_MOTOR_FORCE, n]) * spool
         )
 
 
@@ -233,7 +235,7 @@ def predict_reported_forces(x: StateTables, c: ConstantTables) -> None:
             torque += x.servo[s.LAST_SERVO_COMMAND + 3, n] * (
                 x.servo[s.LAST_SERVO_COMMAND + 1, n] - x.tendon[s.VELOCITY, n]
             )
-        limit = c.tendon[h.FORCE_MAX, n]
+        limit = c.tendon[h.MAX_MOTOR_FORCE, n]
         if kp > 0.0 and c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
             limit = x.servo[s.LAST_SERVO_COMMAND + 5, n] / c.tendon[h.SPOOL_RADIUS, n]
         is_known = math.isfinite(x.tendon[s.COMMANDED_FORCE, n]) and math.isfinite(

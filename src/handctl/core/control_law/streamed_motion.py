@@ -29,7 +29,7 @@ MAX_LEAD_RAD = math.radians(8.0)
 If an object holds the digit, the reference waits at this distance, so that the digit does not jump
 when the object releases it.
 """
-MIN_STIFFNESS = 0.05
+MIN_STIFFNESS_FRACTION = 0.05
 """Smallest divisor of ``MAX_LEAD_RAD``.
 
 Otherwise, the divisor is the stiffness fraction of the digit. A softer digit may be pushed away
@@ -164,7 +164,7 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     scale = coordinate_scale(c, d, k)
     gain = c.run[h.STREAM_ACCELERATION] * period * scale
     slowest, fastest = _allowed_rates(x, c, d, k, period, scale, gain)
-    now = x.run_int[s.T_NS] / 1e9
+    now = x.run_int[s.TICK_TIME_NS] / 1e9
     candidate_position, candidate_rate = position_on_segment(x, k, now)
     remaining = max(x.run[s.STREAM_SEGMENT_START] + x.run[s.STREAM_DURATION] - now, 0.0)
     target_rate = x.coordinate[s.STREAM_TARGET_RATE, k] if remaining > 0.0 else 0.0
@@ -204,7 +204,7 @@ def coordinate_scale(c: ConstantTables, d: int, k: int) -> float:
     The value is 1 for hinges, and less than 1 for prismatic joints.
     """
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        if c.joint_coordinate_table[h.COUPLING, j, k] != 0.0:
+        if c.joint_coordinate_table[h.JOINT_COUPLING, j, k] != 0.0:
             return c.joint[h.JOINT_SCALE, j]
     return 1.0
 
@@ -238,7 +238,9 @@ def _allowed_rates(
     max_lead = (
         scale
         * MAX_LEAD_RAD
-        / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS)
+        / max(
+            x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.FIRST_TENDON, d]], MIN_STIFFNESS_FRACTION
+        )
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
     fastest_backward = _stoppable_speed_towards(digit - max_lead - position, gain, period) + min(
@@ -256,7 +258,7 @@ def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> 
     """Return position [rad] and rate [rad/s] of a coordinate, computed from the estimated joint angles."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-        coupling = c.joint_coordinate_table[h.COUPLING, j, k]
+        coupling = c.joint_coordinate_table[h.JOINT_COUPLING, j, k]
         position += coupling * x.joint[s.Q, j]
         rate += coupling * x.joint[s.DQ, j]
         total += coupling * coupling

@@ -69,11 +69,11 @@ def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Eviden
     In a tick that the host has missed, no feedback was requested. Missed ticks therefore do not
     cause the fault B01.
     """
-    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.T_NS])
+    lowest_age = motor_ticks_overdue(x, c, 0, x.run_int[s.TICK_TIME_NS])
     for n in range(x.tendon.shape[1]):
-        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.T_NS]))
+        lowest_age = min(lowest_age, motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS]))
     for n in range(x.tendon.shape[1]):
-        age = motor_ticks_overdue(x, c, n, x.run_int[s.T_NS])
+        age = motor_ticks_overdue(x, c, n, x.run_int[s.TICK_TIME_NS])
         if age > x.run_int[s.MISSED_TICKS]:
             evidence[FAULT_B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:

@@ -58,7 +58,7 @@ def find_and_debounce_faults(
     frame_losses.update_loss_counts(
         x,
         c,
-        x.run_int[s.T_NS],
+        x.run_int[s.TICK_TIME_NS],
         x.run_int[s.UNKNOWN_FRAMES],
         is_armed and x.run_int[s.MISSED_TICKS] == 0,
     )
@@ -83,14 +83,14 @@ def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the stored values of the detectors that run while the motors may make torque."""
     missed_ticks = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.ARE_CELLS_TARED] == 1
-    tendon_slip.update_slip(x, c, tared)
+    tendon_slip.update_tendon_slip(x, c, tared)
     servo_commands.predict_reported_forces(x, c)
     residuals.update_residuals(x, c, missed_ticks, tared)
     slack_history.update_slack_history(x, c)
     stuck_sensors.update_stuck_counts(x, c, tared)
     torque_correlation.update_correlation(x, c, missed_ticks)
     replayed_readings.count_repeated_readings(x, tared)
-    tension_swings.update_swing(x, c, tared)
+    tension_swings.update_tension_swing(x, c, tared)
 
 
 @kernel_helper

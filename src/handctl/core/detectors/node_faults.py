@@ -105,7 +105,7 @@ def _detect_drive_errors(x: StateTables, evidence: EvidenceTable) -> None:
 @kernel_helper
 def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find load cells and joint encoders whose last reading is too old."""
-    now_ns = x.run_int[s.T_NS]
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_ticks_overdue(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
@@ -178,7 +178,10 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_SENSOR_TIME_S:
+        if (
+            x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] * c.tendon[h.MOTOR_PERIOD, n]
+            > STUCK_SENSOR_TIME_S
+        ):
             goal = stuck_sensors.change_since_reading(
                 x.tendon[s.FILTERED_GOAL, n], x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE, n]
             )
@@ -189,7 +192,7 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
             if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[FAULT_N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
-        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
+        if x.joint_int[s.JOINT_UNCHANGED_COUNT, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
             turned_angle = (
                 stuck_sensors.change_since_reading(
                     stuck_sensors.joint_angle_by_spools(x, c, j),

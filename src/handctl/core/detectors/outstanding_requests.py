@@ -18,7 +18,7 @@ from handctl.core.state_block import StateTables
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
-MAX_REQUESTS = 8
+MAX_OUTSTANDING_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
 
 A motor with more outstanding requests is silent, and its older requests are dropped.
@@ -64,8 +64,8 @@ def add_requests(x: StateTables, k: int) -> None:
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
-        # At most MAX_REQUESTS - 1 old requests are kept, so that the new request has a place.
-        for i in range(max(count - MAX_REQUESTS + 1, 0), count):
+        # At most MAX_OUTSTANDING_REQUESTS - 1 old requests are kept, so that the new request has a place.
+        for i in range(max(count - MAX_OUTSTANDING_REQUESTS + 1, 0), count):
             request_tick = x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + i, n]
             if i == count - 1 or k - request_tick < LOSS_WINDOW_TICKS:
                 x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = request_tick

@@ -34,7 +34,7 @@ from handctl.core.state_block import StateTables
     QUICK_BALANCE,
 ) = range(9)
 """Rows of ``state_block.RESIDUAL``."""
-TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
+RESIDUAL_TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0, 0.02)
 """Time constant of the low-pass filter of each row [s]."""
 TRUSTED_NOISE_FRACTION = 1.0 / 30.0
 """Fraction of the limit of fault N07 above which the noise of an encoder makes the acceleration useless.
@@ -58,7 +58,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
             speeds are not used.
         tared: True if the zeros of the load cells are known.
     """
-    residual_sums = np.empty(len(TIME_CONSTANTS_S))
+    residual_sums = np.empty(len(RESIDUAL_TIME_CONSTANTS_S))
     has_started = x.run_int[s.RESIDUALS_STARTED] == 1
     x.run_int[s.RESIDUALS_STARTED] = 1
     for n in range(x.tendon.shape[1]):
@@ -93,7 +93,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
             residual_sums[COMMAND_DIFFERENCE] = x.servo[s.EXPECTED_SERVO_FORCE, n] - force
         residual_sums[TENSION] = checked_tension
         residual_sums[QUICK_FORCE] = motor_force
-        residual_sums[SLIP] = x.tendon[s.SLIP, n]
+        residual_sums[SLIP] = x.tendon[s.TENDON_SLIP, n]
         residual_sums[JERK] = square(position_change - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed. The excess friction is therefore the residual of the
         # force balance, multiplied by the sign of the speed.
@@ -102,7 +102,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
             if abs(speed) > FULL_FRICTION_SPEED_M_S
             else math.nan
         )
-        for row in range(len(TIME_CONSTANTS_S)):
+        for row in range(len(RESIDUAL_TIME_CONSTANTS_S)):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(residual_sums[row] - low):
                 x.tendon[s.RESIDUAL + row, n] = low + c.tendon[

@@ -58,7 +58,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if has_moved or math.isnan(x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n]):
             x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n] = tension
         if not math.isnan(value):
-            x.tendon_int[s.MOTOR_STUCK, n] = 0 if has_moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] = (
+                0 if has_moved else x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] + 1
+            )
             x.tendon[s.STUCK_TEST_POSITION, n] = value
         cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         last_position = x.tendon[s.STUCK_TEST_TENSION, n]
@@ -74,7 +76,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n] = force
         if not math.isnan(cell):
-            x.tendon_int[s.CELL_STUCK, n] = 0 if has_moved else x.tendon_int[s.CELL_STUCK, n] + 1
+            x.tendon_int[s.CELL_UNCHANGED_COUNT, n] = (
+                0 if has_moved else x.tendon_int[s.CELL_UNCHANGED_COUNT, n] + 1
+            )
             x.tendon[s.STUCK_TEST_TENSION, n] = cell
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
@@ -86,7 +90,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
         if has_moved or math.isnan(x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j]):
             x.joint[s.ANGLE_AT_LAST_JOINT_CHANGE, j] = reference
         if not math.isnan(value):
-            x.joint_int[s.JOINT_STUCK, j] = 0 if has_moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint_int[s.JOINT_UNCHANGED_COUNT, j] = (
+                0 if has_moved else x.joint_int[s.JOINT_UNCHANGED_COUNT, j] + 1
+            )
             x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
@@ -173,7 +179,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
         if math.isnan(last_goal):
             continue
         change = goal - last_goal
-        if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
+        if abs(change) > min_step and x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] != 0:
             x.tendon[s.FILTERED_GOAL, n] = last_goal + math.copysign(
                 max(fraction * abs(change), min_step), change
             )

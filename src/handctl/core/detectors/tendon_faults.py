@@ -61,7 +61,7 @@ def detect_tendon_faults(
 ) -> None:
     """Run the detectors that also work without torque, and write their results into the evidence table."""
     saturation_tension = c.run[h.CELL_SATURATION]
-    time_in_mode_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_START_TIME]
+    time_in_mode_s = x.run_int[s.TICK_TIME_NS] * 1e-9 - x.run[s.MODE_START_TIME]
     is_hand_relaxed = x.run_int[s.HAND_MODE] == RELAX_MODE and time_in_mode_s > RELAXING_TIME_S
     for n in range(x.tendon.shape[1]):
         # The load-cell reading is tested even before the tare of the load cell is known.
@@ -103,7 +103,7 @@ def detect_tendon_faults_under_torque(
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n],
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n],
         )
-        is_reading_constant = x.tendon_int[s.CELL_STUCK, n] >= STUCK_CELL_READINGS
+        is_reading_constant = x.tendon_int[s.CELL_UNCHANGED_COUNT, n] >= STUCK_CELL_READINGS
         if (
             is_reading_constant
             and force_change > STUCK_CELL_FORCE_RANGE_N
@@ -113,7 +113,7 @@ def detect_tendon_faults_under_torque(
         age = age_of_repeated_readings(x, n)
         if age > 0:
             evidence[FAULT_T05B, n] = age
-        slip = abs(x.tendon[s.SLIP, n])
+        slip = abs(x.tendon[s.TENDON_SLIP, n])
         if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailment_threshold(
             c, n
         ):

@@ -25,7 +25,7 @@ DEG_PER_RAD = 180.0 / math.pi
 
 
 @kernel_helper
-def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tendon_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the slip of each tendon.
 
     Args:
@@ -51,14 +51,14 @@ def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.SLIP_REFERENCE, n] = length_difference
         if x.tendon[s.TAUT_TIME_S, n] <= MIN_TAUT_DURATION_S:
             x.tendon[s.SLIP_REFERENCE, n] = math.nan
-        x.tendon[s.SLIP, n] = math.nan
+        x.tendon[s.TENDON_SLIP, n] = math.nan
         if has_joint_reading:
-            x.tendon[s.SLIP, n] = (
+            x.tendon[s.TENDON_SLIP, n] = (
                 (length_difference - x.tendon[s.SLIP_REFERENCE, n])
                 / c.tendon[h.MOMENT_ARM_SUM, n]
                 * DEG_PER_RAD
             )
-            is_derailed = abs(x.tendon[s.SLIP, n]) > derailment_threshold(c, n)
+            is_derailed = abs(x.tendon[s.TENDON_SLIP, n]) > derailment_threshold(c, n)
             x.tendon[s.DERAILED_READINGS, n] = (
                 x.tendon[s.DERAILED_READINGS, n] + 1.0 if is_derailed else 0.0
             )

@@ -26,7 +26,7 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 
 
 @kernel_helper
-def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tension_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
     period = c.run[h.CONTROL_PERIOD]
     slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)

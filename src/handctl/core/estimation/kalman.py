@@ -108,7 +108,7 @@ def filter_kind(x: StateTables, n: int) -> int:
     The index is the regime of the tendon. While process noise is added, the index is larger by 3.
     """
     regime = x.tendon_int[s.REGIME, n]
-    return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
+    return regime + 3 if x.tendon[s.ADDED_NOISE_TIME_S, n] > 0.0 else regime
 
 
 @kernel_helper
@@ -357,8 +357,8 @@ def _judge_consistency(
         # the averaging times.
         x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
-            x.tendon[s.NIS_FAST, n] += (
-                period / NOISE_NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_FAST, n])
+            x.tendon[s.RECENT_NIS_MEAN, n] += (
+                period / NOISE_NIS_AVERAGING_TIME_S * (nis - x.tendon[s.RECENT_NIS_MEAN, n])
             )
     for n in range(len(innovations)):
         limit = (
@@ -383,12 +383,12 @@ def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     total = 0.0
     count = x.tendon.shape[1]
     for n in range(count):
-        total += x.tendon[s.NIS_FAST, n]
+        total += x.tendon[s.RECENT_NIS_MEAN, n]
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
-        remaining_time = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.CONTROL_PERIOD], 0.0)
-        x.tendon[s.ADDED_NOISE_S, n] = (
-            MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else remaining_time
+        remaining_time = max(x.tendon[s.ADDED_NOISE_TIME_S, n] - c.run[h.CONTROL_PERIOD], 0.0)
+        x.tendon[s.ADDED_NOISE_TIME_S, n] = (
+            MAX_ADDED_NOISE_S if x.tendon[s.RECENT_NIS_MEAN, n] > limit else remaining_time
         )
 
 

@@ -31,12 +31,14 @@ def write_measurements(x: StateTables, c: ConstantTables) -> None:
         x.tendon_int[s.IS_CELL_SATURATED, n] = 0
         if x.tendon_int[s.HAS_NEW_CELL_READING, n]:
             cell_reading = x.tendon[s.CELL_READING, n]
-            is_saturated = not c.run[h.CELL_MIN] < cell_reading < c.run[h.CELL_MAX]
+            is_saturated = not c.run[h.MIN_CELL_RANGE] < cell_reading < c.run[h.MAX_CELL_RANGE]
             if is_saturated:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
                 cell_reading = (
-                    c.run[h.CELL_MAX] if cell_reading >= c.run[h.CELL_MAX] else c.run[h.CELL_MIN]
+                    c.run[h.MAX_CELL_RANGE]
+                    if cell_reading >= c.run[h.MAX_CELL_RANGE]
+                    else c.run[h.MIN_CELL_RANGE]
                 )
             x.tendon[s.MEASURED_TENSION, n] = cell_reading - (
                 c.tendon[h.CELL_TARE, n] + x.tendon[s.TARE_MEASURED_BY_PROGRAM, n]
@@ -159,7 +161,7 @@ def is_cell_saturated(x: StateTables, c: ConstantTables, n: int) -> bool:
     of these cases.
     """
     tension = x.tendon[s.MEASURED_TENSION, n]
-    is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.TENSION_LOW]
+    is_out_of_range = tension >= c.run[h.CELL_SATURATION] or tension <= c.run[h.MIN_CELL_READING]
     return bool(is_out_of_range or x.tendon_int[s.IS_CELL_SATURATED, n])
 
 

@@ -310,7 +310,10 @@ def _largest_turn_fraction(
         signed_turn = sign * joint_turn[j]
         q = x.joint[s.Q, j]
         margin = max(
-            c.joint[h.JOINT_MAX, j] - q if signed_turn > 0.0 else q - c.joint[h.JOINT_MIN, j], 0.0
+            c.joint[h.MAX_JOINT_ANGLE, j] - q
+            if signed_turn > 0.0
+            else q - c.joint[h.MIN_JOINT_ANGLE, j],
+            0.0,
         )
         fraction = min(fraction, margin / max(abs(signed_turn), MIN_TURN_RAD))
     return fraction
@@ -475,7 +478,7 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
     for k in range(c.digit_int[h.FIRST_COORDINATE, d], c.digit_int[h.END_COORDINATE, d]):
         result[k] = 0.0
         for j in range(c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d]):
-            result[k] += c.joint_coordinate_table[h.COUPLING, j, k] * lever[j]
+            result[k] += c.joint_coordinate_table[h.JOINT_COUPLING, j, k] * lever[j]
 
 
 @kernel_helper

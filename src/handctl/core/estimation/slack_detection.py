@@ -161,8 +161,8 @@ def set_offset_of_newly_taut_tendon(
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
     stretch = (cell_tension - x.tendon[s.CELL_ERROR, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     excursion = x.tendon[s.SPOOL_TRAVEL, n] - x.tendon[s.STRETCH_OFFSET, n] - stretch
-    low = c.tendon[h.EXCURSION_LOW, n] - EXCURSION_MARGIN_M
-    high = c.tendon[h.EXCURSION_HIGH, n] + EXCURSION_MARGIN_M
+    low = c.tendon[h.MIN_EXCURSION, n] - EXCURSION_MARGIN_M
+    high = c.tendon[h.MAX_EXCURSION, n] + EXCURSION_MARGIN_M
     if c.tendon_int[h.HAS_CONSTANT_LENGTH, n] and low <= excursion <= high:
         x.tendon[s.EXCURSION, n] = excursion
     else:

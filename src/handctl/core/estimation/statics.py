@@ -14,7 +14,7 @@ from handctl.hand import rigid_body
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-MAX_EXPONENT = 700.0
+MAX_CAPSTAN_EXPONENT = 700.0
 """Largest exponent of the capstan equation, just below the overflow of a float number.
 
 If the numbers of a bad hand exceed it, Python raises an error, but compiled code does not.
@@ -79,7 +79,7 @@ def capstan_ratio(c: ConstantTables, n: int, friction_state: float, wrap_angle: 
     Source: capstan equation.
     """
     exponent = -c.tendon[h.CAPSTAN_COEFFICIENT, n] * friction_state * wrap_angle
-    return math.exp(MAX_EXPONENT if exponent > MAX_EXPONENT else exponent)
+    return math.exp(MAX_CAPSTAN_EXPONENT if exponent > MAX_CAPSTAN_EXPONENT else exponent)
 
 
 @kernel_helper

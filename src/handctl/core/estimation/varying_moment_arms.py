@@ -63,7 +63,7 @@ def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the moment arm of tendon n about joint j, when this joint is at the angle q [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint_table[h.MOMENT_ARMS, n, j]
-    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    clamped_angle = min(max(q, c.joint[h.MIN_JOINT_ANGLE, j]), c.joint[h.MAX_JOINT_ANGLE, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * clamped_angle + c.tendon_joint_table[h.ARM_POLYNOMIAL + order, n, j]
@@ -78,7 +78,7 @@ def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     """
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint_table[h.MOMENT_ARMS, n, j] * q
-    clamped_angle = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
+    clamped_angle = min(max(q, c.joint[h.MIN_JOINT_ANGLE, j]), c.joint[h.MAX_JOINT_ANGLE, j])
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * clamped_angle + c.tendon_joint_table[h.ARM_POLYNOMIAL + order, n, j] / (
@@ -119,8 +119,8 @@ def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
     if (
         not c.tendon_int[h.HAS_VARYING_ARM, n]
-        or q < c.joint[h.JOINT_MIN, j]
-        or q > c.joint[h.JOINT_MAX, j]
+        or q < c.joint[h.MIN_JOINT_ANGLE, j]
+        or q > c.joint[h.MAX_JOINT_ANGLE, j]
     ):
         return 0.0
     value = 0.0
@@ -130,7 +130,7 @@ def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 
 @kernel_helper
-def update_structure(x: StateTables, c: ConstantTables) -> None:
+def update_moment_arm_tables(x: StateTables, c: ConstantTables) -> None:
     """Compute the tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
@@ -139,9 +139,9 @@ def update_structure(x: StateTables, c: ConstantTables) -> None:
         first_joint = c.digit_int[h.FIRST_JOINT, d]
         end = c.digit_int[h.END_JOINT, d]
         for j in range(first_joint, end):
-            q[j] = c.joint[h.JOINT_MIN, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
+            q[j] = c.joint[h.MIN_JOINT_ANGLE, j] if math.isnan(x.joint[s.Q, j]) else x.joint[s.Q, j]
         for _ in range(NEWTON_STEPS):
-            _write_structure(c, d, q)
+            _write_moment_arm_tables(c, d, q)
             change = 0.0
             for j in range(first_joint, end):
                 angle = c.joint[h.ANGLE_OFFSET, j]
@@ -179,7 +179,7 @@ def fit_angles_to_excursions(x: StateTables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
+def _write_moment_arm_tables(c: ConstantTables, d: int, q: Vector) -> None:
     """Write the tables R, R B and B (R B)^+ and the offsets of a digit, for joint angles q (J,) [rad]."""
     joints = (c.digit_int[h.FIRST_JOINT, d], c.digit_int[h.END_JOINT, d])
     tendons = (c.digit_int[h.FIRST_TENDON, d], c.digit_int[h.END_TENDON, d])
@@ -197,7 +197,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             for j in range(joints[0], joints[1]):
                 reduced_arm += (
                     c.tendon_joint_table[h.MOMENT_ARMS, n, j]
-                    * c.joint_coordinate_table[h.COUPLING, j, first_coordinate + k]
+                    * c.joint_coordinate_table[h.JOINT_COUPLING, j, first_coordinate + k]
                 )
             c.tendon_coordinate_table[h.REDUCED_ARMS, n, first_coordinate + k] = reduced_arm
         for k in range(count):
@@ -217,7 +217,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             for k in range(count):
                 for other_coordinate in range(count):
                     product = (
-                        c.joint_coordinate_table[h.COUPLING, j, first_coordinate + k]
+                        c.joint_coordinate_table[h.JOINT_COUPLING, j, first_coordinate + k]
                         * gram_matrix[k, other_coordinate]
                     )
                     angle += (

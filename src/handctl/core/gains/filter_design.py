@@ -191,7 +191,9 @@ def _process_noise(
     if not tendons.has_cell[i]:
         # Without a load cell, the tension is estimated as motor force minus friction. An error of
         # the friction is then an error of the tension.
-        disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * tendons.coulomb[i])
+        disturbance = math.hypot(
+            disturbance, FRICTION_SIGMA_WITHOUT_CELL * tendons.coulomb_friction[i]
+        )
         time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
     Q[V, V] = jerk**2 / tendons.motor_mass[i] ** 2
     if regime == TendonRegime.FREE:

@@ -19,7 +19,7 @@ from handctl.printing import similar_name
 GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
-LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
+LIVE_GAIN_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
 """Sections whose values may change while the controller runs.
 
 The section of the filter is missing, because the design of a filter takes longer than a tick
@@ -103,7 +103,7 @@ def gain_bounds() -> Mapping[str, GainBounds]:
                 is_low_excluded,
                 field.default,
                 is_integer,
-                section in LIVE_SECTIONS,
+                section in LIVE_GAIN_SECTIONS,
                 meaning,
             )
     return result
@@ -199,7 +199,9 @@ def gains_with_values(
     for key, value in gain_values.items():
         bound = checked_gain_bounds(key, value, source_name)
         if is_live and not bound.is_changeable_live:
-            expected = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
+            expected = (
+                f"a key of {', '.join(LIVE_GAIN_SECTIONS)}, or handctl gains apply and a new run"
+            )
             raise ConfigError(
                 "is designed before arming and cannot change in a run",
                 f"{source_name}: {key}",

@@ -82,7 +82,7 @@ def control_loop_count(tendons: TendonConstants) -> int:
 
     In each tick, a running controller has time for only one piece of the design.
     """
-    return 2 * len(tendons.spool)
+    return 2 * len(tendons.spool_radius)
 
 
 def design_control_loop(
@@ -95,7 +95,7 @@ def design_control_loop(
     Raises:
         ConfigError: no gains follow from the weights.
     """
-    n = len(tendons.spool)
+    n = len(tendons.spool_radius)
     if loop_index < n:
         with solver_failures_as_errors("motion"):
             return _design_motion_loop(tendons, loop_index, gains, period_s)
@@ -105,7 +105,7 @@ def design_control_loop(
 
 def combine_loop_designs(tendons: TendonConstants, feedback_gains: list[Vector]) -> MotionDesign:
     """Combine the feedback gains of all pieces into the design of all tendons."""
-    n = len(tendons.spool)
+    n = len(tendons.spool_radius)
     mass = tendons.motor_mass + tendons.load_mass
     motion = feedback_gains[:n]
     tension = feedback_gains[n:]

@@ -601,7 +601,7 @@ def encode_commands(
         The state machine of this drive then reports that the torque limit is exceeded.
     """
     x = state_tables(block, at)
-    now_ns = x.run_int[s.T_NS]
+    now_ns = x.run_int[s.TICK_TIME_NS]
     for i in range(len(commands)):
         n = commands[i, 0]
         if n < first_drive:

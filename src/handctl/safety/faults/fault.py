@@ -99,7 +99,7 @@ class CatalogueRow(NamedTuple):
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
-    def max_reaction_ms(self, rate_hz: float) -> float:
+    def max_reaction_time_ms(self, rate_hz: float) -> float:
         """Return the longest time from the failure to the reaction, for a control rate [ms].
 
         This time does not include ``odrive_extra_ms``.

@@ -7,7 +7,7 @@ from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
 
 CATALOGUE_PERIOD_MS = 5.0
 """Control period that the project's fault catalogue assumes [ms]."""
-RATE_HZ = 500.0
+CATALOGUE_RATE_HZ = 500.0
 """Control rate for which the catalogue states reaction times [Hz].
 
 The packaged hand with one motor per digit has this rate.
@@ -53,7 +53,9 @@ def _catalogue_row(row: CatalogueRow) -> str:
     condition_text = (
         ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
     )
-    latest_reaction_text = f"{row.max_reaction_ms(RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    latest_reaction_text = (
+        f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_ticks_text(row)} ticks"
+    )
     latest_reaction_text += (
         f", ODrive {row.odrive_extra_ms:g} ms more" if row.odrive_extra_ms else ""
     )
@@ -73,7 +75,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
 
 
 def _ticks_text(row: CatalogueRow) -> int:
-    return round(row.max_reaction_ms(RATE_HZ) * RATE_HZ / 1e3)
+    return round(row.max_reaction_time_ms(CATALOGUE_RATE_HZ) * CATALOGUE_RATE_HZ / 1e3)
 
 
 def reacts_too_late(row: CatalogueRow) -> bool:
@@ -91,7 +93,7 @@ def late_reactions_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE)
     """
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * CATALOGUE_PERIOD_MS:g} ms "
-        f"| {e.max_reaction_ms(RATE_HZ):g} ms | {e.why} |"
+        f"| {e.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms | {e.why} |"
         for e in entries
         if reacts_too_late(e)
     ]

@@ -39,7 +39,7 @@ SLIP_TRIP_DEG = 6.0
 
 The reaction is WARN above the first difference, and RELAX above the second.
 """
-NOISE_FACTOR = 9.0
+POSITION_NOISE_FACTOR = 9.0
 """Mean squared jerk of a noisy position, as a multiple of the value expected from torque and encoder rounding."""
 HIGH_TEMPERATURE_TICKS = 20
 """Number of consecutive ticks with a high temperature after which there is a fault."""
@@ -187,7 +187,7 @@ FAULT_N06B = declare_fault(
 declare_catalogue_row("N07", "encoder noise", ticks=4, ms=60, required=52)
 FAULT_N07 = declare_fault(
     "N07", "a noisy encoder",
-    f"Over 100 ms, the noise of the position has {NOISE_FACTOR:g} times the expected variance",
+    f"Over 100 ms, the noise of the position has {POSITION_NOISE_FACTOR:g} times the expected variance",
     SafetyAction.HOLD, CLEARED_BY_ITSELF, FAULT_PLACE_MOTOR,
     cause="The encoder's cable picks up noise, or its magnet is too far away.",
     remedy="Check shield and cable of the encoder, and the distance of its magnet.",

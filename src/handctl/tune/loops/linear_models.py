@@ -305,9 +305,9 @@ def _tick_with_reading(
 
 STATE_ROWS = [
     *range(s.SPOOL_TRAVEL, s.STRETCH_OFFSET + 1),
-    s.SETPOINT,
+    s.TENSION_SETPOINT,
     s.TENSION_INTEGRAL,
-    s.FILTER_FORCE,
+    s.FILTER_INPUT_FORCE,
     s.PLANNED_TENSION,
     s.PLANNED_TENSION_RATE,
 ]
@@ -336,7 +336,7 @@ class _LinearizationBench:
         """Store the model, without limits and without motor friction."""
         unreachable_limits = np.full(model.tendon_count, UNREACHABLE_LIMIT)
         tendon_constants = replace(
-            model.tendon_constants, coulomb=np.zeros_like(unreachable_limits)
+            model.tendon_constants, coulomb_friction=np.zeros_like(unreachable_limits)
         )
         self.model = replace(
             model, torque_limit=unreachable_limits, tendon_constants=tendon_constants
@@ -383,7 +383,7 @@ def _operating_point(
         bench.run_control_law(block)
         return np.append(
             table[STATE_ROWS, tendon],
-            table[s.COMMANDED_TORQUE, tendon] / model.tendon_constants.spool[tendon],
+            table[s.COMMANDED_TORQUE, tendon] / model.tendon_constants.spool_radius[tendon],
         )
 
     table = bench.layout.table(operating_point, "tendon")
@@ -428,7 +428,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     table[s.SPOOL_SPEED] = table[s.EXCURSION_RATE] = (
         block_diag(*(digit.moment_arms for digit in digits)) @ dq
     )
-    table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
+    table[s.FILTER_INPUT_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.SPOOL_TRAVEL]
     is_joint_measured = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(is_joint_measured, table[s.EXCURSION], math.nan)
@@ -439,7 +439,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     estimated = block.copy()
     bench.run_filter(estimated)
     reached_values = layout.table(estimated, "tendon")
-    table[s.SETPOINT] = reached_values[s.TENSION]
+    table[s.TENSION_SETPOINT] = reached_values[s.TENSION]
     table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
