@@ -196,7 +196,7 @@ def calibration_target(folder: Path) -> FuzzTarget:
 
     def use_calibration(content: FileContent) -> None:
         loaded_calibration = parse_calibration(content, jamia, "fuzzed")
-        loaded_calibration.tare(jamia), loaded_calibration.zero(jamia)
+        loaded_calibration.tare_tensions(jamia), loaded_calibration.motor_zeros(jamia)
         identified_hand(jamia, loaded_calibration.identified)
 
     return _document_target(folder / "calibration.toml", [content], use_calibration)

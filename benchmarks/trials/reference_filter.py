@@ -69,7 +69,11 @@ def reference_sigma(
     A[4, 4] = -1.0 / MOTOR_NOISE_S
     A[5, 5] = -1.0 / JOINT_NOISE_S
     A[6, 6] = -1.0 / STRETCH_OFFSET_S
-    sigma = (MOTOR_NOISE_N_M / space.spool_radius[tendon_index], JOINT_NOISE_N_M / arm, STRETCH_OFFSET_M)
+    sigma = (
+        MOTOR_NOISE_N_M / space.spool_radius[tendon_index],
+        JOINT_NOISE_N_M / arm,
+        STRETCH_OFFSET_M,
+    )
     noise = [0.0] * 4 + [
         2.0 * s**2 / t
         for s, t in zip(sigma, (MOTOR_NOISE_S, JOINT_NOISE_S, STRETCH_OFFSET_S), strict=True)

@@ -142,7 +142,7 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia_model: Hand
     gains = gains_with_values(
         Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", is_live=True
     )
-    progress = DesignCache().advance(jamia_model, PendingGains(gains))
+    progress = DesignCache().design_next_loop(jamia_model, PendingGains(gains))
     assert progress is not None
     assert progress.pending_gains is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text

@@ -157,7 +157,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         # one degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         travel_errors = (
-            calibration.zero(hand) - offset
+            calibration.motor_zeros(hand) - offset
         ) * run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)
 

@@ -129,9 +129,11 @@ def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> No
     progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
     assert not progress.failure
     measured_calibration = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(measured_calibration.tare(model.hand), CELL_BIAS_N, atol=0.15)
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.tendon_constants.spool_radius,
+        measured_calibration.tare_tensions(model.hand), CELL_BIAS_N, atol=0.15
+    )
+    np.testing.assert_allclose(
+        measured_calibration.motor_zeros(model.hand) * model.tendon_constants.spool_radius,
         TAUT_TRAVEL_M,
         atol=5e-6,
     )
@@ -226,7 +228,9 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     progress = run_commissioning(jamia, tension_by_pull, noise=0.0)
     assert not progress.failure
     tare = (
-        calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
+        calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare_tensions(
+            jamia.hand
+        )
         - CELL_BIAS_N
     )
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), (
@@ -319,10 +323,12 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(
         model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
     )
     np.testing.assert_allclose(
-        measured_calibration.tare(model.hand), commissioning_bench.toy_hand.cell_bias, atol=0.05
+        measured_calibration.tare_tensions(model.hand),
+        commissioning_bench.toy_hand.cell_bias,
+        atol=0.05,
     )
     np.testing.assert_allclose(
-        measured_calibration.zero(model.hand) * model.tendon_constants.spool_radius,
+        measured_calibration.motor_zeros(model.hand) * model.tendon_constants.spool_radius,
         0.3e-3,
         atol=1e-5,
     )
@@ -467,10 +473,14 @@ def test_the_file_is_read_back_as_it_was_written(
     write_calibration(path, calibration)
     repeated_calibration = load_calibration(path, model.hand)
     np.testing.assert_allclose(
-        repeated_calibration.tare(model.hand), calibration.tare(model.hand), rtol=1e-12
+        repeated_calibration.tare_tensions(model.hand),
+        calibration.tare_tensions(model.hand),
+        rtol=1e-12,
     )
     np.testing.assert_allclose(
-        repeated_calibration.zero(model.hand), calibration.zero(model.hand), rtol=1e-12
+        repeated_calibration.motor_zeros(model.hand),
+        calibration.motor_zeros(model.hand),
+        rtol=1e-12,
     )
     assert repeated_calibration.made == calibration.made
 
@@ -518,7 +528,7 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
     )
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare_text}", path.read_text(), count=1))
     if is_accepted:
-        assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare_text)
+        assert load_calibration(path, jamia.hand).tare_tensions(jamia.hand)[0] == float(tare_text)
         return
     with pytest.raises(ConfigError) as refused:
         load_calibration(path, jamia.hand)

@@ -75,7 +75,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     gains = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     complete_controller = designs.controller(run, gains)
     for force in range(20, 20 + 3 * MAX_CACHED_DESIGNS):
-        designs.advance(
+        designs.design_next_loop(
             jamia,
             PendingGains(
                 Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})

@@ -21,7 +21,7 @@ from handctl.campaign.run_stages import advance_to_stage, hand_with_protocol, ho
 from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core import state_block as s
-from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
+from handctl.core.control_law.servo_commands import TORQUE_LIMIT_MARGIN_N
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
 from handctl.core.hand_model import HandModel
@@ -210,7 +210,7 @@ def test_a_moteus_command_makes_the_predicted_torque(motor_direction: int) -> No
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
-                margin = LIMIT_MARGIN_N * model.tendon_constants.spool_radius[n]
+                margin = TORQUE_LIMIT_MARGIN_N * model.tendon_constants.spool_radius[n]
                 assert limit == pytest.approx(
                     min(abs(torque_of_law) + margin, motor.torque_max_N_m), rel=1e-6
                 )
@@ -349,7 +349,7 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
         forces = (
             np.abs(run.state.view("torque")) / run.controller.model.tendon_constants.spool_radius
         )
-        limit = forces + LIMIT_MARGIN_N * has_position_loop
+        limit = forces + TORQUE_LIMIT_MARGIN_N * has_position_loop
         sent = run.state.view("servo_limit") / run.controller.model.tendon_constants.spool_radius
         np.testing.assert_allclose(sent[has_position_loop], limit[has_position_loop])
         assert has_position_loop.sum() >= 3, "only the blocked digit has a torque command"

@@ -180,7 +180,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         wound = [tendon.extra_length + hand.tendon[i].pretension_N / hand.tendon[i].stiffness_N_per_m
                  for i, (tendon, _) in enumerate(plant.tendons[: len(hand.tendon)])]  # fmt: skip
         travel_errors = (
-            calibration.zero(hand) - offset
+            calibration.motor_zeros(hand) - offset
         ) * run.controller.model.tendon_constants.spool_radius - wound
         np.testing.assert_allclose(travel_errors, 0.0, atol=1e-4)
 

@@ -176,14 +176,18 @@ def test_every_field_is_declared_once_and_found_by_its_name(
     assert set(constant_by_field) == set(names)
     assert len(set(constant_by_field.values())) == len(names)
     for field in schema.fields:
-        assert getattr(constant_module, constant_by_field[field.name]) == field.first, field.name
+        assert getattr(constant_module, constant_by_field[field.name]) == field.first_row, (
+            field.name
+        )
         assert field.meaning, field.name
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
     tables_of_kernel = uncompiled_function(state_tables)(state.block, state.layout.offsets)
     for field in STATE_SCHEMA.fields:
-        rows = getattr(tables_of_kernel, field.table)[field.first : field.first + field.rows]
+        rows = getattr(tables_of_kernel, field.table)[
+            field.first_row : field.first_row + field.rows
+        ]
         np.testing.assert_array_equal(
             rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
         )
@@ -196,7 +200,7 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState)
 def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> None:
     copy = state.copy()
     assert copy.digest() == state.digest()
-    assert state.layout.difference(copy.block, state.block) is None
+    assert state.layout.first_difference(copy.block, state.block) is None
     for field in STATE_SCHEMA.fields:
         copy.view(field.name)[...] = 77
     assert not any((state.view(field.name) == 77).all() for field in STATE_SCHEMA.fields)
@@ -212,7 +216,7 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     values = other_state.view(field.name).reshape(-1)
     at = len(values) // 2
     value_before, values[at] = values[at].item(), 3
-    assert state.layout.difference(state.block, other_state.block) == (
+    assert state.layout.first_difference(state.block, other_state.block) == (
         field.name,
         at,
         value_before,
@@ -220,7 +224,7 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     )
     for later_field in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
         other_state.view(later_field.name)[...] = 3
-    difference = state.layout.difference(state.block, other_state.block)
+    difference = state.layout.first_difference(state.block, other_state.block)
     assert difference is not None
     assert difference[0] == field.name
 
@@ -230,9 +234,9 @@ def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerStat
     for changed_state in (one_state, other_state):
         changed_state.view("tension")[0] = np.nan
         changed_state.view("sigma")[0] = 0.0
-    assert state.layout.difference(one_state.block, other_state.block) is None
+    assert state.layout.first_difference(one_state.block, other_state.block) is None
     other_state.view("sigma")[0] = -0.0
-    difference = state.layout.difference(one_state.block, other_state.block)
+    difference = state.layout.first_difference(one_state.block, other_state.block)
     assert difference is not None
     assert difference[:2] == ("sigma", 0)
 
@@ -345,7 +349,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
             np.testing.assert_array_equal(tables_of_kernel.design, value)
             continue
         table_name = f"{field.table.replace('*', '_')}_table" if "*" in field.table else field.table
-        rows = getattr(tables_of_kernel, table_name)[field.first : field.first + field.rows]
+        rows = getattr(tables_of_kernel, table_name)[field.first_row : field.first_row + field.rows]
         np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
         assert np.shares_memory(rows, recorded_constants.block)
 

@@ -11,7 +11,7 @@ import pytest
 
 from handctl.core.control_law.digit_goal import DigitGoal
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_data import join_field_bytes, serialized_bytes
+from handctl.core.plain_data import join_serialized_fields, serialized_bytes
 from handctl.programs.program import ProgramProgress
 
 
@@ -62,4 +62,4 @@ def test_the_bytes_joined_from_fields_are_those_of_the_whole(seed: int) -> None:
             goals=goals if draw.random() < 0.3 else progress.goals,
             tare=tuple(draw.normal(size=draw.integers(0, 4)).tolist()),
         )
-        assert join_field_bytes(progress, cache) == serialized_bytes(progress)
+        assert join_serialized_fields(progress, cache) == serialized_bytes(progress)

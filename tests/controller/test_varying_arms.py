@@ -55,7 +55,7 @@ def _arm_and_slope(
     return np.array([
         varying_moment_arms.joint_excursion(c, tendon_index, joint_index, joint_angle),
         varying_moment_arms.moment_arm(c, tendon_index, joint_index, joint_angle),
-        varying_moment_arms.arm_slope(c, tendon_index, joint_index, joint_angle),
+        varying_moment_arms.moment_arm_slope(c, tendon_index, joint_index, joint_angle),
     ])  # fmt: skip
 
 

@@ -176,9 +176,9 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         calibration = calibration_of_result(
             model_of(*tendons_without_cells), run.state.progress, "2026-01-01T00:00:00+00:00"
         )
-        assert not calibration.tare(hand)[~hand.has_cell].any()
+        assert not calibration.tare_tensions(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
-        travel_errors = (calibration.zero(hand) - offset) * model_of(
+        travel_errors = (calibration.motor_zeros(hand) - offset) * model_of(
             *tendons_without_cells
         ).tendon_constants.spool_radius
         np.testing.assert_allclose(travel_errors, 0.0, atol=5e-5)

@@ -20,7 +20,7 @@ from handctl.campaign.run_stages import (
     hand_with_protocol,
     homed_run,
 )
-from handctl.controller.relaxation import SETPOINT_MARGIN_N
+from handctl.controller.relaxation import MAX_SETPOINT_EXCESS_N
 from handctl.core import state_block as s
 from handctl.core.tick_types import HandMode
 from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
@@ -203,7 +203,7 @@ def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_d
                 np.maximum(table[s.TENSION], model.relaxed_tensions)
                 + model.tendon_constants.coulomb_friction
             )
-            assert (simulation.state.view("asked") <= explained + SETPOINT_MARGIN_N).all()
+            assert (simulation.state.view("asked") <= explained + MAX_SETPOINT_EXCESS_N).all()
         if fault_command.startswith("cross"):
             peak = 0.0
             while simulation.run_tick().mode != HandMode.DONE:

@@ -146,7 +146,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
             "joint_int": s.RESET_JOINT_INTEGER_ROWS,
             "run_int": s.RESET_RUN_INTEGER_ROWS,
         }.get(field.table, (0, 0))  # fmt: skip
-        if first_row <= field.first < end:
+        if first_row <= field.first_row < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)
             np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
     assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))

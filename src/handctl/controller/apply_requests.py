@@ -89,10 +89,10 @@ def apply_requests(
         elif isinstance(request, CutTorqueRequest):
             operator_requests = replace(operator_requests, is_cut_requested=True)
         elif isinstance(request, ArmRequest):
-            state.arming_requested = True
+            state.is_arming_requested = True
         elif isinstance(request, ClearFaultsRequest):
             clear_latched_faults(state)
-            state.clearing = state.mode in MODES_BEFORE_READY
+            state.is_clearing_errors = state.mode in MODES_BEFORE_READY
         else:
             events += _apply_other_request(model, program, state, request)
     return operator_requests, tuple(events)

@@ -16,7 +16,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
-from handctl.core.plain_data import join_field_bytes, serialized_bytes
+from handctl.core.plain_data import join_serialized_fields, serialized_bytes
 from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
@@ -96,13 +96,13 @@ def _serialized_part(state_part: object) -> bytes:
     progress stay the same objects, so their bytes are cached.
     """
     if isinstance(state_part, ProgramProgress):
-        return join_field_bytes(state_part, _field_bytes_cache)
+        return join_serialized_fields(state_part, _serialized_field_cache)
     return serialized_bytes(state_part)
 
 
 # Most decisions are the same objects in many ticks. So the serialized form of each part is cached
 # by the identity of the object.
-_field_bytes_cache = IdentityCache[Any](serialized_bytes)
+_serialized_field_cache = IdentityCache[Any](serialized_bytes)
 _serialized_bytes_cache = IdentityCache[Any](_serialized_part)
 _drives_cache, _goals_cache, _other_parts_cache = (
     SequenceCache[Any](_serialized_bytes_cache) for _ in range(3)
@@ -274,21 +274,21 @@ class ControllerState:
         self.set_run_table_real(s.GOAL_TIME, t)
 
     @property
-    def arming_requested(self) -> bool:
+    def is_arming_requested(self) -> bool:
         """Return True if the arming of the drives is requested."""
         return bool(self.run_table_integer(s.ARMING_REQUESTED))
 
-    @arming_requested.setter
-    def arming_requested(self, is_armed: bool) -> None:
+    @is_arming_requested.setter
+    def is_arming_requested(self, is_armed: bool) -> None:
         self.set_run_table_integer(s.ARMING_REQUESTED, is_armed)
 
     @property
-    def clearing(self) -> bool:
+    def is_clearing_errors(self) -> bool:
         """Return True if the drives are clearing their latched errors before arming."""
         return bool(self.run_table_integer(s.CLEARING_DRIVE_ERRORS))
 
-    @clearing.setter
-    def clearing(self, is_clearing: bool) -> None:
+    @is_clearing_errors.setter
+    def is_clearing_errors(self, is_clearing: bool) -> None:
         self.set_run_table_integer(s.CLEARING_DRIVE_ERRORS, is_clearing)
 
     @property
@@ -315,8 +315,8 @@ class ControllerState:
         """Return the counts of sent SYNC frames, accepted tension frames, and answers to an earlier SYNC."""
         return (
             self.run_table_integer(s.SYNC_COUNT),
-            self.run_table_integer(s.TENSION_FRAMES),
-            self.run_table_integer(s.STALE_FRAMES),
+            self.run_table_integer(s.TENSION_FRAME_COUNT),
+            self.run_table_integer(s.STALE_FRAME_COUNT),
         )
 
     # The decisions, each by its name.

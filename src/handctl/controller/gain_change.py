@@ -66,7 +66,9 @@ class DesignCache:
     controllers: dict[Gains, Any] = field(default_factory=dict)
     gains_in_use: Gains | None = None
 
-    def advance(self, model: HandModel, pending_gains: PendingGains) -> DesignProgress | None:
+    def design_next_loop(
+        self, model: HandModel, pending_gains: PendingGains
+    ) -> DesignProgress | None:
         """Design one more control loop for pending gains.
 
         When the design is complete, return None.

@@ -262,7 +262,9 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
     ]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return HandMode.DONE, "; ".join(wrong_amplifiers)
-    if wrong_drives and not (state.clearing and inputs.time_in_mode < INVENTORY_TIMEOUT_S):
+    if wrong_drives and not (
+        state.is_clearing_errors and inputs.time_in_mode < INVENTORY_TIMEOUT_S
+    ):
         return HandMode.DONE, "; ".join(wrong_drives) + CLEAR_ERRORS_ADVICE
     is_group_missing = not state.view("group_frames").all()
     if (
@@ -288,7 +290,9 @@ def _next_mode_after_inventory(state: ControllerState, inputs: ModeInputs) -> Ne
         if name not in silent_names
     ]
     silence_text = (
-        [f"no answer from {', '.join(silent_names)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
+        [
+            f"no answer from {', '.join(silent_names)}{LATCHED_ERROR_HINT if state.is_clearing_errors else ''}"
+        ]
         if silent_names
         else []
     )
@@ -344,7 +348,7 @@ def _next_mode_after_ready(state: ControllerState, inputs: ModeInputs) -> NextMo
         )
     return (
         HandMode.ARMING
-        if state.arming_requested and inputs.time_in_mode >= READY_DURATION_S
+        if state.is_arming_requested and inputs.time_in_mode >= READY_DURATION_S
         else HandMode.READY
     ), ""
 

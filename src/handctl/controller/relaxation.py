@@ -30,12 +30,12 @@ from handctl.safety.safety_action import RelaxMethod
 
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
-START_MARGIN_N = 15.0
+MAX_START_FORCE_EXCESS_N = 15.0
 """Largest amount by which the first setpoint may exceed the last commanded force [N], for friction and motion."""
 
 RELAXED_TOLERANCE_N = 3.0
 """Distance above the tension of a relaxed tendon within which a tendon counts as relaxed [N]."""
-SETPOINT_MARGIN_N = 3.0
+MAX_SETPOINT_EXCESS_N = 3.0
 """Largest margin of the first setpoint above the present tension [N].
 
 During a steady hold the margin is at most 2 N.
@@ -58,13 +58,13 @@ def start_relaxation(model: HandModel, state: ControllerState) -> None:
     # last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present_tensions = (
-        np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + SETPOINT_MARGIN_N
+        np.maximum(sign * table[s.TENSION], model.relaxed_tensions) + MAX_SETPOINT_EXCESS_N
     )
     setpoint = sign * table[s.TENSION_SETPOINT]
     # A digit that follows a position goal has no tension setpoint.
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present_tensions), setpoint)
     start = np.minimum(
-        setpoint, np.maximum(sign * table[s.FILTER_INPUT_FORCE], 0.0) + START_MARGIN_N
+        setpoint, np.maximum(sign * table[s.FILTER_INPUT_FORCE], 0.0) + MAX_START_FORCE_EXCESS_N
     )
     goals = tuple(
         DigitGoal(
@@ -161,7 +161,7 @@ def present_relax_rate(state: ControllerState) -> float:
     """Return the rate at which the envelope of the motor forces falls [N/s]."""
     return (
         OVER_TENSION_RATE_N_PER_S
-        if RelaxMethod.FAST_TENSION_LOOP in _release_methods(state)
+        if RelaxMethod.FAST_TENSION_LOOP in _relax_methods(state)
         else RELAX_RATE_N_PER_S
     )
 
@@ -171,9 +171,9 @@ def is_open_loop(state: ControllerState) -> bool:
 
     These commands do not depend on measurements.
     """
-    return RelaxMethod.OPEN_LOOP in _release_methods(state)
+    return RelaxMethod.OPEN_LOOP in _relax_methods(state)
 
 
-def _release_methods(state: ControllerState) -> set[RelaxMethod]:
+def _relax_methods(state: ControllerState) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults require."""
     return {FAULT_BY_ID[latched_fault.id].relax_method for latched_fault in state.latched_faults}

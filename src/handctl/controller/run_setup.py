@@ -339,8 +339,8 @@ def make_controller(
     limits always come from the hand file.
     """
     n = len(hand.tendon)
-    tare = calibration.tare(hand) if calibration else np.zeros(n)
-    zero = calibration.zero(hand) if calibration else np.zeros(n)
+    tare = calibration.tare_tensions(hand) if calibration else np.zeros(n)
+    zero = calibration.motor_zeros(hand) if calibration else np.zeros(n)
     identified = calibration.identified if calibration else {}
     gain = torque_gain(hand, identified) if identified else None
     model = HandModel.from_hand(

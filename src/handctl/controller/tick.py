@@ -224,7 +224,7 @@ class Controller:
         state = ControllerState(
             self.derived_constants.layout, self.derived_constants.layout.initial.copy(), decisions
         )
-        state.arming_requested = self.arm_at_once
+        state.is_arming_requested = self.arm_at_once
         state.view("turn_sigma")[...] = self.derived_constants.constants.layout.view(
             self.derived_constants.constants.block, "range_sigma"
         )
@@ -680,7 +680,9 @@ class Controller:
         """
         pending_gains = state.decisions.pending_gains
         assert pending_gains is not None
-        if (unfinished := self.design_cache.advance(self.model, pending_gains)) is not None:
+        if (
+            unfinished := self.design_cache.design_next_loop(self.model, pending_gains)
+        ) is not None:
             state.decide(pending_gains=unfinished.pending_gains)
             return unfinished.events
         if state.mode in (ACTIVE, RELAX):
@@ -764,7 +766,7 @@ class Controller:
         first_row = 0
         first_unsent_row = start
         count = 1
-        is_clearing = state.clearing and state.mode == HandMode.INVENTORY
+        is_clearing = state.is_clearing_errors and state.mode == HandMode.INVENTORY
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:

@@ -36,7 +36,7 @@ class BlockField(NamedTuple):
     Attributes:
         name: name of the quantity.
         table: name of the table that contains the quantity.
-        first: index of the first row in the table.
+        first_row: index of the first row in the table.
         rows: number of rows of the quantity.
         unit: SI unit of the quantity, or an empty text if it has no unit.
         meaning: description of the quantity.
@@ -45,7 +45,7 @@ class BlockField(NamedTuple):
 
     name: str
     table: str
-    first: int
+    first_row: int
     rows: int
     unit: str
     meaning: str
@@ -103,7 +103,7 @@ class BlockSchema:
     def _declare_field(self, field: BlockField) -> int:
         self.fields.append(field)
         self._rows[field.table] += field.rows
-        return field.first
+        return field.first_row
 
     def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
         """Return the layout of the tables of this schema, for given lengths of the axes."""
@@ -184,7 +184,7 @@ class BlockLayout:
         """Return the place of a field in a block: first element, end, shape, and True for integers."""
         start, _, width, is_integer = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
-        first_offset = start + field.first * width
+        first_offset = start + field.first_row * width
         return (
             first_offset,
             first_offset + field.rows * width,
@@ -221,7 +221,7 @@ class BlockLayout:
             shape, kind, block, offset
         )  # a single call creates all views, because every tick creates several of them
 
-    def difference(
+    def first_difference(
         self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
         """Return the first difference between two blocks.

@@ -32,7 +32,7 @@ _integer_field = CONSTANT_SCHEMA.declare_integer_field
 # Tendons and motors. Quantities of motors are converted to forces and lengths at the spool.
 MOTOR_MASS = _real_field("motor_mass", "tendon", "kg", "reflected rotor inertia")
 MOTOR_DAMPING = _real_field("motor_damping", "tendon", "N s/m", "viscous friction of the motor")
-MOTOR_COULOMB = _real_field("coulomb", "tendon", "N", "Coulomb friction of the motor")
+MOTOR_COULOMB_FRICTION = _real_field("coulomb", "tendon", "N", "Coulomb friction of the motor")
 TENDON_STIFFNESS = _real_field("stiffness", "tendon", "N/m", "stiffness of the tendon")
 LOAD_STIFFNESS = _real_field("load_stiffness", "tendon", "N/m",
     "stiffness of the return springs along the tendon")  # fmt: skip
@@ -332,7 +332,9 @@ STALLED_TICKS = _integer_field("stalled_ticks", "run", "",
     "missed ticks in a row after which the host counts as stalled")  # fmt: skip
 MAX_FRAMES_PER_TICK = _integer_field("frames_limit", "run", "",
     "number of frames in a tick above which the bus counts as flooded")  # fmt: skip
-TENSION_GROUPS = _integer_field("tension_groups", "run", "", "frame groups that carry tensions")
+TENSION_GROUP_COUNT = _integer_field(
+    "tension_groups", "run", "", "frame groups that carry tensions"
+)
 
 
 class ConstantTables(NamedTuple):

@@ -18,7 +18,7 @@ from handctl.core.control_law.computed_torque import (
     MOTOR_FRICTION_SPEED_M_S,
     TRIM_DECAY_TIME_S,
 )
-from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
+from handctl.core.control_law.servo_commands import MAX_LOOP_PHASE_RAD
 from handctl.core.deferred_imports import DeferredModule
 from handctl.core.detectors.residuals import RESIDUAL_TIME_CONSTANTS_S
 from handctl.core.estimation import blocked_digits, contact_force, posture
@@ -31,7 +31,7 @@ from handctl.hand.digit import DigitModel
 
 linalg = DeferredModule("scipy.linalg")
 
-MIN_JOINT_MOTION = 1e-9
+MIN_JOINT_MOTION_FRACTION = 1e-9
 """Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
 
 Smaller entries are rounding errors.
@@ -166,7 +166,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     If the hand file contains no values, the position loops have the gains of the motion loop. If
     the hand file contains only the stiffness, the position loops have the damping ratio of the
     motion loop. At low control rates, the stiffness is limited to a smaller value, see
-    ``servo_commands.MAX_PHASE_RAD``.
+    ``servo_commands.MAX_LOOP_PHASE_RAD``.
     """
     tendons = model.tendon_constants
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -175,7 +175,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
     damping = inertia * model.motion_design.damping
     kp = np.array([motor.kp_N_m_per_rad for motor in motors], dtype=np.float64)  # NaN if absent
     kd = np.array([motor.kd_N_m_s_per_rad for motor in motors], dtype=np.float64)
-    max_stiffness = inertia * (MAX_PHASE_RAD / model.period) ** 2
+    max_stiffness = inertia * (MAX_LOOP_PHASE_RAD / model.period) ** 2
     kp = np.minimum(np.where(np.isnan(kp), stiffness, kp), max_stiffness)
     kd = np.where(np.isnan(kd), damping * np.sqrt(kp / stiffness), kd)
     return {
@@ -225,7 +225,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     size = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MIN_JOINT_MOTION * size.max(initial=0.0),
+        "moves": size > MIN_JOINT_MOTION_FRACTION * size.max(initial=0.0),
         "moment_arms": model.hand.moment_arms_of_own_digit,
         "carrier_arms": model.hand.moment_arms_of_carrying_digits,
         "hand_passed": bool(model.hand.moment_arms_of_carrying_digits.any()),

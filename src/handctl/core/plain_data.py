@@ -113,14 +113,14 @@ def serialized_bytes(value: Any) -> bytes:
 
 
 @functools.cache
-def _first_bytes(type_: type) -> tuple[bytes, tuple[str, ...]]:
+def _serialized_header(type_: type) -> tuple[bytes, tuple[str, ...]]:
     """Return the first bytes of a dataclass in plain form, and the names of the fields that follow."""
     names = tuple([field.name for field in fields(type_) if field.init])
     start = b"(" + (1 + len(names)).to_bytes(4, "little")
     return start + marshal.dumps(logged_type_name(type_), MARSHAL_VERSION), names
 
 
-def join_field_bytes(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
+def join_serialized_fields(value: Any, serialize_field: Callable[[Any], bytes]) -> bytes:
     """Return ``serialized_bytes(value)`` for an object of a dataclass, joined from the bytes of its fields.
 
     The bytes of the fields can come from a cache. This is fast if most fields stay the same
@@ -131,7 +131,7 @@ def join_field_bytes(value: Any, serialize_field: Callable[[Any], bytes]) -> byt
         serialize_field: function that returns ``serialized_bytes`` of a field.
     """
     kind: type = type(value)
-    start, names = _first_bytes(kind)
+    start, names = _serialized_header(kind)
     # In this version of the format, a tuple is a mark, the number of items, and the items.
     return start + b"".join([serialize_field(getattr(value, name)) for name in names])
 

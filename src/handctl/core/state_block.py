@@ -117,7 +117,7 @@ JOINT_ANGLE = _real_field("joint_angle", "joint", "rad",
 HAS_ANY_JOINT_READING = _integer_field(
     "joints_read", "run", "", "1 if a joint encoder was read in this tick"
 )
-REJECTED_STEP = _real_field("jump", "tendon", "rad",
+REJECTED_MOTOR_STEP = _real_field("jump", "tendon", "rad",
     "step of a motor position that this tick rejected; 0 if none")  # fmt: skip
 REJECTED_JOINT_STEP = _real_field("joint_jump", "joint", "rad",
     "step of a joint angle that this tick rejected; 0 if none")  # fmt: skip
@@ -329,7 +329,7 @@ DRIVE_PHASE = _integer_field("phase", "tendon", "", "phase of the drive, drives.
 LAST_DRIVE_PHASE = _integer_field(
     "phase_before", "tendon", "", "phase of the drive before this tick"
 )
-EXCESS_REPLIES = _integer_field("surplus", "tendon", "",
+EXCESS_REPLY_COUNT = _integer_field("surplus", "tendon", "",
     "number of open requests plus 1 if more replies came than requests, else 0")  # fmt: skip
 FAULT_CODE = _integer_field("fault_code", "tendon", "", "error code of a drive in fault")
 FAULT_CAUSE = _integer_field("fault_cause", "tendon", "",
@@ -365,9 +365,9 @@ GROUP_FRAME_COUNT_IN_TICK = _integer_field("group_answered", "group", "",
 SYNC_COUNTER = _integer_field("sync_asked", "run", "",
     "low four bits of the counter of the last SYNC; -1 before the first", initial=-1)  # fmt: skip
 SYNC_COUNT = _integer_field("syncs", "run", "", "number of SYNCs sent since the start")
-STALE_FRAMES = _integer_field("stale", "run", "",
+STALE_FRAME_COUNT = _integer_field("stale", "run", "",
     "number of sensor frames since the start that answered an older SYNC")  # fmt: skip
-TENSION_FRAMES = _integer_field("tension_frames", "run", "",
+TENSION_FRAME_COUNT = _integer_field("tension_frames", "run", "",
     "number of accepted load-cell frames since the start")  # fmt: skip
 STALE_FRAME_STATE = _integer_field("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
@@ -376,15 +376,15 @@ STALE_FRAME_STATE = _integer_field("stale_now", "run", "",
 _MONITOR_FIRST_ROWS = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 ACCEPTED_POSITION = _real_field("accepted", "tendon", "rad",
     "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
-ACCEPTED_GAP = _real_field("accepted_gap", "tendon", "",
+ACCEPTED_POSITION_AGE = _real_field("accepted_gap", "tendon", "",
     "number of ticks before the last tick at which that position may have been measured")  # fmt: skip
-REJECTED_POSITIONS = _real_field("dropped", "tendon", "",
+REJECTED_POSITION_COUNT = _real_field("dropped", "tendon", "",
     "number of motor positions in a row that the outlier test rejected")  # fmt: skip
 ACCEPTED_JOINT_ANGLE = _real_field("joint_accepted", "joint", "rad",
     "latest joint angle that the outlier test accepted", initial=NAN)  # fmt: skip
-ACCEPTED_JOINT_GAP = _real_field("joint_gap", "joint", "",
+ACCEPTED_ANGLE_AGE = _real_field("joint_gap", "joint", "",
     "number of ticks before the last tick at which that angle may have been measured")  # fmt: skip
-REJECTED_JOINT_ANGLES = _real_field("joint_dropped", "joint", "",
+REJECTED_ANGLE_COUNT = _real_field("joint_dropped", "joint", "",
     "number of joint angles in a row that the outlier test rejected")  # fmt: skip
 RESIDUAL = _real_field(
     "residual", "tendon", "", "low-passed residuals, see detectors.residuals", rows=9
@@ -424,7 +424,7 @@ SLIP_REFERENCE = _real_field("slip_from", "tendon", "m", initial=NAN,
     meaning="travel less stretch and joint excursion, measured when the tendon became taut")  # fmt: skip
 TENDON_SLIP = _real_field("slip", "tendon", "deg", initial=NAN,
     meaning="spool against joint encoders since the tendon became taut, as mean joint angle")  # fmt: skip
-DERAILED_READINGS = _real_field("derailed", "tendon", "",
+DERAILED_READING_COUNT = _real_field("derailed", "tendon", "",
     "number of readings in a row with more slip than any stretch explains")  # fmt: skip
 COMMANDED_FORCE = _real_field("asked", "tendon", "N",
     "motor force that the last tick commanded; NaN without a command", initial=NAN)  # fmt: skip
@@ -476,7 +476,7 @@ MALFORMED_FRAME_TICKS = _integer_field("misshapen", "node", "",
     "ticks with a frame of a wrong shape, one bit each: the last 20")  # fmt: skip
 UNKNOWN_FRAME_RATE = _real_field("unknown", "run", "1/s",
     "frames with unknown identifiers per second, averaged over about a second")  # fmt: skip
-OUTSTANDING_REQUESTS = _integer_field("open_questions", "tendon", "",
+OUTSTANDING_REQUEST_COUNT = _integer_field("open_questions", "tendon", "",
     "number of requests that the motor has not answered")  # fmt: skip
 OUTSTANDING_REQUEST_TICKS = _integer_field("question", "tendon", "",
     "tick of each outstanding request, the oldest first", rows=8)  # fmt: skip
@@ -494,8 +494,8 @@ FAULT_TICKS = _integer_field("fault_ticks", "instance", "",
 TICK_TIME_NS = _integer_field("t_ns", "run", "ns", "time of the tick")
 TICK_DELAY_NS = _integer_field("late_ns", "run", "ns", "delay of the start of the tick")
 MISSED_TICKS = _integer_field("missed", "run", "", "number of ticks skipped before this tick")
-RECEIVED_FRAMES = _integer_field("frames", "run", "", "number of frames received in this tick")
-UNKNOWN_FRAMES = _integer_field("strange", "run", "",
+RECEIVED_FRAME_COUNT = _integer_field("frames", "run", "", "number of frames received in this tick")
+UNKNOWN_FRAME_COUNT = _integer_field("strange", "run", "",
     "number of frames with unknown identifiers in this tick")  # fmt: skip
 REFUSED_REQUESTS = _integer_field(
     "refused", "run", "", "number of malformed requests in the last second"

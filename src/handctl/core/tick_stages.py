@@ -73,7 +73,7 @@ def begin_tick(
     x.run_int[s.TICK_TIME_NS] = t_ns
     x.run_int[s.TICK_DELAY_NS] = lateness_ns
     x.run_int[s.MISSED_TICKS] = missed_ticks
-    x.run_int[s.RECEIVED_FRAMES] = frames
+    x.run_int[s.RECEIVED_FRAME_COUNT] = frames
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n] = x.tendon_int[s.HAS_NEW_CELL_READING, n] = 0
         x.tendon_int[s.LAST_DRIVE_PHASE, n] = x.tendon_int[s.DRIVE_PHASE, n]
@@ -83,7 +83,7 @@ def begin_tick(
         x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] = 0
     for node in range(x.node_int.shape[1]):
         x.node_int[s.HAS_MALFORMED_FRAME, node] = x.node_int[s.DUPLICATE_REPLIES, node] = 0
-    x.run_int[s.STALE_FRAME_STATE] = x.run_int[s.UNKNOWN_FRAMES] = 0
+    x.run_int[s.STALE_FRAME_STATE] = x.run_int[s.UNKNOWN_FRAME_COUNT] = 0
     x.run_int[s.REFUSED_REQUESTS_IN_TICK] = x.run_int[s.CONSISTENCY_CHANGED] = 0
 
 
@@ -179,7 +179,7 @@ def correct_tension_estimate(
     if x.run_int[s.FILTER_STARTED]:
         kalman.correct_tension_filter(x, c, x.run_int[s.MISSED_TICKS])
     else:
-        kalman.write_unknown_estimate(x)
+        kalman.write_estimate_before_start(x)
 
 
 @kernel("block", "layout", "constants", "layout")

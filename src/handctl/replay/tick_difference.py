@@ -149,7 +149,9 @@ def state_difference(
     """
     k = logged_tick.tick_in.k
     t_s = logged_tick.tick_in.t_ns / 1e9
-    first_difference = logged_state.layout.difference(logged_state.block, computed_state.block)
+    first_difference = logged_state.layout.first_difference(
+        logged_state.block, computed_state.block
+    )
     if first_difference:
         field, element, logged_number, computed_number = first_difference
         axis = logged_state.layout.axis_name_of_field(field)

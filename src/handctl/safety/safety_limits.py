@@ -28,14 +28,14 @@ HARD_TEMPERATURE_LIMIT_DEGC = 85.0
 """Drive temperatures at which the tension limit begins to fall, and at which it reaches the floor [degC]."""
 
 
-def tick_count_for_time(seconds: float, period: float, minimum: int) -> int:
+def tick_count_for_time(seconds: float, period: float, min_ticks: int) -> int:
     """Convert a time [s] to a number of ticks, rounded up.
 
-    The result is at least ``minimum``.
+    The result is at least ``min_ticks``.
     """
     # The function rounds up, because a time limit in ticks must never be shorter than the time that
     # was given.
-    return max(minimum, math.ceil(seconds / period))
+    return max(min_ticks, math.ceil(seconds / period))
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ Source: spool speed of the packaged hands, divided by their smallest moment arm.
 """
 ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
-HEALTHY_ACCELERATION_FRACTION = 0.1
+TYPICAL_ACCELERATION_FRACTION = 0.1
 """RMS acceleration of a healthy motor over 100 ms, as a fraction of the bare rotor's acceleration at full torque.
 
 A motor also accelerates a digit, and never has its full torque for long. In the golden logs of
@@ -219,5 +219,5 @@ def _noise_limit(model: HandModel) -> float:
         ROUNDING_NOISE_COUNTS * float((tendons.encoder_step / tendons.spool_radius).max()) ** 2
     )
     return POSITION_NOISE_FACTOR * (
-        (HEALTHY_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
+        (TYPICAL_ACCELERATION_FRACTION * acceleration * period**2) ** 2 + rounding_noise
     )

@@ -73,7 +73,7 @@ def _detect_duplicate_answers(
     """Detect duplicate answers of the load cells, and count late answers.
 
     Duplicate answers are written to ``DUPLICATE_REPLIES``. Late answers are counted in
-    ``STALE_FRAMES``.
+    ``STALE_FRAME_COUNT``.
     """
     duplicates = state.view("twice")
     is_extra_reply_allowed = not sensors.has_counter and (
@@ -85,7 +85,7 @@ def _detect_duplicate_answers(
             is_extra_reply_allowed or not (sensors.has_counter or was_group_answered[group])
         ):
             state.set_run_table_integer(
-                s.STALE_FRAMES, state.run_table_integer(s.STALE_FRAMES) + count - 1
+                s.STALE_FRAME_COUNT, state.run_table_integer(s.STALE_FRAME_COUNT) + count - 1
             )
             state.set_run_table_integer(
                 s.STALE_FRAME_STATE, max(state.run_table_integer(s.STALE_FRAME_STATE), 1)

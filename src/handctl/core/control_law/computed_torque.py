@@ -55,10 +55,10 @@ from handctl.core.estimation.slack_detection import MAX_SLACK_TENSION_N
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import project_onto_digit_motion, winding_efficiency
 from handctl.core.estimation.varying_moment_arms import (
-    arm_slope,
     carrier_excursion,
     joint_excursion,
     moment_arm,
+    moment_arm_slope,
     motor_speed,
 )
 from handctl.core.state_block import StateTables
@@ -286,7 +286,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
     """
     force = min(max(force, c.tendon[h.MIN_MOTOR_FORCE, n]), c.tendon[h.MAX_MOTOR_FORCE, n])
     # The largest motor force is the tension limit plus the friction that the motor has to overcome.
-    bound = limit + c.tendon[h.MOTOR_COULOMB, n]
+    bound = limit + c.tendon[h.MOTOR_COULOMB_FRICTION, n]
     force = min(force, bound)
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
         force = max(force, -bound)
@@ -563,7 +563,7 @@ def _tendon_motion_on_trajectory(
         acceleration += arm * trajectory[2, j]
         if has_varying_arm:
             acceleration += (
-                arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
+                moment_arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
             )
     return excursion, rate, acceleration
 
@@ -597,7 +597,7 @@ def _carrier_feedforward_force(
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
+    friction = c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     return (
         friction
         + c.tendon[h.MOTOR_DAMPING, n] * rate
@@ -646,7 +646,7 @@ def _motion_force(
         + tension_feedback_gain * (tension - x.tendon[s.TENSION, n])
         + friction_fraction * c.tendon[h.MOTOR_DAMPING, n] * speed
         + friction_fraction
-        * c.tendon[h.MOTOR_COULOMB, n]
+        * c.tendon[h.MOTOR_COULOMB_FRICTION, n]
         * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     )
 
@@ -670,8 +670,8 @@ def _tension_force(
     last_setpoint = x.tendon[s.TENSION_SETPOINT, n]
     setpoint = last_setpoint + min(max(target - last_setpoint, -step), step)
     error = setpoint - x.tendon[s.TENSION, n]
-    slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
-    integral = 0.0 if slack else _tension_integral(x, c, n, error)
+    is_slack = x.tendon_int[s.REGIME, n] == SLACK_REGIME
+    integral = 0.0 if is_slack else _tension_integral(x, c, n, error)
     force = (
         setpoint
         + c.tendon[h.TENSION_GAIN, n] * error
@@ -679,9 +679,9 @@ def _tension_force(
         + integral
         - c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.MOTOR_DISTURBANCE, n]
     )
-    if slack and setpoint > 0.0:
+    if is_slack and setpoint > 0.0:
         # The small tension error of a slack tendon cannot overcome the friction of a motor at rest.
-        force += c.tendon[h.MOTOR_COULOMB, n]
+        force += c.tendon[h.MOTOR_COULOMB_FRICTION, n]
         if is_target_stream_running(x):
             # Streamed tensions move a digit fast, so its other tendons must be taken up fast.
             tension_increase = max(SLACK_TAKE_UP_TENSION_N - setpoint, 0.0)
@@ -727,7 +727,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
         acceleration += (
             c.tendon_coordinate_table[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
         )
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
+    friction = c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 
@@ -758,7 +758,7 @@ def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: fl
     speed_without_friction = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
         command_force - x.tendon[s.TENSION, n]
     )
-    return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
+    return c.tendon[h.MOTOR_COULOMB_FRICTION, n] * math.tanh(
         speed_without_friction / c.tendon[h.FRICTION_STOP_SPEED, n]
     )
 

@@ -46,7 +46,7 @@ from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import ACTIVE_MODE
 
-MAX_PHASE_RAD = 0.3
+MAX_LOOP_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
 
 The tension filter assumes that the motor force is constant within a period. In simulation, stiffer
@@ -55,7 +55,7 @@ loops oscillated. Examples are loops with 0.5 rad on the hand ``jamia`` at 100 H
 """
 SERVO_COMMAND_ROW_COUNT = 6
 """Number of rows of a command: position, velocity, kp, kd, torque, limit."""
-LIMIT_MARGIN_N = 10.0
+TORQUE_LIMIT_MARGIN_N = 10.0
 """Force [N] by which the torque limit in a command exceeds the predicted motor force.
 
 In free motions, the force changes by less than 1 N within a period.
@@ -215,7 +215,7 @@ def write_servo_command(
     x.servo[s.SERVO_TORQUE, n] = feedforward_force * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
         x.servo[s.SERVO_TORQUE_LIMIT, n] = (
-            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.MAX_MOTOR_FORCE, n]) * spool
+            min(abs(force) + TORQUE_LIMIT_MARGIN_N, c.tendon[h.MAX_MOTOR_FORCE, n]) * spool
         )
 
 

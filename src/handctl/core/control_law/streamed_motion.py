@@ -35,7 +35,7 @@ MIN_STIFFNESS_FRACTION = 0.05
 Otherwise, the divisor is the stiffness fraction of the digit. A softer digit may be pushed away
 further.
 """
-LIMIT_TOLERANCE = 1e-9
+RATE_LIMIT_TOLERANCE = 1e-9
 """Relative tolerance of the limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
 """Difference between requested and used value above which the request counts as clipped [rad, N]."""
@@ -172,15 +172,18 @@ def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None
     # the segment.
     moving_target = x.coordinate[s.STREAM_TARGET, k] - target_rate * remaining
     mean = (candidate_position - position) / period
-    allowed = gain * (1.0 + LIMIT_TOLERANCE)
-    is_within_limits = abs(mean - rate) <= allowed and abs(candidate_rate - rate) <= allowed
+    max_rate_change = gain * (1.0 + RATE_LIMIT_TOLERANCE)
+    is_within_limits = (
+        abs(mean - rate) <= max_rate_change and abs(candidate_rate - rate) <= max_rate_change
+    )
     is_within_limits &= (
-        slowest - gain * LIMIT_TOLERANCE <= min(mean, candidate_rate)
-        and max(mean, candidate_rate) <= fastest + gain * LIMIT_TOLERANCE
+        slowest - gain * RATE_LIMIT_TOLERANCE <= min(mean, candidate_rate)
+        and max(mean, candidate_rate) <= fastest + gain * RATE_LIMIT_TOLERANCE
     )
     is_within_limits &= (
         abs(candidate_rate - target_rate)
-        <= max_stoppable_speed(abs(moving_target - candidate_position), gain, period) + allowed
+        <= max_stoppable_speed(abs(moving_target - candidate_position), gain, period)
+        + max_rate_change
     )
     new_rate = candidate_rate
     if not is_within_limits:

@@ -57,7 +57,7 @@ def detect_bus_faults(
         evidence[FAULT_B04, 0] = 0.0
     if x.run_int[s.STALE_FRAME_STATE] == 2:
         evidence[FAULT_B07, 0] = 1.0
-    frames = x.run_int[s.RECEIVED_FRAMES]
+    frames = x.run_int[s.RECEIVED_FRAME_COUNT]
     if frames > c.run_int[h.MAX_FRAMES_PER_TICK] * (1 + x.run_int[s.MISSED_TICKS]):
         evidence[FAULT_B11A, 0] = evidence[FAULT_B11B, 0] = frames
 

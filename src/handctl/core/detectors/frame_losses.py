@@ -61,10 +61,10 @@ def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -
     """
     group = c.tendon_int[h.CELL_GROUP, n]
     last_reading_ns = -1
-    for g in range(c.run_int[h.TENSION_GROUPS]):
+    for g in range(c.run_int[h.TENSION_GROUP_COUNT]):
         if g == group or group < 0:
             last_reading_ns = max(last_reading_ns, x.group_int[s.GROUP_RECEIVED_NS, g])
-    if c.run_int[h.TENSION_GROUPS] == 0:
+    if c.run_int[h.TENSION_GROUP_COUNT] == 0:
         return 0
     return ticks_overdue(now_ns, last_reading_ns, 0, c.run_int[h.CONTROL_PERIOD_NS])
 

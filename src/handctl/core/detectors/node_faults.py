@@ -127,16 +127,16 @@ def _detect_rejected_positions(x: StateTables, evidence: EvidenceTable) -> None:
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
-        if x.tendon[s.REJECTED_STEP, n] > 0.0:
-            evidence[FAULT_N05A, n] = x.tendon[s.REJECTED_STEP, n]
-            if x.tendon[s.REJECTED_POSITIONS, n] > 1.0:
-                evidence[FAULT_N05B, n] = x.tendon[s.REJECTED_STEP, n]
+        if x.tendon[s.REJECTED_MOTOR_STEP, n] > 0.0:
+            evidence[FAULT_N05A, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
+            if x.tendon[s.REJECTED_POSITION_COUNT, n] > 1.0:
+                evidence[FAULT_N05B, n] = x.tendon[s.REJECTED_MOTOR_STEP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.REJECTED_JOINT_STEP, j] > 0.0:
             # A fault that can occur in motors and in joints has two rows of the evidence table. The
             # second row is for joints.
             evidence[FAULT_N05A + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
-            if x.joint[s.REJECTED_JOINT_ANGLES, j] > 1.0:
+            if x.joint[s.REJECTED_ANGLE_COUNT, j] > 1.0:
                 evidence[FAULT_N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
 
 

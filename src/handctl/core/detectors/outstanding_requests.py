@@ -41,12 +41,12 @@ def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
     has_excess_replies = False
     for n in range(x.tendon.shape[1]):
         replies = x.tendon_int[s.FEEDBACK_COUNT_IN_TICK, n]
-        open_request_count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
-        x.tendon_int[s.EXCESS_REPLIES, n] = 0
+        open_request_count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
+        x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 0
         if replies > open_request_count and c.tendon_int[h.HAS_SINGLE_ANSWER, n]:
-            x.tendon_int[s.EXCESS_REPLIES, n] = 1 + open_request_count
+            x.tendon_int[s.EXCESS_REPLY_COUNT, n] = 1 + open_request_count
             has_excess_replies = True
-        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = max(open_request_count - replies, 0)
+        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = max(open_request_count - replies, 0)
     for g in range(x.group_int.shape[1]):
         has_excess_replies |= x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, g] > 1
     return has_excess_replies
@@ -60,7 +60,7 @@ def add_requests(x: StateTables, k: int) -> None:
     request of such a motor is open.
     """
     for n in range(x.tendon.shape[1]):
-        count = x.tendon_int[s.OUTSTANDING_REQUESTS, n]
+        count = x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n]
         if x.tendon_int[s.LAST_DRIVE_PHASE, n] < READY_PHASE:
             count = 0
         remaining = 0
@@ -71,4 +71,4 @@ def add_requests(x: StateTables, k: int) -> None:
                 x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = request_tick
                 remaining += 1
         x.tendon_int[s.OUTSTANDING_REQUEST_TICKS + remaining, n] = k
-        x.tendon_int[s.OUTSTANDING_REQUESTS, n] = remaining + 1
+        x.tendon_int[s.OUTSTANDING_REQUEST_COUNT, n] = remaining + 1

@@ -32,11 +32,13 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 
 
 @kernel_helper
-def count_repeated_readings(x: StateTables, tared: bool) -> None:
+def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
     """Compare the present load-cell readings with those of the last ``MAX_READING_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
-        x.tendon[s.PRESENT_CELL_READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        x.tendon[s.PRESENT_CELL_READING, n] = (
+            x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
+        )
         x.tendon_int[s.LONGEST_READING_REPETITION, n] = 0
     for age in range(MAX_READING_AGE_TICKS):
         for n in range(count):

@@ -48,7 +48,9 @@ FULL_FRICTION_SPEED_M_S = 5e-3
 
 
 @kernel_helper
-def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared: bool) -> None:
+def update_residuals(
+    x: StateTables, c: ConstantTables, missed_ticks: int, are_cells_tared: bool
+) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
@@ -56,7 +58,7 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         c: constants of the hand.
         missed_ticks: ticks missed before the present tick. In the tick after a missed tick, positions and
             speeds are not used.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
     residual_sums = np.empty(len(RESIDUAL_TIME_CONSTANTS_S))
     has_started = x.run_int[s.RESIDUALS_STARTED] == 1
@@ -65,12 +67,12 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         position = x.tendon[s.MEASURED_POSITION, n] if missed_ticks == 0 else math.nan
         speed = x.tendon[s.SPOOL_SPEED, n] if missed_ticks == 0 else math.nan
         # The reading of a saturated load cell is no tension. Fault T06 reports it.
-        is_cell_usable = tared and not is_cell_saturated(x, c, n)
+        is_cell_usable = are_cells_tared and not is_cell_saturated(x, c, n)
         tension = x.tendon[s.MEASURED_TENSION, n] if is_cell_usable else math.nan
         force = x.tendon[s.MEASURED_FORCE, n]
         commanded_force = x.tendon[s.COMMANDED_FORCE, n]
         motor_force = commanded_force if math.isnan(force) else force
-        checked_tension = monitored_tension(x, c, n, tared)
+        checked_tension = monitored_tension(x, c, n, are_cells_tared)
         if not has_started:
             # The two fast filters start at the present tension and at the present motor force.
             x.tendon[s.RESIDUAL + TENSION, n] = (
@@ -81,9 +83,9 @@ def update_residuals(x: StateTables, c: ConstantTables, missed_ticks: int, tared
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
         # some millimetres per second, the computed friction has its full value. When the motor is
         # at rest, the computed friction therefore does not change its sign in every tick.
-        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
-            speed * 1e3
-        )
+        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
+            h.MOTOR_COULOMB_FRICTION, n
+        ] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.CONTROL_PERIOD]
         balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
@@ -141,7 +143,7 @@ def excess_tension(x: StateTables, c: ConstantTables, n: int) -> float:
 def _max_explained_difference(x: StateTables, c: ConstantTables, n: int, force_row: int) -> float:
     """Return the largest residual that friction and the tolerance of the motor force explain [N]."""
     tolerance = TORQUE_CONSTANT_TOLERANCE * abs(x.tendon[s.RESIDUAL + force_row, n])
-    return float(c.tendon[h.MOTOR_COULOMB, n] + tolerance)
+    return float(c.tendon[h.MOTOR_COULOMB_FRICTION, n] + tolerance)
 
 
 @kernel_helper

@@ -35,7 +35,7 @@ MIN_PRESSING_TENSION_N = 8.0
 
 
 @kernel_helper
-def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_stuck_counts(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the number of ticks with a constant reading, for each sensor.
 
     If a reading is missing, the number does not change.
@@ -43,7 +43,7 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
     for n in range(x.tendon.shape[1]):
         # The position of the encoder is compared instead of the tendon travel, because the travel
@@ -62,9 +62,9 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
                 0 if has_moved else x.tendon_int[s.MOTOR_UNCHANGED_COUNT, n] + 1
             )
             x.tendon[s.STUCK_TEST_POSITION, n] = value
-        cell = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        cell_tension = x.tendon[s.MEASURED_TENSION, n] if are_cells_tared else math.nan
         last_position = x.tendon[s.STUCK_TEST_TENSION, n]
-        has_moved = not math.isnan(cell) and cell != last_position
+        has_moved = not math.isnan(cell_tension) and cell_tension != last_position
         force = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
         if has_moved or math.isnan(x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n]):
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = x.tendon[
@@ -75,11 +75,11 @@ def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE, n] = force
         if force > x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n]:
             x.tendon[s.FORCE_RANGE_SINCE_CELL_CHANGE + 1, n] = force
-        if not math.isnan(cell):
+        if not math.isnan(cell_tension):
             x.tendon_int[s.CELL_UNCHANGED_COUNT, n] = (
                 0 if has_moved else x.tendon_int[s.CELL_UNCHANGED_COUNT, n] + 1
             )
-            x.tendon[s.STUCK_TEST_TENSION, n] = cell
+            x.tendon[s.STUCK_TEST_TENSION, n] = cell_tension
     for j in range(x.joint.shape[1]):
         value = x.joint[s.MEASURED_JOINT, j]
         last_position = x.joint[s.STUCK_TEST_ANGLE, j]

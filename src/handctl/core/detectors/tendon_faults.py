@@ -21,7 +21,7 @@ from handctl.core.estimation.varying_moment_arms import moment_arm
 from handctl.core.state_block import StateTables
 from handctl.core.tick_types import RELAX_MODE
 from handctl.safety.faults.tendon import (
-    DERAILED_READINGS,
+    DERAILED_READING_COUNT,
     EXCESS_FRICTION_WARN_N,
     EXCESS_TENSION_TRIP_N,
     FAULT_T01,
@@ -47,10 +47,10 @@ from handctl.safety.faults.tendon import (
     SNAP_MIN_COMMAND_N,
     SNAP_SPOOL_SPEED,
     SNAP_SPOOL_SPEED_WITHOUT_CELL,
-    SNAP_TAUT_MEMORY_S,
     SNAP_TENSION_FRACTION,
     STUCK_CELL_FORCE_RANGE_N,
     STUCK_CELL_READINGS,
+    TAUT_BEFORE_SNAP_TIME_S,
     TAUT_TENSION_N,
 )
 
@@ -114,9 +114,9 @@ def detect_tendon_faults_under_torque(
         if age > 0:
             evidence[FAULT_T05B, n] = age
         slip = abs(x.tendon[s.TENDON_SLIP, n])
-        if x.tendon[s.DERAILED_READINGS, n] >= DERAILED_READINGS and slip > derailment_threshold(
-            c, n
-        ):
+        if x.tendon[
+            s.DERAILED_READING_COUNT, n
+        ] >= DERAILED_READING_COUNT and slip > derailment_threshold(c, n):
             evidence[FAULT_T08, n] = slip
 
 
@@ -179,7 +179,9 @@ def _snapped_speed_threshold(
     ):
         return SNAP_SPOOL_SPEED
     damping = c.tendon[h.TENSION_SPEED_GAIN, n]
-    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[h.MOTOR_COULOMB, n]
+    force = (1.0 + c.tendon[h.TENSION_GAIN, n]) * commanded_tension - c.tendon[
+        h.MOTOR_COULOMB_FRICTION, n
+    ]
     # The comparison needs no division, because the damping may be zero.
     if FREE_SPOOL_SPEED_FRACTION * force >= SNAP_SPOOL_SPEED * damping:
         return SNAP_SPOOL_SPEED
@@ -208,7 +210,9 @@ def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: EvidenceT
         speed = -speed
         planned_speed = -planned_speed
         tension = -tension
-    was_recently_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_TAUT_MEMORY_S
+    was_recently_taut = (
+        0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < TAUT_BEFORE_SNAP_TIME_S
+    )
     unplanned_speed = speed - max(planned_speed, 0.0)
     if (
         unplanned_speed > _snapped_speed_threshold(x, c, n, commanded_tension)

@@ -25,17 +25,17 @@ DEG_PER_RAD = 180.0 / math.pi
 
 
 @kernel_helper
-def update_tendon_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tendon_slip(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the slip of each tendon.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        tared: True if the zeros of the load cells are known.
+        are_cells_tared: True if the zeros of the load cells are known.
     """
     has_joint_reading = x.run_int[s.HAS_ANY_JOINT_READING] == 1
     for n in range(x.tendon.shape[1]):
-        tension = monitored_tension(x, c, n, tared)
+        tension = monitored_tension(x, c, n, are_cells_tared)
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # At least one tendon of a spool pair is always taut.
             x.tendon[s.TAUT_TIME_S, n] += c.run[h.CONTROL_PERIOD]
@@ -59,8 +59,8 @@ def update_tendon_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
                 * DEG_PER_RAD
             )
             is_derailed = abs(x.tendon[s.TENDON_SLIP, n]) > derailment_threshold(c, n)
-            x.tendon[s.DERAILED_READINGS, n] = (
-                x.tendon[s.DERAILED_READINGS, n] + 1.0 if is_derailed else 0.0
+            x.tendon[s.DERAILED_READING_COUNT, n] = (
+                x.tendon[s.DERAILED_READING_COUNT, n] + 1.0 if is_derailed else 0.0
             )
 
 

@@ -26,7 +26,7 @@ MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 
 
 @kernel_helper
-def update_tension_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
+def update_tension_swing(x: StateTables, c: ConstantTables, are_cells_tared: bool) -> None:
     """Update the mean square of the fast part of the tension error, for each tendon."""
     period = c.run[h.CONTROL_PERIOD]
     slow_fraction = 1.0 - math.exp(-period / SLOW_DEVIATION_TIME_CONSTANT_S)
@@ -34,7 +34,7 @@ def update_tension_swing(x: StateTables, c: ConstantTables, tared: bool) -> None
     for n in range(x.tendon.shape[1]):
         fast_deviation = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]
-        if tared and not math.isnan(deviation):
+        if are_cells_tared and not math.isnan(deviation):
             x.tendon[s.SLOW_TENSION_DEVIATION, n] += slow_fraction * (
                 deviation - x.tendon[s.SLOW_TENSION_DEVIATION, n]
             )

@@ -79,7 +79,7 @@ MIN_SERVO_INCREMENT_COUNTS = 0.75
 The report contains a rounded position and speed, but the drive computes with unrounded values.
 Rounded and unrounded values differ by 0.3 counts (rms).
 """
-MIN_SERVO_SHARE = 0.01
+MIN_POSITION_COMMAND_FRACTION = 0.01
 """Fraction of ticks with a position loop closed by the drive, above which ``MIN_SERVO_INCREMENT_COUNTS`` applies."""
 (
     COMMAND_SQUARED_ROW,
@@ -159,7 +159,7 @@ def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
     )
     if (
         c.tendon_int[h.DRIVE_CLOSES_LOOP, n]
-        and x.servo[s.POSITION_COMMAND_FRACTION, n] > MIN_SERVO_SHARE
+        and x.servo[s.POSITION_COMMAND_FRACTION, n] > MIN_POSITION_COMMAND_FRACTION
     ):
         rounding_step = max(
             rounding_step, MIN_SERVO_INCREMENT_COUNTS * c.tendon[h.SERVO_ROUNDING_FORCE, n]

@@ -595,7 +595,7 @@ def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) ->
 
 
 @kernel_helper
-def write_unknown_estimate(x: StateTables) -> None:
+def write_estimate_before_start(x: StateTables) -> None:
     """Write the estimate of a tick before the filter has started.
 
     This estimate has no contact and no innovation.

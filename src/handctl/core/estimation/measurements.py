@@ -64,13 +64,13 @@ def reject_outliers(x: StateTables, c: ConstantTables, missed_ticks: int) -> Non
     """
     for n in range(x.tendon.shape[1]):
         _reject_outlier(
-            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_GAP, s.REJECTED_STEP,
-            s.REJECTED_POSITIONS, c.tendon[h.MOTOR_STEP_LIMIT, n], missed_ticks,
+            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED_POSITION, s.ACCEPTED_POSITION_AGE, s.REJECTED_MOTOR_STEP,
+            s.REJECTED_POSITION_COUNT, c.tendon[h.MOTOR_STEP_LIMIT, n], missed_ticks,
         )  # fmt: skip
     for j in range(x.joint.shape[1]):
         _reject_outlier(
-            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_JOINT_GAP, s.REJECTED_JOINT_STEP,
-            s.REJECTED_JOINT_ANGLES, c.joint[h.JOINT_STEP_LIMIT, j], missed_ticks,
+            x.joint, j, s.MEASURED_JOINT, s.ACCEPTED_JOINT_ANGLE, s.ACCEPTED_ANGLE_AGE, s.REJECTED_JOINT_STEP,
+            s.REJECTED_ANGLE_COUNT, c.joint[h.JOINT_STEP_LIMIT, j], missed_ticks,
         )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def reset_rejected_steps(x: StateTables) -> None:
     While no motor makes torque, positions are not tested.
     """
     for n in range(x.tendon.shape[1]):
-        x.tendon[s.REJECTED_STEP, n] = 0.0
+        x.tendon[s.REJECTED_MOTOR_STEP, n] = 0.0
     for j in range(x.joint.shape[1]):
         x.joint[s.REJECTED_JOINT_STEP, j] = 0.0
 

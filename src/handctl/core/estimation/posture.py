@@ -92,7 +92,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
         k: number of the tick.
         t_ns: time of the tick [ns].
     """
-    spread, variance = _excursion_deviations(x, c)
+    angle_deviations, variance = _excursion_deviations(x, c)
     if not c.run_int[h.HAS_NULL_SPACE]:
         for j in range(x.joint.shape[1]):
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
@@ -115,7 +115,7 @@ def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) 
     if c.run_int[h.HAND_HAS_VARYING_ARM]:
         fit_angles_to_excursions(x, c)
     if update and c.run_int[h.HAS_FUSED_ENCODERS]:
-        _fuse_encoders(x, c, columns, spread, t_ns)
+        _fuse_encoders(x, c, columns, angle_deviations, t_ns)
 
 
 @kernel_helper
@@ -123,7 +123,7 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
     """Return the angle errors by the error of each excursion (J, N) [rad], and the angle variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
-    spread = np.zeros((joints, tendons))
+    angle_deviations = np.zeros((joints, tendons))
     total = np.zeros(joints)
     for n in range(tendons):
         stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(
@@ -140,9 +140,9 @@ def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Ve
                 variance += square(c.tendon_joint_table[h.CARRIER_ARMS, n, j]) * total[j]
         excursion = math.sqrt(variance)
         for j in range(joints):
-            spread[j, n] = c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * excursion
-            total[j] += square(spread[j, n])
-    return spread, total
+            angle_deviations[j, n] = c.joint_tendon_table[h.EXCURSION_TO_JOINTS, j, n] * excursion
+            total[j] += square(angle_deviations[j, n])
+    return angle_deviations, total
 
 
 @kernel_helper
@@ -350,7 +350,11 @@ def _write_angle_errors_of_free_digits(x: StateTables, c: ConstantTables, turn: 
 
 @kernel_helper
 def _fuse_encoders(
-    x: StateTables, c: ConstantTables, covariance_columns: Matrix, spread: Matrix, t_ns: int
+    x: StateTables,
+    c: ConstantTables,
+    covariance_columns: Matrix,
+    angle_deviations: Matrix,
+    t_ns: int,
 ) -> None:
     """Correct the joint angles by the readings of the joint encoders, one encoder after the other.
 
@@ -361,7 +365,7 @@ def _fuse_encoders(
         c: constants of the hand.
         covariance_columns: (2 H + 2, J) deviations of the angles in the null space [rad], see
             ``_covariance_columns``.
-        spread: (J, N) errors of the angles that the errors of the excursions cause [rad], see
+        angle_deviations: (J, N) errors of the angles that the errors of the excursions cause [rad], see
             ``_excursion_deviations``.
         t_ns: present time [ns].
 
@@ -373,8 +377,8 @@ def _fuse_encoders(
         for b in range(joints):
             for row in range(len(covariance_columns)):
                 covariance[a, b] += covariance_columns[row, a] * covariance_columns[row, b]
-            for n in range(spread.shape[1]):
-                covariance[a, b] += spread[a, n] * spread[b, n]
+            for n in range(angle_deviations.shape[1]):
+                covariance[a, b] += angle_deviations[a, n] * angle_deviations[b, n]
             covariance[a, b] *= c.joint_joint_table[h.ARE_IN_SAME_DIGIT, a, b]
     has_reading = False
     gain = np.zeros(joints)

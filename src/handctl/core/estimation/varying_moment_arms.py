@@ -115,7 +115,7 @@ def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
+def moment_arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
     if (
         not c.tendon_int[h.HAS_VARYING_ARM, n]

@@ -42,17 +42,17 @@ class MotionDesign:
     tension_speed: Vector
 
 
-FULL_WEIGHT_PERIOD_S = 2e-3
+FULL_FORCE_WEIGHT_PERIOD_S = 2e-3
 """Longest control period at which the force weights are not reduced [s]."""
 
 
 def force_weight_at_period(force: float, period_s: float) -> float:
     """Return the force weight for a control period [N].
 
-    Above the period ``FULL_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
+    Above the period ``FULL_FORCE_WEIGHT_PERIOD_S``, the weight is reduced. The stiffness of a loop is
     proportional to the weight. The bandwidth is proportional to the square root of the weight.
     """
-    return force * min(1.0, math.sqrt(FULL_WEIGHT_PERIOD_S / period_s))
+    return force * min(1.0, math.sqrt(FULL_FORCE_WEIGHT_PERIOD_S / period_s))
 
 
 def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> MotionDesign:

@@ -80,7 +80,7 @@ POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
 """Values of ``drives.signals.SignalQuantity``, for compiled code."""
 CAN_ID_MASK = 0x1FFFFFFF
 """Mask of a CAN identifier without its flags."""
-STANDARD_IDS = 0x800
+STANDARD_ID_COUNT = 0x800
 """Number of possible 11-bit identifiers."""
 OTHER_FRAME, RIGHT_REPLY, WRONG_REPLY = range(3)
 """Results of the comparison of a frame with the reply to a repeated read-back."""
@@ -325,8 +325,8 @@ def _count_unknown_frame(
     node. A 29-bit identifier of 0x800 or more belongs to another protocol, even if its lower 11
     bits are those of a node.
     """
-    x.run_int[s.UNKNOWN_FRAMES] += 1
-    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_IDS:
+    x.run_int[s.UNKNOWN_FRAME_COUNT] += 1
+    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & CAN_ID_MASK < STANDARD_ID_COUNT:
         entry = find_key(keys, bus << 32 | can_id & CAN_ID_MASK)
         if entry != NO_FRAME_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]
@@ -339,7 +339,7 @@ def _count_unknown_frame(
 @kernel_helper
 def _count_stale_frame(x: StateTables, sensor_group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
-    x.run_int[s.STALE_FRAMES] += 1
+    x.run_int[s.STALE_FRAME_COUNT] += 1
     x.run_int[s.STALE_FRAME_STATE] = max(
         x.run_int[s.STALE_FRAME_STATE],
         2 if x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, sensor_group] else 1,
@@ -392,7 +392,7 @@ def _decode_sensor_frame(
             x.joint_int[s.HAS_NEW_JOINT_READING, channel] = 1
     x.group_int[s.GROUP_RECEIVED_NS, group] = t_ns
     x.group_int[s.GROUP_FRAME_COUNT, group] += 1
-    x.run_int[s.TENSION_FRAMES] += tensions
+    x.run_int[s.TENSION_FRAME_COUNT] += tensions
     x.group_int[s.GROUP_FRAME_COUNT_IN_TICK, group] += 1
 
 

@@ -23,12 +23,12 @@ SNAP_TENSION_FRACTION = 0.2
 SNAP_MIN_COMMAND_N = 8.0
 SNAP_SPOOL_SPEED = 0.03
 SNAP_SPOOL_SPEED_WITHOUT_CELL = 0.06
-SNAP_TAUT_MEMORY_S = 0.1
+TAUT_BEFORE_SNAP_TIME_S = 0.1
 """Thresholds for a snapped tendon: tension fraction, commanded tension [N], spool speeds [m/s], memory [s].
 
 A tendon counts as snapped if more than ``SNAP_MIN_COMMAND_N`` is commanded and its tension is below
 ``SNAP_TENSION_FRACTION`` of the command, while the spool winds faster than ``SNAP_SPOOL_SPEED``. The tendon must
-also have been taut within the last ``SNAP_TAUT_MEMORY_S``. So a slack tendon whose spool takes it up
+also have been taut within the last ``TAUT_BEFORE_SNAP_TIME_S``. So a slack tendon whose spool takes it up
 does not count as snapped. The second speed is for tendons without load cell. Of 60 random streams to ``orca_like``, 6
 ended with a false T01 at 0.03 m/s, and none at 0.06 m/s. Joint encoders report such a torn tendon sooner (T08).
 """
@@ -85,7 +85,7 @@ SATURATED_CELL_TICKS = 3
 """Number of consecutive ticks with a saturated load cell after which there is a fault."""
 DERAILED_TENDON_DEG = 15.0
 DERAILED_TENDON_WITHOUT_CELL_DEG = 10.0
-DERAILED_READINGS = 3
+DERAILED_READING_COUNT = 3
 """Thresholds for a derailed tendon: joint minus spool angle that no stretch explains [deg], and readings in a row.
 
 The second threshold is for a tendon without load cell, because no other fault reports soon that such a tendon has
@@ -213,7 +213,7 @@ declare_catalogue_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLA
 )  # fmt: skip
 FAULT_T08 = declare_fault(
     "T08", "a tendon left its pulley",
-    f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
+    f"In {DERAILED_READING_COUNT} readings, joint and spool differ by more than a tendon can stretch",
     SafetyAction.RELAX, CLEARED_BY_OPERATOR, FAULT_PLACE_TENDON,
     needs_joint_encoders=True,
     cause="The tendon has derailed or crossed another one, or a tendon without load cell has torn.",
