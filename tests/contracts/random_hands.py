@@ -325,7 +325,7 @@ class RandomHand:
             self.state, out = self.controller.tick(self.state, entry)
             hashed_arrays = [
                 out.state_hash,
-                out.telemetry.packed(),
+                out.telemetry.to_bytes(),
                 repr(tuple(out.frames)).encode(),
                 repr(out.events).encode(),
             ]

@@ -187,9 +187,9 @@ def joseph_update(
     the error into account.
     """
     H, R = block.H[:2].copy(), np.diag(block.R * np.where(is_missing, 1e12, 1.0))
-    H[1, E] = float(block.cell_error_observable)
+    H[1, E] = float(block.is_cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-    gain[E] *= float(block.cell_error_observable)
+    gain[E] *= float(block.is_cell_error_observable)
     remaining_fraction = np.eye(STATE_COUNT) - gain @ H
     return gain, remaining_fraction @ P @ remaining_fraction.T + gain @ R @ gain.T
 

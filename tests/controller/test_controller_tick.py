@@ -62,7 +62,7 @@ def comparable_outputs(tick_output: TickOut) -> tuple[object, ...]:
         tick_output.events,
         tick_output.state_hash,
     )
-    return (*plain, tick_output.telemetry.packed())
+    return (*plain, tick_output.telemetry.to_bytes())
 
 
 def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
@@ -242,7 +242,7 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     )
     run.change_host_frames = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.run_until_mode(HandMode.DONE)
-    lost_instances = {mark.instance for mark in run.state.latched_faults if mark.id == "N02"}
+    lost_instances = {mark.part_name for mark in run.state.latched_faults if mark.id == "N02"}
     assert lost_instances == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 

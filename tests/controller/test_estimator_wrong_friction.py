@@ -130,7 +130,7 @@ def _judge_innovations(
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
-    kalman._judge_consistency(
+    kalman._update_consistency(
         state_tables(block, state_places),
         constant_tables(constants, constant_places),
         innovation,

@@ -209,7 +209,7 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
                 row[h.CELL_SIGMA_OFFSET] ** 2, np.linalg.inv(block.innovation_information)[1, 1]
             )
             assert row[h.CELL_ERROR_VARIANCE_OFFSET] == block.cell_error_variance
-            assert row[h.CELL_ERROR_OBSERVABLE_OFFSET] == block.cell_error_observable
+            assert row[h.CELL_ERROR_OBSERVABLE_OFFSET] == block.is_cell_error_observable
 
 
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:

@@ -454,7 +454,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
         "gains": [pending_gains.gains],
         "pending_gains": [
             pending_gains,
-            replace(pending_gains, step=1),
+            replace(pending_gains, designed_loop_count=1),
             replace(pending_gains, gains=Gains()),
         ],
         "commanding_client": ["one", "two"],

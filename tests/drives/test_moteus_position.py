@@ -240,7 +240,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
-        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched_faults}
+        latched_faults = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched_faults
         assert latched_faults <= {("N12", motor), ("N14", motor), ("N17", motor)}
         assert max(hand_run.simulated_hand.truth()["tension"]) < 60.0

@@ -129,7 +129,7 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         end_s = hand_run.k * hand_run.period_ns * 1e-9 + 1.01
         assert hand_run.run_until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert hand_run.k * hand_run.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.instance) for mark in hand_run.state.latched_faults}
+        latched = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched == {("N12", hand.motor[seed % 4].name)}
 
 
@@ -146,6 +146,6 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
         motor = hand.motor[seed % 4].name
         hand_run.simulated_hand.inject(f"forget node={motor}")
         assert hand_run.run_until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
-        latched_faults = {(mark.id, mark.instance) for mark in hand_run.state.latched_faults}
+        latched_faults = {(mark.id, mark.part_name) for mark in hand_run.state.latched_faults}
         assert latched_faults <= {("N12", motor), ("N14", motor)}
         assert latched_faults

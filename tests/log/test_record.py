@@ -97,7 +97,7 @@ TICK_OUT_STRATEGY = st.builds(
 def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
     again_in, again = unpack_tick_record(pack_tick_record(tick_in, out))
     assert again_in == tick_in
-    assert again.telemetry.packed() == out.telemetry.packed()
+    assert again.telemetry.to_bytes() == out.telemetry.to_bytes()
     for name in ("frames", "mode", "phase", "action", "events", "state_hash"):
         assert getattr(again, name) == getattr(out, name), name
 

@@ -84,7 +84,7 @@ def check_fault_alone(
         }
         actions.append(FAULT_BY_ID[fault_id].action if counts else SafetyAction.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
-        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == fault_id]
+        reported += [(f.fault.id, f.part_name) for f in verdict.findings if f.fault.id == fault_id]
     return monitor, actions, reported
 
 

@@ -25,7 +25,7 @@ def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail_tension_N: flo
         for _ in range(3)
     ]
     assert actions == [SafetyAction.PASS, SafetyAction.PASS, SafetyAction.RELAX]
-    assert [(mark.id, mark.instance) for mark in monitor.latched] == [("T06", "t1")]
+    assert [(mark.id, mark.part_name) for mark in monitor.latched] == [("T06", "t1")]
 
 
 @pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])

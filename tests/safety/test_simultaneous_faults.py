@@ -56,7 +56,7 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
     merged_input = merge_inputs(a.input_with_fault, b.input_with_fault)
     monitor, verdicts = check_ticks(*[merged_input] * max(a.debounce_ticks, b.debounce_ticks))
     assert verdicts[-1].action >= max(a.action, b.action)
-    reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
+    reported = {(f.fault.id, f.part_name) for verdict in verdicts for f in verdict.findings}
     assert {(first_fault_id, a.faulty_part), (second_fault_id, b.faulty_part)} <= reported
     for id_, case in ((first_fault_id, a), (second_fault_id, b)):
         assert (LatchedFault(id_, case.faulty_part) in monitor.latched) == case.is_latched
@@ -92,9 +92,9 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
     monitor, (verdict,) = check_ticks(late_motor_frames(m0=6))
     _, (two,) = check_ticks(late_motor_frames(m1=6), monitor=monitor)
-    assert [f.instance for f in verdict.findings if f.fault.id == "B02"] == ["m0"]
-    assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
-    assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
+    assert [f.part_name for f in verdict.findings if f.fault.id == "B02"] == ["m0"]
+    assert [f.part_name for f in two.findings if f.fault.id == "B02"] == ["m1"]
+    assert [mark.part_name for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
 def test_instances_do_not_share_their_debounce_counts() -> None:
@@ -174,8 +174,8 @@ def test_latches_only_grow_between_clearings(
         assert verdict.action >= max(
             (actions[mark.id] for mark in monitor.latched), default=SafetyAction.PASS
         )
-        reported += [(f.fault.id, f.instance) for f in verdict.findings]
-        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
+        reported += [(f.fault.id, f.part_name) for f in verdict.findings]
+        assert {(mark.id, mark.part_name) for mark in monitor.latched} <= set(reported), (
             "nothing latches in silence"
         )
 

@@ -76,7 +76,7 @@ class DesignCache:
         try:
             check_tendon_names(pending_gains.gains, model.tendon_constants.names)
             loop_designs = self._design_missing_loops(
-                model, pending_gains.gains, pending_gains.step + 1
+                model, pending_gains.gains, pending_gains.designed_loop_count + 1
             )
         except ConfigError as error:
             return DesignProgress(
@@ -84,7 +84,9 @@ class DesignCache:
             )
         if len(loop_designs) >= control_loop_count(model.tendon_constants):
             return None
-        return DesignProgress(replace(pending_gains, step=pending_gains.step + 1))
+        return DesignProgress(
+            replace(pending_gains, designed_loop_count=pending_gains.designed_loop_count + 1)
+        )
 
     def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains.

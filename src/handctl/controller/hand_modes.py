@@ -243,7 +243,7 @@ def _latched_faults(state: ControllerState) -> str:
     if not state.latched_faults:
         return ""
     return "fault " + ", ".join(
-        f"{latched_fault.id} {latched_fault.instance}" for latched_fault in state.latched_faults
+        f"{latched_fault.id} {latched_fault.part_name}" for latched_fault in state.latched_faults
     )
 
 
@@ -473,7 +473,7 @@ def _pulling_motors(
 ) -> tuple[str, ...]:
     """Return the names of motors with a tendon that still has tension after the torque was cut (N16)."""
     tendons = {
-        latched_fault.instance
+        latched_fault.part_name
         for latched_fault in state.latched_faults
         if FAULT_BY_ID[latched_fault.id].shows_torque_after_cut
     }

@@ -874,7 +874,7 @@ def _fault_event(finding: FaultFinding) -> TickEvent:
     """Return the event which reports a fault that has just become active."""
     fault = finding.fault
     level = "error" if fault.action >= SafetyAction.RELAX else "warn"
-    text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
+    text = f"{fault.id} {fault.title}: {finding.part_name} ({finding.value:g}): {fault.action.name}"
     return TickEvent(
-        level if fault.action > SafetyAction.PASS else "info", "fault", finding.instance, text
+        level if fault.action > SafetyAction.PASS else "info", "fault", finding.part_name, text
     )

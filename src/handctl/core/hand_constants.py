@@ -323,7 +323,7 @@ def _block_elements(block: FilterBlock) -> Vector:
     return np.concatenate((
         block.F.ravel(), block.B.ravel(), block.K.ravel(), block.Q.ravel(), block.R, block.P.ravel(), block.H.ravel(),
         block.tension_row, [information[0, 0], 2.0 * information[0, 1], information[1, 1]],
-        [block.tension_variance, block.cell_sigma, block.cell_error_variance, float(block.cell_error_observable)],
+        [block.tension_variance, block.cell_sigma, block.cell_error_variance, float(block.is_cell_error_observable)],
     ))  # fmt: skip
 
 

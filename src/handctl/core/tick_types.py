@@ -202,7 +202,7 @@ class Telemetry(NamedTuple):
     tip_force_sigma: Vector
     """(D,) standard deviation of the tip-equivalent force [N]."""
 
-    def packed(self) -> bytes:
+    def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
 
@@ -256,13 +256,13 @@ class PackedTelemetry:
         """Iterate over the telemetry fields in order."""
         return iter([self.numbers[field_slice] for field_slice in self.slices.values()])
 
-    def packed(self) -> bytes:
+    def to_bytes(self) -> bytes:
         """Return all telemetry fields in order, as little-endian float64."""
         return self.numbers.tobytes()
 
 
 TELEMETRY_FIELDS = Telemetry._fields
-"""Names of the telemetry fields, in the order of ``Telemetry.packed``."""
+"""Names of the telemetry fields, in the order of ``Telemetry.to_bytes``."""
 
 ORIGINAL_TELEMETRY_FIELD_COUNT = 25
 """Number of telemetry fields in logs of version 0.1 and before.

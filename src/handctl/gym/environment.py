@@ -404,7 +404,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
     def _observation(self) -> Float32Array:
         telemetry = self.last_output.telemetry
-        return self.layout.vector(
+        return self.layout.to_vector(
             lambda name: (
                 getattr(telemetry, TELEMETRY_FIELD_BY_PART_NAME[name])
                 if name in TELEMETRY_FIELD_BY_PART_NAME

@@ -54,7 +54,7 @@ class ObservationLayout:
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)
 
-    def vector(self, values_of_part: Callable[[str], Any]) -> Float32Array:
+    def to_vector(self, values_of_part: Callable[[str], Any]) -> Float32Array:
         """Return the observation as a vector.
 
         Args:

@@ -79,7 +79,7 @@ class TrackEnv(HandEnv):
 
     def begin_episode(self) -> None:
         """Begin an episode: choose a random reference."""
-        low, high = self._limits_deg()
+        low, high = self._reference_limits_deg()
         shape = (2, len(low))
         period = self.np_random.uniform(*SINE_PERIOD_RANGE_S, shape)
         self._rate = 2.0 * np.pi / period
@@ -121,7 +121,7 @@ class TrackEnv(HandEnv):
         rms = float(np.sqrt(np.mean(error**2)))
         return 1.0 / (1.0 + (rms / HALF_REWARD_ERROR_DEG) ** 2), False, {"error_deg": rms}
 
-    def _limits_deg(self) -> tuple[Vector, Vector]:
+    def _reference_limits_deg(self) -> tuple[Vector, Vector]:
         """Return the lowest and the highest value of each reference [deg].
 
         A reference belongs to a digit or to a coordinate of joints.

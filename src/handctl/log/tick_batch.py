@@ -72,7 +72,7 @@ class TickBatch(NamedTuple):
         t_ns, late_ns: (n,) time since the start of the run, and lateness of each tick [ns].
         mode, action: (n,) mode and reaction to faults in each tick, as uint8.
         phases: grasp phase of each tick.
-        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.packed.
+        numbers: (n, columns) telemetry of each tick, in the order of Telemetry.to_bytes.
         received, sent: CAN frames that the controller has received and sent.
         ticks_with_events: decoded record of each tick with events, requests or io events, by the
             index of the tick.

@@ -264,7 +264,7 @@ def pack_tick_record(tick_in: TickIn, tick_output: TickOut) -> bytes:
     This function raises the same errors as `pack_tick`.
     """
     message = pack_tick(tick_in, tick_output)
-    values = tick_output.telemetry.packed()
+    values = tick_output.telemetry.to_bytes()
     sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(tick_output.telemetry))
     return b"".join(
         (

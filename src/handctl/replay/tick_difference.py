@@ -38,7 +38,7 @@ class TickDifference(NamedTuple):
 
 
 class TelemetryColumns(NamedTuple):
-    """Names for the columns of `Telemetry.packed`, the array with all telemetry of a tick.
+    """Names for the columns of `Telemetry.to_bytes`, the array with all telemetry of a tick.
 
     A name consists of the telemetry field, and of a joint, tendon, motor or digit.
     """
@@ -107,7 +107,7 @@ def differing_fields(
         "events", _events_text(logged_tick.events), _events_text(computed.events)
     )
     # logs of earlier versions do not have the last fields
-    packed = computed.telemetry.packed()[: len(logged_telemetry)]
+    packed = computed.telemetry.to_bytes()[: len(logged_telemetry)]
     if packed != logged_telemetry:
         for column, logged_value, computed_value in _changed_telemetry_numbers(
             logged_telemetry, packed
@@ -180,7 +180,7 @@ def are_outputs_equal(logged_tick: TickRecord, logged_telemetry: bytes, computed
         logged_tick.state_hash == computed.state_hash
         and logged_tick.frames.records.tobytes()
         == frames_as_records(computed.frames).records.tobytes()
-        and logged_telemetry == computed.telemetry.packed()[: len(logged_telemetry)]
+        and logged_telemetry == computed.telemetry.to_bytes()[: len(logged_telemetry)]
         and (logged_tick.mode, logged_tick.action, logged_tick.phase, logged_tick.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )

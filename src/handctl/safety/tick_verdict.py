@@ -38,14 +38,14 @@ class LatchedFault(NamedTuple):
     """Fault that stays active until an operator clears it."""
 
     id: str
-    instance: str
+    part_name: str
 
 
 class ReportedFault(NamedTuple):
     """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
-    instance: str
+    part_name: str
     ticks: int
 
 
@@ -53,7 +53,7 @@ class FaultFinding(NamedTuple):
     """Fault that became active in this tick."""
 
     fault: Fault
-    instance: str
+    part_name: str
     value: float
 
 
@@ -98,7 +98,7 @@ def judge_tick(
     present_reports = []
     # A reported fault without a report in this tick is dropped. If the fault is reported again
     # later, the count starts again at 1.
-    ticks_by_report = {(report.id, report.instance): report.ticks for report in reported_faults}
+    ticks_by_report = {(report.id, report.part_name): report.ticks for report in reported_faults}
     for fault, location, value in locate_reports(event_reports):
         ticks = ticks_by_report.get((fault.id, location), 0) + 1
         present_reports.append(ReportedFault(fault.id, location, ticks))
@@ -126,7 +126,7 @@ def judge_tick(
 
 def _latched_fault_of(finding: FaultFinding) -> LatchedFault:
     """Return the latched fault of a finding: the fault's identifier and its place."""
-    return LatchedFault(finding.fault.id, finding.instance)
+    return LatchedFault(finding.fault.id, finding.part_name)
 
 
 def newly_active_faults(
@@ -149,12 +149,12 @@ def newly_active_faults(
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
         fault, kind = DETECTOR_ROWS[row]
         findings.append(
-            FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i]))
+            FaultFinding(fault, _faulty_part_name(limits, fault, kind, i), float(evidence[row, i]))
         )
     return findings
 
 
-def _instance_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
+def _faulty_part_name(limits: SafetyLimits, fault: Fault, fault_place: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
     names = {
         FAULT_PLACE_TENDON: limits.tendons,

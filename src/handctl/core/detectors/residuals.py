@@ -83,11 +83,13 @@ def update_residuals(
         # The friction is computed as proportional to tanh(1000 v), with the speed v in m/s. Above
         # some millimetres per second, the computed friction has its full value. When the motor is
         # at rest, the computed friction therefore does not change its sign in every tick.
-        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
+        friction_force = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[
             h.MOTOR_COULOMB_FRICTION, n
         ] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.CONTROL_PERIOD]
-        balance = motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
+        balance = (
+            motor_force - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - friction_force
+        )
         residual_sums[BALANCE] = residual_sums[QUICK_BALANCE] = balance
         residual_sums[MOTOR_FORCE] = motor_force
         residual_sums[COMMAND_DIFFERENCE] = commanded_force - force

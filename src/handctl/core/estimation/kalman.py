@@ -151,8 +151,8 @@ def correct_tension_filter(x: StateTables, c: ConstantTables, missed_ticks: int)
             )
     _gate_and_correct_states(x, c, innovation, gain, cell_sigma)
     _correct_slack_by_taut_tendons(x, c)
-    _judge_consistency(x, c, innovation, information, use_full_update)
-    force = _judge_regimes(x, c)
+    _update_consistency(x, c, innovation, information, use_full_update)
+    force = _update_regimes(x, c)
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if use_full_update:
@@ -325,7 +325,7 @@ def _normalised_innovation_squared(
 
 
 @kernel_helper
-def _judge_consistency(
+def _update_consistency(
     x: StateTables,
     c: ConstantTables,
     innovations: Matrix,
@@ -467,7 +467,7 @@ def _resistance_and_pull_forces(x: StateTables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
+def _update_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset or excursion of newly taut tendons.
 
     The regime of a tendon depends on slack, on the open stop and on contact. The result is that of

@@ -169,11 +169,11 @@ def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
         )
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(place_count):
-            root = math.sqrt(c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j])
+            root_probability = math.sqrt(c.place_joint_table[h.CONTACT_PLACE_PROBABILITY, place, j])
             # The errors are multiplied by the square root of the probability of their place, so
             # that the sum of their squares is the variance over the places.
-            columns[place, j] = root * (turns[place, j] - turn)
-            columns[place_count + place, j] = root * deviation[place, j]
+            columns[place, j] = root_probability * (turns[place, j] - turn)
+            columns[place_count + place, j] = root_probability * deviation[place, j]
     for row in range(place_count, 2 * place_count + 2):
         for d in range(x.digit.shape[1]):
             fraction = max(
@@ -272,10 +272,10 @@ def _write_digit_turn(
     end = c.digit_int[h.END_JOINT, d]
     size = 0.0
     virtual_work = 0.0
-    work_error = 0.0
+    work_sigma = 0.0
     for j in range(first_joint, end):
         virtual_work += lever[j] * torque[j]
-        work_error += lever[j] * error[j]
+        work_sigma += lever[j] * error[j]
         for other_joint in range(first_joint, end):
             size += (
                 lever[j]
@@ -289,7 +289,7 @@ def _write_digit_turn(
             compliance += lever[other_joint] * c.joint_joint_table[h.COMPLIANCE, other_joint, j]
         # Unexplained tension is positive if the object pushes the digit open.
         turns[j] = -virtual_work / size * compliance
-        deviation[j] = work_error / size * compliance
+        deviation[j] = work_sigma / size * compliance
     fraction = _largest_turn_fraction(x, c, d, turns, 1.0)
     for j in range(first_joint, end):
         # the turns of all joints are reduced by the same fraction, so that the excursion does not

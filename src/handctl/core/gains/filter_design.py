@@ -157,8 +157,12 @@ def _continuous_model(
     else:
         A[W, W] = -1.0 / gains.held_time_s
         A[S, S] = -1.0 / HELD_STATE_DECAY_TIME_S
-    time = _motor_noise(regime, gains)[1]
-    A[D, D] = -1.0 / (time if tendons.has_cell[i] else max(time, FRICTION_TIME_WITHOUT_CELL_S))
+    correlation_time_s = _motor_noise(regime, gains)[1]
+    A[D, D] = -1.0 / (
+        correlation_time_s
+        if tendons.has_cell[i]
+        else max(correlation_time_s, FRICTION_TIME_WITHOUT_CELL_S)
+    )
     A[E, E] = A[O, O] = -1.0 / HELD_STATE_DECAY_TIME_S
     return A, B, tension
 
@@ -187,22 +191,22 @@ def _process_noise(
     noise 2 sigma^2 / tau. The two speeds in the state have white noise.
     """
     Q = np.zeros((STATE_COUNT, STATE_COUNT))
-    disturbance, time, jerk = _motor_noise(regime, gains)
+    disturbance, correlation_time_s, acceleration_noise = _motor_noise(regime, gains)
     if not tendons.has_cell[i]:
         # Without a load cell, the tension is estimated as motor force minus friction. An error of
         # the friction is then an error of the tension.
         disturbance = math.hypot(
             disturbance, FRICTION_SIGMA_WITHOUT_CELL * tendons.coulomb_friction[i]
         )
-        time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
-    Q[V, V] = jerk**2 / tendons.motor_mass[i] ** 2
+        correlation_time_s = max(correlation_time_s, FRICTION_TIME_WITHOUT_CELL_S)
+    Q[V, V] = acceleration_noise**2 / tendons.motor_mass[i] ** 2
     if regime == TendonRegime.FREE:
         rate = gains.free_rate_N_per_s / tendons.stiffness[i]
         Q[V, W] = Q[W, V] = Q[V, V]
         Q[W, W] = Q[V, V] + 2.0 * rate**2 / gains.free_time_s
     else:
         Q[W, W] = 2.0 * gains.held_speed_m_s**2 / gains.held_time_s
-    Q[D, D] = 2.0 * disturbance**2 / time
+    Q[D, D] = 2.0 * disturbance**2 / correlation_time_s
     Q[E, E] = gains.cell_drift_N**2 / gains.cell_drift_time_s
     Q[O, O] = 2.0 * gains.offset_m**2 / gains.offset_time_s
     return Q

@@ -78,9 +78,9 @@ def design_motion(tendons: TendonConstants, gains: Gains, period_s: float) -> Mo
 
 
 def control_loop_count(tendons: TendonConstants) -> int:
-    """Return the number of pieces into which the design of all loops is divided.
+    """Return the number of control loops to design.
 
-    In each tick, a running controller has time for only one piece of the design.
+    In each tick, a running controller has time for the design of only one loop.
     """
     return 2 * len(tendons.spool_radius)
 
@@ -90,7 +90,7 @@ def design_control_loop(
 ) -> Vector:
     """Return the feedback gains (2,) of one control loop.
 
-    Pieces 0 to N - 1 of the design are motion loops, and pieces N to 2 N - 1 are tension loops.
+    Loops 0 to N - 1 are motion loops, and loops N to 2 N - 1 are tension loops.
 
     Raises:
         ConfigError: no gains follow from the weights.
@@ -104,7 +104,7 @@ def design_control_loop(
 
 
 def combine_loop_designs(tendons: TendonConstants, feedback_gains: list[Vector]) -> MotionDesign:
-    """Combine the feedback gains of all pieces into the design of all tendons."""
+    """Combine the feedback gains of all loops into the design of all tendons."""
     n = len(tendons.spool_radius)
     mass = tendons.motor_mass + tendons.load_mass
     motion = feedback_gains[:n]

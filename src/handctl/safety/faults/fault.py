@@ -155,7 +155,7 @@ class Fault:
     needs_joint_encoders: bool = False
 
     @property
-    def reaction(self) -> str:
+    def reaction_name(self) -> str:
         """Return the name of the reaction for tables. The name includes the method of relaxing."""
         return self.relax_method.value if self.action == SafetyAction.RELAX else self.action.name
 

@@ -18,7 +18,8 @@ def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
     title_lines = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [
-        f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.cleared_by} |" for f in table
+        f"| {f.id} | {f.title} | {f.detection} | {f.reaction_name} | {f.cleared_by} |"
+        for f in table
     ]
     return "\n".join([*title_lines, *rows])
 
@@ -29,7 +30,7 @@ def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
         f"### {f.id}: {f.title}\n\n"
         f"- **What happened:** {f.detection}.\n"
         f"- **Why:** {f.cause}\n"
-        f"- **Reaction:** {f.reaction}, cleared {f.cleared_by}.\n"
+        f"- **Reaction:** {f.reaction_name}, cleared {f.cleared_by}.\n"
         f"- **What to do:** {f.remedy}"
         for f in table
     )
