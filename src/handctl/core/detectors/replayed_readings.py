@@ -45,14 +45,14 @@ def count_repeated_readings(x: StateTables, are_cells_tared: bool) -> None:
             is_equal_reading = (
                 x.tendon[s.PAST_CELL_READINGS + age, n] == x.tendon[s.PRESENT_CELL_READING, n]
             )
-            run = (
+            run_length = (
                 min(x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] + 1, MAX_READING_AGE_TICKS)
                 if is_equal_reading
                 else 0
             )
-            x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run
+            x.tendon_int[s.REPEATED_READINGS_BY_AGE + age, n] = run_length
             x.tendon_int[s.LONGEST_READING_REPETITION, n] = max(
-                x.tendon_int[s.LONGEST_READING_REPETITION, n], run
+                x.tendon_int[s.LONGEST_READING_REPETITION, n], run_length
             )
     for age in range(MAX_READING_AGE_TICKS - 1, 0, -1):
         for n in range(count):
@@ -88,15 +88,15 @@ def _probability_of_equal_readings(x: StateTables, n: int) -> float:
 
     The estimate uses all pairs of the last ``REPEAT_WINDOW`` readings.
     """
-    pairs = 0
-    different_count = 0
+    equal_pair_count = 0
+    distinct_value_count = 0
     for a in range(REPEAT_WINDOW):
-        is_first = True
+        is_new_value = True
         for b in range(a):
             if x.tendon[s.PAST_CELL_READINGS + a, n] == x.tendon[s.PAST_CELL_READINGS + b, n]:
-                pairs += 1
-                is_first = False
-        different_count += is_first
-    if different_count <= MAX_LIMIT_CYCLE_READINGS:
+                equal_pair_count += 1
+                is_new_value = False
+        distinct_value_count += is_new_value
+    if distinct_value_count <= MAX_LIMIT_CYCLE_READINGS:
         return 1.0
-    return min(1.0, (pairs + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))
+    return min(1.0, (equal_pair_count + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))

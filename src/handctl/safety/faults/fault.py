@@ -53,7 +53,7 @@ class CatalogueRow(NamedTuple):
     Attributes:
         id: identifier of the row.
         title: name of the failure.
-        where: the part of handctl that checks the row of the catalogue.
+        checked_by: the part of handctl that checks the row of the catalogue.
         mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
         odrive: visibility with ODrive.
         cia402: visibility with CiA 402.
@@ -77,7 +77,7 @@ class CatalogueRow(NamedTuple):
 
     id: str
     title: str
-    where: str = CHECKED_BY_FAULT_TABLE
+    checked_by: str = CHECKED_BY_FAULT_TABLE
     mit: str = VISIBLE_FAULT
     odrive: str = VISIBLE_FAULT
     cia402: str = VISIBLE_FAULT

@@ -52,7 +52,8 @@ def _catalogue_row(row: CatalogueRow) -> str:
     # The faults that belong to a row are its stages. A row that the controller does not check in
     # each tick has no faults.
     condition_text = (
-        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id) or row.where
+        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == row.id)
+        or row.checked_by
     )
     latest_reaction_text = (
         f"{row.max_reaction_time_ms(CATALOGUE_RATE_HZ):g} ms, {_ticks_text(row)} ticks"
@@ -65,7 +66,7 @@ def _catalogue_row(row: CatalogueRow) -> str:
         latest_reaction_text
         if row.ticks or row.ms
         else "before torque"
-        if row.where != CHECKED_BY_FAULT_TABLE
+        if row.checked_by != CHECKED_BY_FAULT_TABLE
         else "1 tick"
     )
     return (
