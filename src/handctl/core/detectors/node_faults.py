@@ -175,6 +175,8 @@ def detect_node_faults_under_torque(
 def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find encoders with a constant reading although their motor or joint moves.
 
+    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
+    position loop, this is a long way of the goal. A shorter way of the goal therefore proves nothing.
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
@@ -186,7 +188,11 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 stuck_sensors.reference_tension(x, c, n),
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
-            if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
+            loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.ERROR_GAIN, n]
+            overcomes_friction = goal * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB, n]
+            if (
+                goal > STUCK_SENSOR_GOAL_CHANGE_M and overcomes_friction
+            ) or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
