@@ -37,7 +37,7 @@ LOW_HOLD_STAGE = "hold 24"
 RISING_STAGE = "rising"
 HIGH_HOLD_STAGE = "hold 90"
 FAULT_STAGES = (FREE_STAGE, LOW_HOLD_STAGE, RISING_STAGE, HIGH_HOLD_STAGE)
-GRASPED_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
+HOLD_STAGES = (LOW_HOLD_STAGE, HIGH_HOLD_STAGE)
 HIDDEN_FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("registers lost, as saved", "forget node={motor}", FAULT_STAGES),
     ("registers lost, TMAX 10 N m", "forget node={motor} size=10", FAULT_STAGES),

@@ -31,7 +31,7 @@ from handctl.session.run_plan import default_control_rate
 from handctl.tune.loops.gain_design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import sample_ensemble
-from handctl.tune.search.search import SearchPlan, SearchResult, run_search
+from handctl.tune.search.gain_search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import SearchWorkers, make_workers
 
 TRUE_PLANT_FACTORS = {
@@ -58,7 +58,7 @@ DETUNING_FACTORS = {
 
 The factors were fixed before anything was tuned.
 """
-JUDGE_SEED = 1000
+EVALUATION_SEED = 1000
 """Seed of the noise in the final comparison. No search uses this seed."""
 
 
@@ -119,12 +119,12 @@ def compare_searches(
     packaged = Gains()
     detuned = detuned_gains()
     rate = default_control_rate(hand)
-    crew = make_workers(worker_count, None)
+    workers = make_workers(worker_count, None)
     try:
         with tempfile.TemporaryDirectory() as passing_folder:
             folder = study_folder or Path(passing_folder)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = SearchPlan(
+            blind_plan = SearchPlan(
                 hand.to_toml(),
                 rate,
                 detuned,
@@ -133,12 +133,12 @@ def compare_searches(
                 trial_count,
                 (packaged,),
             )
-            knowing = SearchPlan(
-                blind.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
+            informed_plan = SearchPlan(
+                blind_plan.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
             )
-            search_jobs, spent = _run_timed_search(blind, folder / "blind", crew)
-            informed, _ = _run_timed_search(knowing, folder / "knowing", crew)
-            around = SearchPlan(
+            search_jobs, spent = _run_timed_search(blind_plan, folder / "blind", workers)
+            informed, _ = _run_timed_search(informed_plan, folder / "knowing", workers)
+            identified_plan = SearchPlan(
                 twin.to_toml(),
                 rate,
                 detuned,
@@ -148,12 +148,12 @@ def compare_searches(
                 (packaged,),
             )
             fitted = (
-                _run_timed_search(around, folder / "identified", crew)[0]
+                _run_timed_search(identified_plan, folder / "identified", workers)[0]
                 if calibration_file
                 else None
             )
         jobs = [
-            _judge_job(knowing, gains)
+            _evaluation_job(informed_plan, gains)
             for gains in (
                 detuned,
                 packaged,
@@ -163,10 +163,10 @@ def compare_searches(
         ]
         scores = [
             GainScore(**score)
-            for _, score in sorted(crew.compute_scores(jobs), key=lambda pair: pair[0])
+            for _, score in sorted(workers.compute_scores(jobs), key=lambda pair: pair[0])
         ]
     finally:
-        crew.close()
+        workers.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
     if fitted:
         names.append("tuned_as_identified")
@@ -195,7 +195,7 @@ def compare_searches(
 def _run_timed_search(
     plan: SearchPlan, study_file: Path, workers: SearchWorkers
 ) -> tuple[SearchResult, float]:
-    began = time.monotonic()
+    start_time = time.monotonic()
 
     def print_progress(result: SearchResult) -> None:
         best = f"{result.relative_cost(result.best):.3f}" if result.best else "none good yet"
@@ -207,7 +207,7 @@ def _run_timed_search(
 
     result = run_search(plan, study_file, workers, print_progress)
     print(file=sys.stderr)
-    return result, time.monotonic() - began
+    return result, time.monotonic() - start_time
 
 
 def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
@@ -220,14 +220,14 @@ def _best_gains(initial_gains: Gains, result: SearchResult) -> Gains:
     )
 
 
-def _judge_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
+def _evaluation_job(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """Return a job that scores gains on the true plant, even if their stability margins are too small.
 
     The job uses noise that no search has used.
     """
     table = {
         "gains": gains.model_dump(by_alias=True),
-        "seed": JUDGE_SEED,
+        "seed": EVALUATION_SEED,
         "must_keep_margins": False,
     }
     return plan.trial_job(0, {}) | table
@@ -240,7 +240,8 @@ def _with_model(hand: Hand, model: HandModel) -> GainScore:
     """
     margins = worst_margins(model, (linear_factors(dict.fromkeys(TRUE_PLANT_FACTORS, 1.0)),))
     return replace(
-        score_exercise(hand, model, TRUE_PLANT_FACTORS, JUDGE_SEED), shortfall=margins.shortfall
+        score_exercise(hand, model, TRUE_PLANT_FACTORS, EVALUATION_SEED),
+        shortfall=margins.shortfall,
     )
 
 

@@ -67,7 +67,7 @@ def hand_text_target(folder: Path) -> FuzzTarget:
     )
 
 
-def check_one_line(error: Exception) -> None:
+def check_single_line_message(error: Exception) -> None:
     """Check that the message of an error is exactly one line."""
     assert str(error), "an error without text"
     assert "\n" not in str(error), str(error)
@@ -89,12 +89,12 @@ def _is_accepted(load_input: Callable[[], object]) -> bool:
     try:
         load_input()
     except HandctlError as error:
-        check_one_line(error)
+        check_single_line_message(error)
         return False
     return True
 
 
-DOCUMENTS_PER_TEXT = 32
+INPUT_KIND_COUNT = 32
 """Number of values of the number that selects the kind of an input.
 
 One value selects random bytes. Another value selects a changed document that is written as text and
@@ -116,7 +116,7 @@ def _document_target(
 
     def target(data: bytes) -> bool:
         source = ByteSource(data)
-        kind = source.take_number(DOCUMENTS_PER_TEXT)
+        kind = source.take_number(INPUT_KIND_COUNT)
         if kind == 1:
             return noise(data[source.at :])
         i = source.take_number(len(file_contents))

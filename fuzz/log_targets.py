@@ -31,7 +31,7 @@ FUZZED_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that a log has after its chunks, one record for each topic."""
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-NUMERIC_START_BYTES = 48
+NUMERIC_FIELD_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
 
 Half of the changes are made in these fields.
@@ -70,7 +70,7 @@ def _is_readable(path: Path) -> bool:
     try:
         read_whole_log(path)
     except LogError as error:
-        file_targets.check_one_line(error)
+        file_targets.check_single_line_message(error)
         return False
     return True
 
@@ -80,7 +80,7 @@ def log_target(folder: Path) -> FuzzTarget:
 
     Most of the changed records have a valid length.
     """
-    log_parts = _log_parts(write_small_log(folder))
+    log_parts = _split_log(write_small_log(folder))
     joined = [_join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)]
     path = folder / "log.mcap"
 
@@ -107,7 +107,7 @@ def log_target(folder: Path) -> FuzzTarget:
     return target
 
 
-def _log_parts(path: Path) -> list[list[bytes]]:
+def _split_log(path: Path) -> list[list[bytes]]:
     """Split a log into lists of records: before the chunks, in each chunk, and after the chunks.
 
     Set the checksums in the records to zero.
@@ -185,7 +185,7 @@ def _changed_record(record: bytes, source: ByteSource) -> bytes:
     if kind == 0:
         body = bytearray(record)
     at = source.take_number(1 << 16) % max(
-        1, len(body) if source.take_number(2) else min(len(body), NUMERIC_START_BYTES)
+        1, len(body) if source.take_number(2) else min(len(body), NUMERIC_FIELD_BYTES)
     )
     new_record = (
         UNUSUAL_BYTES[source.take_number(len(UNUSUAL_BYTES))]

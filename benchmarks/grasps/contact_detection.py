@@ -17,8 +17,8 @@ CONTACT_N = 1.0
 DETECTION_LIMIT_S = 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Smallest and largest speed of closing [deg/s]. The packaged tasks close with 40 to 50 deg/s."""
-TRUE_CONTACT_N = 0.01
-MOVING_FRACTION = 0.85
+TRUE_CONTACT_FORCE_N = 0.01
+MOVING_TIME_FRACTION = 0.85
 """Fraction of a free-motion run in which the digits move."""
 WALL_SCENE = """name = "wall"
 [object]
@@ -78,7 +78,7 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
             at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf
             first_contact_tick = (
                 run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
-                > TRUE_CONTACT_N
+                > TRUE_CONTACT_FORCE_N
             )
             latencies += [max(contact_times[name] - at, -1.0)] if first_contact_tick else []
         elif len(contact_ticks):
@@ -115,7 +115,7 @@ def measure_false_contacts(job: tuple[str, float, int]) -> dict[str, float]:
     run = simulate_grasp(
         hand, program_of_phases(phases), None, seed=seed, last_phase="end", timeout_s=seconds
     )
-    assert run.force.max() < TRUE_CONTACT_N, "the digits touched each other"
+    assert run.force.max() < TRUE_CONTACT_FORCE_N, "the digits touched each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
     return {"minutes": float(moving) / 60.0, "alarms": alarms}

@@ -63,10 +63,10 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
 ) -> None:
     error_lines: list[str] = []
     monkeypatch.setattr(
-        file_targets, "check_one_line", lambda error: error_lines.append(str(error))
+        file_targets, "check_single_line_message", lambda error: error_lines.append(str(error))
     )
     target = TARGET_FACTORIES["log"](tmp_path)
-    log_parts = log_targets._log_parts(tmp_path / "small.mcap")
+    log_parts = log_targets._split_log(tmp_path / "small.mcap")
     messages = (
         (i, at)
         for i, records in enumerate(log_parts)

@@ -153,12 +153,14 @@ def test_each_verdict_on_a_term_agrees_with_sympy(errata_item: ErrataItem) -> No
 
 
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
-    def matrix(which: str) -> sp.Matrix:
+    def matrix(formula_source: str) -> sp.Matrix:
         rows = []
         for equation_terms in equations.TORQUE_TERMS:
             torque = sum(
                 symbolic_expression(
-                    term.readings[0].text if which == "readings" else term.correct_form.text
+                    term.readings[0].text
+                    if formula_source == "readings"
+                    else term.correct_form.text
                 )
                 for term in equation_terms
             )
@@ -242,8 +244,8 @@ def test_items_have_the_known_values(item_id: str, expected_value: float) -> Non
 @pytest.mark.parametrize("printed_number", ["1", "0.86"])
 def test_a_printed_number_of_the_abstract_is_judged_once(printed_number: str) -> None:
     items = [item for item in sections.page_items(None) if item.where == "Abstract"]
-    judged = [item.id for item in items if item.printed.split()[0] == printed_number]
-    assert len(judged) == 1
+    item_ids = [item.id for item in items if item.printed.split()[0] == printed_number]
+    assert len(item_ids) == 1
 
 
 def test_the_joint_that_holds_the_straight_finger_carries_its_whole_weight() -> None:

@@ -95,12 +95,12 @@ def test_workers_do_not_outlive_their_owner() -> None:
     listed = subprocess.run(
         ["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True
     ).stdout
-    own_workers = [
+    remaining_workers = [
         line
         for line in listed.splitlines()
         if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
     ]
-    assert not own_workers
+    assert not remaining_workers
 
 
 @pytest.mark.nightly
@@ -130,8 +130,8 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
         item["computed"] == pytest.approx(stored_values[item["id"]], rel=0.25) for item in payloads
     ), "the page is stale"
     assert all(0.5 < item["computed"] < 3.0 for item in payloads)
-    along = [item for item in payloads if item["id"].startswith("payload.z")]
-    assert all(item["verdict"] == "bound" for item in along), (
+    axis_payloads = [item for item in payloads if item["id"].startswith("payload.z")]
+    assert all(item["verdict"] == "bound" for item in axis_payloads), (
         "the paper's payload is met along the cylinder's axis"
     )
     assert report.stat().st_size > 500_000

@@ -23,7 +23,7 @@ from handctl.tune.loops.margins import (
     frequency_grid,
     step_response,
 )
-from handctl.tune.search.search import SearchResult
+from handctl.tune.search.gain_search import SearchResult
 
 OLD_GAINS_COLOR = "#d9822b"
 NEW_GAINS_COLOR = "#3b6fb6"
@@ -136,10 +136,10 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     )
     if feasible_trials:
         figure.colorbar(trial_points, ax=left_axes, label="effort [N m/s]")
-    front_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
+    pareto_trials = [trial for trial in feasible_trials if trial.number in result.pareto_front]
     left_axes.plot(
-        [trial.score.tracking_deg for trial in front_trials],
-        [trial.score.tension_N for trial in front_trials],
+        [trial.score.tracking_deg for trial in pareto_trials],
+        [trial.score.tension_N for trial in pareto_trials],
         "o",
         mfc="none",
         mec=OLD_GAINS_COLOR,

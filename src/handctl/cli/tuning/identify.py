@@ -242,14 +242,14 @@ def _report_results(
     )
     all_results = [tendon for tendons in results_of_log.values() for tendon in tendons.values()]
     blocked_events = {
-        tendon_result.data.digit: tendon_result.blocked_event
+        tendon_result.data.digit: tendon_result.blocked_event_text
         for tendon_result in all_results
-        if tendon_result.blocked_event
+        if tendon_result.blocked_event_text
     }
     blocked_results = {
         result.data.digit: result.contact_text
         for result in all_results
-        if result.contact_text and not result.blocked_event
+        if result.contact_text and not result.blocked_event_text
     }
     incoherent_names = [result.data.tendon for result in all_results if result.is_incoherent]
     any_identified = False

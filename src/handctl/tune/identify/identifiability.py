@@ -108,7 +108,7 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
         rank=int((1.96 / np.maximum(sizes, 1e-12) < MAX_HALF_WIDTH).sum()),
         columns=len(PARAMETER_NAMES),
         condition_number=float(sizes[0] / max(sizes[-1], 1e-12)),
-        weakest_combination=_combination_text(directions[-1]),
+        weakest_combination=_parameter_combination_text(directions[-1]),
         correlated_pairs=tuple(pair for pair in pairs if abs(pair[2]) > MAX_CORRELATION),
     )
 
@@ -229,7 +229,7 @@ def _unidentifiable_parameters(fit: TendonFit, hand: Hand, name: str) -> list[st
     return reasons
 
 
-def _combination_text(direction: Array) -> str:
+def _parameter_combination_text(direction: Array) -> str:
     """Return the largest components of a combination of parameters, as text."""
     order = np.argsort(-np.abs(direction))[:3]
     return ", ".join(

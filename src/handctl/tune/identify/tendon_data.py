@@ -175,13 +175,13 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
         q < np.array(digit_file.joint_max_deg) - margin
     )
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
-    return _lasting_mask(
+    return _debounced_mask(
         np.asarray(moving & is_inside_range.all(axis=1)),
         round(TRANSIENT_S * 1e9 / log.header.period_ns),
     )
 
 
-def _lasting_mask(mask: Mask, tick_count: int) -> Mask:
+def _debounced_mask(mask: Mask, tick_count: int) -> Mask:
     """Return a mask that is True where `mask` has been True for more than `tick_count` ticks."""
     # `last` is the index of the last False at or before each tick. Before the first False, its
     # value is -1.

@@ -19,7 +19,7 @@ EQUATION_TERMS = [
 HANDCTL_TORQUE_FUNCTION = dynamics._rigid_body_torque
 
 
-def torque_of_eq10(digit, gravity, q, dq, ddq):
+def torque_from_equation_10(digit, gravity, q, dq, ddq):
     """Return the joint torques of a digit.
 
     The torque of the first joint follows from Eq. 10 for T_1. The torques of the other joints come
@@ -48,4 +48,4 @@ def torque_of_eq10(digit, gravity, q, dq, ddq):
     return (float(tau1), tau2, tau3)[: digit.joint_count]
 
 
-dynamics._rigid_body_torque = torque_of_eq10
+dynamics._rigid_body_torque = torque_from_equation_10

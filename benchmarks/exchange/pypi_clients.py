@@ -15,7 +15,7 @@ import struct
 from types import SimpleNamespace
 
 import can
-from exchange.torque_exchanges import feedback_frame
+from exchange.can_exchanges import feedback_frame
 
 
 class DamiaoClient:
