@@ -62,7 +62,7 @@ GRASP_TASK = {
         {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 100.0},
     ],
 }  # fmt: skip
-STRONG_GRASP = {
+STRONG_GRASP_TASK = {
     **GRASP_TASK,
     "name": "beyond the knee",
     "phase": [
@@ -92,7 +92,7 @@ def trials_of_seed(hand_name: str, plant_name: str, seed: int) -> list[LockstepT
         return [
             LockstepTrial(
                 hand_name,
-                _task_program(STRONG_GRASP),
+                _task_program(STRONG_GRASP_TASK),
                 seed,
                 SCENE_NAME,
                 PLANT_VARIATIONS[plant_name],
@@ -346,7 +346,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page:
-        control_page.write_part("estimation", estimation_page.page_section(result))
+        control_page.write_page_part("estimation", estimation_page.page_section(result))
         estimation_page.draw_picture(result)
 
 

@@ -194,7 +194,7 @@ def main() -> None:
     result = measure_gravity_compensation(args.seeds, job_plan_of(args))
     print(json.dumps(result, indent=2) if args.json else page_section(result))
     if args.page:
-        control_page.write_part("gravity", page_section(result))
+        control_page.write_page_part("gravity", page_section(result))
 
 
 if __name__ == "__main__":

@@ -57,10 +57,10 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with simulated_drives(hand) as bus:
             if motors == 4:
-                handctl_lateness_us = measure_in_child(
+                handctl_lateness_us = measure_in_child_process(
                     "ours", hand, bus, 2 * duration_s, LATENESS_RATE_HZ
                 )["late_us"]
-                sleep_lateness_us = measure_in_child(
+                sleep_lateness_us = measure_in_child_process(
                     "bare", hand, bus, 2 * duration_s, LATENESS_RATE_HZ
                 )["late_us"]
                 result["lateness_us"] = {
@@ -70,14 +70,14 @@ def measure_loops(duration_s: float, quick: bool) -> dict:
                 }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: measure_in_child(
+                    rate: measure_in_child_process(
                         "ours", hand, bus, 2 * duration_s if quick else 30.0, rate
                     )
                     for rate in (500.0, 1000.0)
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
-                        loop_kind: measure_in_child(
+                        loop_kind: measure_in_child_process(
                             loop_kind, hand, bus, 2 * duration_s, LATENESS_RATE_HZ
                         )["late_us"]
                         for loop_kind in ("ours", "bare_spin")
@@ -99,11 +99,11 @@ def measure_max_rates(
 
     At the highest rate, less than 1 % of the deadlines are missed.
     """
-    unlimited_rate = measure_in_child(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
+    unlimited_rate = measure_in_child_process(loop_name, hand_name, bus_name, duration_s, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * unlimited_rate
     for _ in range(1 if quick else 12):
         if (
-            measure_in_child(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
+            measure_in_child_process(loop_name, hand_name, bus_name, duration_s, rate)["missed"]
             < MAX_MISSED_FRACTION
         ):
             return {"free_hz": unlimited_rate, "held_hz": rate}
@@ -121,7 +121,7 @@ def rate_ratio(rates: dict, rate_name: str) -> float | None:
     return handctl_rate / baseline if handctl_rate and baseline else None
 
 
-def measure_in_child(
+def measure_in_child_process(
     loop_name: str, hand_name: str, bus_name: str, duration_s: float, rate_hz: float
 ) -> dict:
     """Run one measurement in a separate process and return its result."""
@@ -137,7 +137,7 @@ def measure_in_child(
 def measure_in_this_process(
     loop_name: str, hand_name: str, bus_name: str, duration_text: str, rate_text: str
 ) -> dict:
-    """Run one measurement in this process. ``measure_in_child`` has started the process."""
+    """Run one measurement in this process. ``measure_in_child_process`` has started the process."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if loop_name == "bare":
@@ -266,10 +266,10 @@ def print_results(result: dict) -> None:
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):
             handctl_rate = rates["ours"][kind]
-            usual_rate = rates["usual"][kind]
+            baseline = rates["usual"][kind]
             by = rate_ratio(rates, kind)
             print(
-                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{usual_rate or 0:8.0f}{by or 0:8.2f}"
+                f"  {motors:>2} motors, {kind[:4]:<12}{handctl_rate or 0:10.0f}{baseline or 0:8.0f}{by or 0:8.2f}"
             )
 
 

@@ -22,7 +22,7 @@ from handctl.drives.motor_description import VERIFIABLE_PROTOCOLS
 SIMULATED_TIME_S = 3.0
 QUICK_SIMULATED_TIME_S = 1.2
 RUNS_PER_CASE = 4
-CLOCK_READS = 10_000
+CLOCK_READ_COUNT = 10_000
 
 
 def main() -> None:
@@ -78,7 +78,7 @@ def measure_simulator_cpu(
 def clock_read_cpu_s() -> float:
     """Measure the CPU time of two successive readings of the clock [s]."""
     read_cpu_time = time.process_time
-    return min(-(read_cpu_time() - read_cpu_time()) for _ in range(CLOCK_READS))
+    return min(-(read_cpu_time() - read_cpu_time()) for _ in range(CLOCK_READ_COUNT))
 
 
 def print_case(case_row: dict) -> None:

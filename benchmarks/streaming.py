@@ -57,7 +57,7 @@ from the streamed sine by less than 0.001 deg.
 """
 WAIT_AFTER_KILL_S = 2.0
 """Time for a hand to relax after its client was killed, on the clock of the simulated hand [s]."""
-TARGET_REPEATS = 5
+TARGET_REPEAT_COUNT = 5
 """Number of times that a repeating client sends each target."""
 LATENCY_DURATION_S = 10.0
 QUICK_LATENCY_DURATION_S = 2.0
@@ -179,7 +179,7 @@ def repeat_targets(client: MisbehavingClient) -> None:
     for _ in client.periods(MISBEHAVIOUR_DURATION_S):
         value = sine_angle_deg(client.t_s + client.stream.horizon_s)
         client.send(value)
-        for _ in range(TARGET_REPEATS - 1):
+        for _ in range(TARGET_REPEAT_COUNT - 1):
             client.send(value, sequence_number=client.number)
 
 

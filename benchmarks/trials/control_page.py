@@ -18,7 +18,7 @@ benchmarks, and were not changed to improve a result. Results that are weak or n
 PAGE_PART_ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
-def write_part(part_name: str, part_text: str) -> None:
+def write_page_part(part_name: str, part_text: str) -> None:
     """Replace one part of the page by a Markdown text.
 
     All other parts of the page stay unchanged.

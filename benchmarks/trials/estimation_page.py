@@ -27,7 +27,7 @@ FIGURE_LEGEND = (
     "and *estimate* (of the filter) are the values at present."
 )
 PLANT_MISMATCH_RATIOS = ("filtered / raw", "estimate / raw now")
-MAX_RATIO = 1.3
+MAX_ERROR_RATIO = 1.3
 NIS_RANGE = (0.8, 1.3)
 
 
@@ -92,7 +92,7 @@ def page_section(result: dict) -> str:
             ]
     paragraphs += [
         "",
-        _conclusion(result),
+        _conclusion_text(result),
         "",
         FIGURE_LEGEND,
         "",
@@ -114,7 +114,7 @@ def _plant_mismatch_row(plant_name: str, regimes_table: dict, regimes: list[str]
     ]
 
 
-def _conclusion(result: dict) -> str:
+def _conclusion_text(result: dict) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     passing_cases = []
     failing_cases = []
@@ -124,13 +124,13 @@ def _conclusion(result: dict) -> str:
             row = plants["as known"][regime]
             ratio = row["filtered / limit"]
             nis = row["nis"]
-            is_good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
+            is_good = ratio <= MAX_ERROR_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
             (passing_cases if is_good else failing_cases).append(
                 f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
             )
             stricter_ratios.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
     text = (
-        f"At the sample, the error of the filter must be at most {MAX_RATIO} times the reference, and NIS must "
+        f"At the sample, the error of the filter must be at most {MAX_ERROR_RATIO} times the reference, and NIS must "
         f"be between "
         f"{NIS_RANGE[0]} and {NIS_RANGE[1]}. "
     )

@@ -43,7 +43,7 @@ def page_section(result: dict[str, Any]) -> str:
                     ],
                 ),
             ]
-    return "\n".join([*paragraphs, "", _conclusion(result)])
+    return "\n".join([*paragraphs, "", _conclusion_text(result)])
 
 
 def _loop_row(loop_name: str, row: dict[str, Any]) -> list[str]:
@@ -60,7 +60,7 @@ def _rmse_cell(row: dict[str, Any] | None) -> str:
     return "-" if row is None else f"{row['rmse_N']:.2f} ({row['steady_N']:.2f})"
 
 
-def _conclusion(result: dict[str, Any]) -> str:
+def _conclusion_text(result: dict[str, Any]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     texts = []
     for hand, plants in result["hands"].items():

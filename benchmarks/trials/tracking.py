@@ -414,7 +414,7 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else print_results(result)
     if args.page and "tracking" in result:
-        control_page.write_part(
+        control_page.write_page_part(
             "tracking",
             tracking_page.page_section(
                 result["tracking"], (PD_LAW, SPRINGS_LAW, BEST_LAW, MISPRINTED_LAW)
@@ -422,4 +422,4 @@ def main() -> None:
         )
         tracking_page.draw_picture(result["tracking"])
     if args.page and "force" in result:
-        control_page.write_part("force", force_page.page_section(result["force"]))
+        control_page.write_page_part("force", force_page.page_section(result["force"]))

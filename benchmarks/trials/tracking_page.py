@@ -56,7 +56,7 @@ def page_section(result: dict, compared_laws: tuple[str, str, str, str]) -> str:
     ]
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
-        paragraphs += ["", _laws_table(hand, laws), "", _conclusion(laws, compared_laws)]
+        paragraphs += ["", _laws_table(hand, laws), "", _conclusion_text(laws, compared_laws)]
         rows_with_margins = result["careful"].get(hand, {})
         if "as known" in rows_with_margins:
             nominal = rows_with_margins["as known"]
@@ -107,7 +107,7 @@ def _rmse_cell(row: dict[str, float]) -> str:
     return f"{row['rmse_deg']:.3f}{spread}{ended_text}" if is_finite else RUN_ENDED_TEXT
 
 
-def _conclusion(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
+def _conclusion_text(laws: dict, compared_laws: tuple[str, str, str, str]) -> str:
     """Return the conclusion of the section, derived from the numbers."""
     best_row, printed_row = (laws[name]["fast"] for name in compared_laws[2:])
     return (

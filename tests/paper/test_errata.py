@@ -22,11 +22,11 @@ TIME_SYMBOL = sp.Symbol("t")
 DERIVATIVE_SYMBOLS = {
     f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)
 }
-PLAIN_SYMBOLS = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
+SYMBOL_BY_NAME = {str(symbol): symbol for symbol in PARAMETER_SYMBOLS} | DERIVATIVE_SYMBOLS
 
 
 def symbolic_expression(formula_text: str) -> sp.Expr:
-    return sp.sympify(formula_text, locals=PLAIN_SYMBOLS)
+    return sp.sympify(formula_text, locals=SYMBOL_BY_NAME)
 
 
 @cache
@@ -55,7 +55,7 @@ def expression_in_symbols(expression: sp.Expr) -> sp.Expr:
     return sp.expand(sp.expand_trig(expression))
 
 
-def total_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
+def sum_of_terms(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
     return sp.expand(
         sp.expand_trig(sum(symbolic_expression(term.correct_form.text) for term in terms))
     )
@@ -65,10 +65,9 @@ def test_corrected_energies_are_those_of_three_links() -> None:
     kinetic_energies, potential = derived_energies()
     printed = (equations.KINETIC_TERMS_1, equations.KINETIC_TERMS_2, equations.KINETIC_TERMS_3)
     for handctl_torques, derived in zip(printed, kinetic_energies, strict=True):
-        assert sp.simplify(total_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
+        assert sp.simplify(sum_of_terms(handctl_torques) - expression_in_symbols(derived)) == 0
     assert (
-        sp.simplify(total_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential))
-        == 0
+        sp.simplify(sum_of_terms(equations.POTENTIAL_TERMS) - expression_in_symbols(potential)) == 0
     )
 
 
@@ -81,7 +80,7 @@ def test_corrected_torques_follow_from_the_lagrangian(link_index: int) -> None:
     )
     assert (
         sp.simplify(
-            total_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
+            sum_of_terms(equations.TORQUE_TERMS[link_index]) - expression_in_symbols(torque)
         )
         == 0
     )

@@ -31,7 +31,7 @@ from handctl.tune.identify.fit_motor import (
     _window_value,
 )
 from handctl.tune.identify.fit_tendon import PARAMETER_NAMES
-from handctl.tune.identify.identifiability import _needs_missing_encoders, _reason_not_identified
+from handctl.tune.identify.identifiability import _lacks_needed_encoders, _reason_not_identified
 from handctl.tune.identify.identification_figure import _draw_parameters
 from handctl.tune.identify.identify import identify_tendons, result_table
 
@@ -300,8 +300,8 @@ def test_springs_of_a_digit_with_several_tendons_need_joint_encoders(
     node = content["sensor_node"]
     content["sensor_node"] = node | {"joints": node["joints"] if with_joint_encoders else []}
     hand = hand_from_content(content, "test")
-    assert _needs_missing_encoders(hand, "index") != with_joint_encoders
-    assert not _needs_missing_encoders(load_hand("jamia"), "index")
+    assert _lacks_needed_encoders(hand, "index") != with_joint_encoders
+    assert not _lacks_needed_encoders(load_hand("jamia"), "index")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:

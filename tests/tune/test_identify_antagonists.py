@@ -20,7 +20,7 @@ from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
-    PAIR_MAX_TENSION_FRACTION,
+    SPOOL_PAIR_MAX_TENSION_FRACTION,
     STRETCH_TENSION_FRACTION,
     sweep_range,
 )
@@ -119,7 +119,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(hand_name: str) -
                 ceiling = np.array([tendon.tension_max_N for tendon in hand.tendon[digit.tendons]])
                 is_pair = bool(hand.is_pair[digit.tendons].any())
                 largest = (
-                    PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
+                    SPOOL_PAIR_MAX_TENSION_FRACTION if is_pair else STRETCH_TENSION_FRACTION
                 ) * ceiling
                 assert (np.abs(step.targets) <= largest + 1e-9).all()
                 floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[digit.tendons]])

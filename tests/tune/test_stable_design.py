@@ -147,9 +147,9 @@ def test_a_loop_without_gain_has_no_margin() -> None:
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     system = open_loop(jamia, 0, LoopKind.TENSION)
-    lost_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
-    assert not is_stable(lost_system)
-    for margins in (margins_of_loop(lost_system), confirmed_margins(lost_system)):
+    unstable_system = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
+    assert not is_stable(unstable_system)
+    for margins in (margins_of_loop(unstable_system), confirmed_margins(unstable_system)):
         assert (
             margins.gain_db,
             margins.phase_deg,
@@ -456,11 +456,11 @@ def test_gains_that_fail_at_the_least_friction_are_refused(
 
     The gains are then refused.
     """
-    lost_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
+    failed_oscillation = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     no_oscillation = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.step_tests.simulate_swing",
-        lambda hand, m, f, s: lost_oscillation if f == {"friction": 0.5} else no_oscillation,
+        lambda hand, m, f, s: failed_oscillation if f == {"friction": 0.5} else no_oscillation,
     )
     rest_test = rest_test_of(jamia)
     assert not rest_test(jamia)

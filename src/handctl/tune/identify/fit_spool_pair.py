@@ -212,17 +212,17 @@ def _joint_motion(
     the mean of the joint readings.
     """
     travel, speed, acceleration = (mean_derivatives[:, i].T for i in range(3))
-    joints_of_excursion = digit.excursion_to_joints.T
-    angles = np.column_stack([pair.travel for pair in data_of_tendons]) @ joints_of_excursion
+    joints_from_excursions = digit.excursion_to_joints.T
+    angles = np.column_stack([pair.travel for pair in data_of_tendons]) @ joints_from_excursions
     offset = (
         np.nanmean(data_of_tendons[0].joints - angles, axis=0)
         if np.isfinite(data_of_tendons[0].joints).any()
         else rest_angles - angles[0]
     )
     return (
-        travel @ joints_of_excursion + offset,
-        speed @ joints_of_excursion,
-        acceleration @ joints_of_excursion,
+        travel @ joints_from_excursions + offset,
+        speed @ joints_from_excursions,
+        acceleration @ joints_from_excursions,
     )
 
 
@@ -421,11 +421,11 @@ class SpoolPairProblem:
 
     def parameter_bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
-        signed_parameters = np.array(
+        is_signed = np.array(
             [name in ("delay", "stretch_offset") for name in SPOOL_PAIR_PARAMETERS] + [True, True]
         )
-        return np.where(signed_parameters, -np.inf, MIN_SCALED_PARAMETER), np.where(
-            signed_parameters, np.inf, MAX_SCALED_PARAMETER
+        return np.where(is_signed, -np.inf, MIN_SCALED_PARAMETER), np.where(
+            is_signed, np.inf, MAX_SCALED_PARAMETER
         )
 
     def with_estimated_noise(self, z: Array) -> "SpoolPairProblem":

@@ -58,7 +58,7 @@ This prior keeps a fit finite if the data do not determine a parameter.
 """
 TARE_SIGMA_N = 1.0
 """Prior standard deviation of the offset of a tared load cell [N]."""
-DRIFT_KNOT_S = 1.0
+DRIFT_KNOT_INTERVAL_S = 1.0
 """Time between the knots of the load cell's drift [s]."""
 STOP_BIN_DURATION_S = 0.05
 """Duration of the bins of data at the open stop [s].
@@ -137,7 +137,7 @@ class TendonFitProblem:
                 data, data.slack, is_moving=False, bin_s=STOP_BIN_DURATION_S
             ),
             drift_knots=np.linspace(
-                data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_S) + 1)
+                data.t[0], data.t[-1], max(2, round(duration_s / DRIFT_KNOT_INTERVAL_S) + 1)
             ),
             cell_noise_N=_cell_noise(
                 data.tension[data.slack | stop], hand.sensor_node.tension_noise_N
@@ -145,7 +145,7 @@ class TendonFitProblem:
             # The drift is modelled as a random walk. Its standard deviation increases with the
             # square root of the time. The hand file contains the standard deviation after 100 s.
             drift_step_N=max(hand.sensor_node.tension_bias_drift_N, 1e-3)
-            * (DRIFT_KNOT_S / 100.0) ** 0.5,
+            * (DRIFT_KNOT_INTERVAL_S / 100.0) ** 0.5,
         )
 
     def start_parameters(self) -> Array:

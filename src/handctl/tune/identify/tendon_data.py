@@ -133,7 +133,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             )
             is_taut |= bool(hand.is_pair[i])
             is_free_motion = (
-                active & is_taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
+                active & is_taut & (contact[:, d] < 0.5) & _free_motion_mask(log, hand, digit)[:-1]
             )
             result.append(replace(data, free_motion_mask=is_free_motion))
     return result
@@ -161,7 +161,7 @@ def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
     return bool(tendons.start <= tendon < tendons.stop)
 
 
-def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
+def _free_motion_mask(log: RunLog, hand: Hand, digit: str) -> Mask:
     """Return a mask of the ticks in which a digit moves freely.
 
     In these ticks, the digit has followed a trajectory for some time, and is away from its stops.

@@ -42,8 +42,8 @@ from handctl.tune.loops.linear_models import (
 )
 from handctl.tune.loops.margins import (
     LoopMargins,
-    all_margins,
     confirmed_margins,
+    margins_by_loop,
     margins_of_loop,
     minimum_margins,
     zeroed_margins,
@@ -397,8 +397,8 @@ def design_gains(
             if margins_after.are_sufficient and passes_test(tried_model):
                 return GainDesign(
                     tried_model.gains,
-                    all_margins(model),
-                    all_margins(tried_model),
+                    margins_by_loop(model),
+                    margins_by_loop(tried_model),
                     worst_margins(model, plants),
                     margins_after,
                 )
@@ -594,8 +594,8 @@ def design_with_poles(
     margins_after = worst_margins(model_with_poles, plants)
     return GainDesign(
         model_with_poles.gains,
-        all_margins(model),
-        all_margins(model_with_poles),
+        margins_by_loop(model),
+        margins_by_loop(model_with_poles),
         margins_before,
         margins_after,
     )

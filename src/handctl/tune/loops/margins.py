@@ -279,7 +279,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     )
 
 
-def all_margins(
+def margins_by_loop(
     model: HandModel, factors: PlantFactors = NOMINAL_FACTORS
 ) -> dict[tuple[str, LoopKind], LoopMargins]:
     """Return the confirmed margins of both loops of every tendon."""

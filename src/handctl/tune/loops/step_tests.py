@@ -236,10 +236,14 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     """
     t = np.linspace(-1.0, 1.0, len(values))
     # The columns of this matrix are t^2, t and 1.
-    time_powers = np.vander(t, 3)
+    vandermonde_matrix = np.vander(t, 3)
     # The rest after the least-squares parabola is subtracted is the oscillation.
     return np.asarray(
-        np.ptp(values - time_powers @ np.linalg.lstsq(time_powers, values, rcond=None)[0], axis=0)
+        np.ptp(
+            values
+            - vandermonde_matrix @ np.linalg.lstsq(vandermonde_matrix, values, rcond=None)[0],
+            axis=0,
+        )
     )
 
 
