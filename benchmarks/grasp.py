@@ -135,13 +135,13 @@ def _measure_contact_detection(
         [(hand, seed) for seed in range(wall_seed_count) for hand in hand_names],
         plan,
     )
-    stretch = min(FREE_MOTION_DURATION_S, 60.0 * simulated_minutes)
+    run_duration_s = min(FREE_MOTION_DURATION_S, 60.0 * simulated_minutes)
     count = max(
-        1, round(60.0 * simulated_minutes / stretch / contact_detection.MOVING_TIME_FRACTION)
+        1, round(60.0 * simulated_minutes / run_duration_s / contact_detection.MOVING_TIME_FRACTION)
     )
     free_results = collect_results(
         contact_detection.measure_false_contacts,
-        [(hand, stretch, seed) for seed in range(count) for hand in hand_names],
+        [(hand, run_duration_s, seed) for seed in range(count) for hand in hand_names],
         plan,
     )
     return [

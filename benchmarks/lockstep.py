@@ -78,7 +78,7 @@ def measure_lockstep_speed(
     total_s = sum_of_shortest(
         LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s) for _ in range(RUNS_PER_CASE)
     )
-    peer = sum_of_shortest(
+    simulator_s = sum_of_shortest(
         LockstepStack(hand_name, rate_hz, run_setup).simulator_tick_times(simulated_s)
         for _ in range(RUNS_PER_CASE // 2)
     )
@@ -92,7 +92,7 @@ def measure_lockstep_speed(
         "share_of_bare": engine_only_s / total_s,
         "bare_us_a_tick": engine_only_s / ticks * 1e6,
         "rest_us_a_tick": (total_s - engine_only_s) / ticks * 1e6,
-        "simulator_us_a_tick": (peer - engine_only_s) / ticks * 1e6,
+        "simulator_us_a_tick": (simulator_s - engine_only_s) / ticks * 1e6,
         "spent": cpu_time_fractions(
             lambda: LockstepStack(hand_name, rate_hz, run_setup).run(simulated_s)
         ),

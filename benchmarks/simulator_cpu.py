@@ -58,13 +58,13 @@ def measure_simulator_cpu(
         engine_only_s = sum_of_shortest(
             repeat_rollout(make_lockstep_stack(), rollout) for _ in range(RUNS_PER_CASE)
         )
-        peer = sum_of_shortest(
+        simulator_s = sum_of_shortest(
             make_lockstep_stack().simulator_tick_times(simulated_s) for _ in range(RUNS_PER_CASE)
         )
     ticks = round(simulated_s * CONTROL_RATES_HZ[hand_name])
     steps = len(rollout.torque)
     engine_us = (engine_only_s - steps * clock_read_cpu_s()) / ticks * 1e6
-    exchange_us = (peer - ticks * clock_read_cpu_s()) / ticks * 1e6
+    exchange_us = (simulator_s - ticks * clock_read_cpu_s()) / ticks * 1e6
     return {
         "hand": hand_name,
         "protocol": protocol,

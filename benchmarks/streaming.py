@@ -370,9 +370,9 @@ def measure_clients(
     shared_client_names = sorted(
         (name for name in client_names if name != "killed-owner"), key=lambda name: name == "killed"
     )
-    groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
+    client_groups = [shared_client_names, [name for name in client_names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
-    for group in filter(None, groups):
+    for group in filter(None, client_groups):
         with hand_process(bus_name, time_scale, commissioned_hand) as process:
             windows, start_ns = _run_clients(process, group)
             process.close()

@@ -115,14 +115,14 @@ def compare_searches(
     calibration_file: Path | None,
 ) -> dict[str, Any]:
     """Run the searches and compare their gains on the true plant. Store the studies in a folder if one is given."""
-    hand, twin, spread = load_tuned_hand(hand_name, calibration_file)
+    hand, identified_hand, spread = load_tuned_hand(hand_name, calibration_file)
     packaged = Gains()
     detuned = detuned_gains()
     rate = default_control_rate(hand)
     workers = make_workers(worker_count, None)
     try:
-        with tempfile.TemporaryDirectory() as passing_folder:
-            folder = study_folder or Path(passing_folder)
+        with tempfile.TemporaryDirectory() as temporary_folder:
+            folder = study_folder or Path(temporary_folder)
             folder.mkdir(parents=True, exist_ok=True)
             blind_plan = SearchPlan(
                 hand.to_toml(),
@@ -136,10 +136,10 @@ def compare_searches(
             informed_plan = SearchPlan(
                 blind_plan.hand, rate, detuned, (TRUE_PLANT_FACTORS,), 1, trial_count, (packaged,)
             )
-            search_jobs, spent = _run_timed_search(blind_plan, folder / "blind", workers)
-            informed, _ = _run_timed_search(informed_plan, folder / "knowing", workers)
+            blind_result, search_time_s = _run_timed_search(blind_plan, folder / "blind", workers)
+            informed_result, _ = _run_timed_search(informed_plan, folder / "knowing", workers)
             identified_plan = SearchPlan(
-                twin.to_toml(),
+                identified_hand.to_toml(),
                 rate,
                 detuned,
                 sample_ensemble(plant_count, 0, spread),
@@ -147,7 +147,7 @@ def compare_searches(
                 trial_count,
                 (packaged,),
             )
-            fitted = (
+            identified_result = (
                 _run_timed_search(identified_plan, folder / "identified", workers)[0]
                 if calibration_file
                 else None
@@ -157,8 +157,8 @@ def compare_searches(
             for gains in (
                 detuned,
                 packaged,
-                _best_gains(detuned, search_jobs),
-                _best_gains(detuned, informed),
+                _best_gains(detuned, blind_result),
+                _best_gains(detuned, informed_result),
             )
         ]
         scores = [
@@ -168,10 +168,13 @@ def compare_searches(
     finally:
         workers.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
-    if fitted:
+    if identified_result:
         names.append("tuned_as_identified")
         scores.append(
-            _with_model(hand, HandModel.from_hand(twin, _best_gains(detuned, fitted), rate))
+            _with_model(
+                hand,
+                HandModel.from_hand(identified_hand, _best_gains(detuned, identified_result), rate),
+            )
         )
     costs = [score.relative_cost(scores[0]) for score in scores]
     return {
@@ -179,7 +182,7 @@ def compare_searches(
         "rate_hz": rate,
         "trials": trial_count,
         "plants": plant_count,
-        "search_s": spent,
+        "search_s": search_time_s,
         "on_the_real_plant": {
             name: {
                 "cost": cost,
@@ -188,7 +191,7 @@ def compare_searches(
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
-        "cost_with_identification": costs[4] / costs[3] if fitted else None,
+        "cost_with_identification": costs[4] / costs[3] if identified_result else None,
     }
 
 

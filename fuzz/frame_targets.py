@@ -143,7 +143,7 @@ def _payload_header(payload: bytes) -> tuple[int, int]:
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
-def drive_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
+def drive_fuzz_target_factory(drive_name: str) -> Callable[[Path], FuzzTarget]:
     """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
     def make_target(folder: Path) -> FuzzTarget:
@@ -192,7 +192,7 @@ def _advance_drive(
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
-def sensor_target(folder: Path) -> FuzzTarget:
+def sensor_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target for the decoder of the sensor node."""
     bench = ProtocolBench(hand_file(folder, ["mit"]))
     bench.simulated_hand.close()

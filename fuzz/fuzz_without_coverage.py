@@ -21,7 +21,7 @@ INPUTS_PER_CLOCK_READ = 256
 """Number of inputs between two readings of the clock."""
 
 
-def changed_inputs(
+def mutated_inputs(
     random_source: random.Random, corpus: list[bytes], max_bytes: int
 ) -> Iterator[bytes]:
     """Yield randomly changed inputs of the corpus, without end.
@@ -98,7 +98,7 @@ def main() -> None:
     corpus_inputs = [path.read_bytes()[: int(longest)] for path in sorted(Path(corpus).iterdir())]
     corpus_inputs += [seed[: int(longest)] for seed in seed_inputs(name, folder)] or [bytes(8)]
     start = time.monotonic()
-    inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
+    inputs = mutated_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
     number, accepted_count = feed_inputs(
         TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
     )

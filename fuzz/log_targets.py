@@ -75,13 +75,15 @@ def _is_readable(path: Path) -> bool:
     return True
 
 
-def log_target(folder: Path) -> FuzzTarget:
+def log_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target for a log in which records inside and outside of chunks are changed.
 
     Most of the changed records have a valid length.
     """
     log_parts = _split_log(write_small_log(folder))
-    joined = [_join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)]
+    joined_parts = [
+        _join_records(i, records_of_part) for i, records_of_part in enumerate(log_parts)
+    ]
     path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
@@ -93,11 +95,13 @@ def log_target(folder: Path) -> FuzzTarget:
             i = source.take_number(len(log_parts))
             records = changed_records.setdefault(i, log_parts[i].copy())
             at = source.take_number(len(records))
-            records[at] = _changed_record(records[at], source)
+            records[at] = _mutated_record(records[at], source)
         path.write_bytes(
             b"".join(
                 [
-                    _join_records(i, changed_records[i]) if i in changed_records else joined[i]
+                    _join_records(i, changed_records[i])
+                    if i in changed_records
+                    else joined_parts[i]
                     for i in range(len(log_parts))
                 ]
             )
@@ -178,7 +182,7 @@ def _join_records(part_index: int, records: list[bytes]) -> bytes:
     )
 
 
-def _changed_record(record: bytes, source: ByteSource) -> bytes:
+def _mutated_record(record: bytes, source: ByteSource) -> bytes:
     """Return a record with changed content. One in eight of these records gets a wrong length."""
     body = bytearray(record[9:])
     kind = source.take_number(8)
@@ -206,7 +210,7 @@ def _chunk_record(content: bytes) -> bytes:
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
-def log_bytes_target(folder: Path) -> FuzzTarget:
+def log_bytes_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that reads arbitrary bytes as a log.
 
     The bytes go to the reader of logs and to the recovery of incomplete logs.

@@ -16,7 +16,7 @@ from handctl.programs.requests import parse_request
 FuzzTarget = Callable[[bytes], bool]
 
 
-def request_target(folder: Path) -> FuzzTarget:
+def request_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that parses requests in the same way as a running controller does."""
 
     def target(data: bytes) -> bool:
@@ -34,7 +34,7 @@ FAULT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "si
          "index_tendon", "thumb", "sensors", "3s", "20ms", "0x10", "nan", "1e400", "-1", "0.5", "1_0", "٣")  # fmt: skip
 
 
-def fault_target(folder: Path) -> FuzzTarget:
+def fault_fuzz_target(folder: Path) -> FuzzTarget:
     """Return the target that parses descriptions of injected faults.
 
     Inputs are arbitrary bytes, or random sequences of the words of such descriptions.

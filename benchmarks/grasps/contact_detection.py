@@ -76,11 +76,11 @@ def _detection_latencies(run: GraspRun, digits: tuple[str, ...]) -> list[float]:
         contact_ticks = np.flatnonzero(run.force[:, d] > CONTACT_FORCE_N)
         if name in contact_times:
             at = float(run.t[contact_ticks[0]]) if len(contact_ticks) else np.inf
-            first_contact_tick = (
+            is_true_contact = (
                 run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max()
                 > TRUE_CONTACT_FORCE_N
             )
-            latencies += [max(contact_times[name] - at, -1.0)] if first_contact_tick else []
+            latencies += [max(contact_times[name] - at, -1.0)] if is_true_contact else []
         elif len(contact_ticks):
             latencies.append(np.inf)
     return latencies

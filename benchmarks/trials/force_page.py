@@ -67,7 +67,7 @@ def _conclusion_text(result: dict[str, Any]) -> str:
         without_estimate, raw_row, estimate_row = plants["as known"].values()
         margin = raw_row["rmse_N"] - estimate_row["rmse_N"]
         spread = max(raw_row["rmse_spread_N"], estimate_row["rmse_spread_N"])
-        word = (
+        comparison_text = (
             "better than"
             if margin > 2 * spread
             else "worse than"
@@ -75,7 +75,7 @@ def _conclusion_text(result: dict[str, Any]) -> str:
             else "no better than"
         )
         texts.append(
-            f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
+            f"{hand}: the loop on the estimate is {comparison_text} the loop on the raw sensor (RMSE "
             f"{estimate_row['rmse_N']:.2f} and "
             f"{raw_row['rmse_N']:.2f} N, spread {spread:.2f} N). The error of the loop on the estimate is "
             f"{without_estimate['rmse_N'] / estimate_row['rmse_N']:.1f} "

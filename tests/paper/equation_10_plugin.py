@@ -29,12 +29,12 @@ def torque_from_equation_10(digit, gravity, q, dq, ddq):
     r1, r2, _ = (*digit.armature, 0.0, 0.0)[:3]
     states = {"g": 1.0}
     for i in range(3):
-        exists = i < digit.joint_count
+        has_joint = i < digit.joint_count
         states |= {
-            f"L{i + 1}": digit.lengths[i] if exists else 0.0,
-            f"d{i + 1}": digit.centres_of_mass[i, 0] if exists else 0.0,
-            f"m{i + 1}": digit.masses[i] if exists else 0.0,
-            f"I{i + 1}": digit.inertias[i, 2, 2] if exists else 0.0,
+            f"L{i + 1}": digit.lengths[i] if has_joint else 0.0,
+            f"d{i + 1}": digit.centres_of_mass[i, 0] if has_joint else 0.0,
+            f"m{i + 1}": digit.masses[i] if has_joint else 0.0,
+            f"I{i + 1}": digit.inertias[i, 2, 2] if has_joint else 0.0,
             f"th{i + 1}": sum(q[: i + 1]),
             f"dth{i + 1}": sum(dq[: i + 1]),
             f"ddth{i + 1}": sum(ddq[: i + 1]),

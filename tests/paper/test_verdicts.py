@@ -78,10 +78,10 @@ def test_a_unit_of_the_last_digit_beyond_is_wrong(
     exact_value: Fraction, decimal_places: int, last_digit_units: int
 ) -> None:
     shown_digits = rounded_digits(exact_value, decimal_places, ROUND_HALF_EVEN)
-    off = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(shown_digits) * (
-        1 if exact_value > 0 else -1
-    )
-    text = rounded_digits(off, decimal_places, ROUND_HALF_EVEN)
+    wrong_value = Fraction(shown_digits) + (last_digit_units + 1) * last_digit_value(
+        shown_digits
+    ) * (1 if exact_value > 0 else -1)
+    text = rounded_digits(wrong_value, decimal_places, ROUND_HALF_EVEN)
     assert verdict_of_number(text, exact_value) == ErrataVerdict.WRONG
 
 

@@ -92,8 +92,8 @@ def _style_axes(axes_row: Any, kind: LoopKind) -> None:
     phase.axhline(-180.0, color=GREY_COLOR, linewidth=0.8)
     phase.axhline(-180.0 + MIN_PHASE_MARGIN_DEG, color=GREY_COLOR, linewidth=0.8, linestyle=":")
     phase.set(title="phase [deg]", xlabel="frequency [Hz]")
-    turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    plane.plot(np.cos(turn), np.sin(turn), color=GREY_COLOR, linewidth=0.8)
+    circle_angles = np.linspace(0.0, 2.0 * np.pi, 200)
+    plane.plot(np.cos(circle_angles), np.sin(circle_angles), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
     # On the negative real axis, the gain margin is the distance of -1 from the origin, divided by
     # the distance of the curve.

@@ -157,16 +157,16 @@ class SpoolPairWindows:
             + weights.samples
         )
         is_on_stop = own_data.stop[rows]
-        clear = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
+        is_usable = np.asarray(is_on_stop.all(axis=1) | ~is_on_stop.any(axis=1))
         mean_derivatives = np.array(
             [weights.derivatives(pair.travel[rows]) for pair in data_of_tendons]
         )
-        clear &= np.isfinite(mean_derivatives).all(axis=(0, 1))
-        windows, rows = select_windows(windows, clear), rows[clear]
+        is_usable &= np.isfinite(mean_derivatives).all(axis=(0, 1))
+        windows, rows = select_windows(windows, is_usable), rows[is_usable]
         if len(windows.t) < 20:
             raise LogError(f"{own_data.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(
-            digit, mean_derivatives[:, :, clear], data_of_tendons, rest_angles[digit.joints]
+            digit, mean_derivatives[:, :, is_usable], data_of_tendons, rest_angles[digit.joints]
         )
         tree = HandLinkTree.from_hand(hand)
         rigid_body_torque = np.array(
@@ -177,7 +177,7 @@ class SpoolPairWindows:
         )
         torque_to_tension = digit.torque_to_tension[tendon]
         passes_joint = (digit.moment_arms[tendon] != 0.0) & ~digit.is_prismatic
-        quick = speed_from_difference(own_data.travel, own_data.period)[rows]
+        quick_speed = speed_from_difference(own_data.travel, own_data.period)[rows]
         travel, excursion, readings = _stretch_readings(digit, tendon, own_data, rows, weights)
         return SpoolPairWindows(
             motor=windows,
@@ -185,7 +185,7 @@ class SpoolPairWindows:
             inertial_tension=rigid_body_torque @ torque_to_tension,
             damping_tension=(dq * np.array(digit.joint_damping)) @ torque_to_tension,
             wrap_angle=digit.wrap[tendon] + q[:, passes_joint].sum(axis=1),
-            friction_fraction=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
+            friction_fraction=np.tanh(quick_speed / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
             reading_count=readings,
@@ -254,12 +254,14 @@ def _stretch_readings(
     such a window, the travel is averaged over all ticks, and not only over the times of the
     readings.
     """
-    read: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
-    excursion = np.where(read, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0)
-    weight = weights.mean * read[window_rows]
+    has_reading: NDArray[np.bool_] = np.asarray(np.isfinite(data.joints).all(axis=1))
+    excursion = np.where(
+        has_reading, tendon_excursions(digit, tendon, np.nan_to_num(data.joints)), 0.0
+    )
+    weight = weights.mean * has_reading[window_rows]
     total = np.maximum(weight.sum(axis=1), 1e-12)
     travel = (data.travel[window_rows] * weight).sum(axis=1) / total
-    count = read[window_rows].sum(axis=1)
+    count = has_reading[window_rows].sum(axis=1)
     is_on_stop = data.stop[window_rows].all(axis=1)
     travel = np.where(is_on_stop, data.travel[window_rows] @ weights.mean, travel)
     known_stretch = np.where(

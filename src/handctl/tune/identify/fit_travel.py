@@ -114,8 +114,8 @@ def fit_travel(
 
     def residuals(z: Array) -> Array:
         stretch = tension / (z[0] * nominal)
-        moving = np.interp(t, knots, z[scalar_count:]) * STRETCH_OFFSET_SCALE_M
-        expected = z[1] * excursion + stretch + offset + moving + z[2] * SENSOR_SKEW_S * speed
+        drift_offset = np.interp(t, knots, z[scalar_count:]) * STRETCH_OFFSET_SCALE_M
+        expected = z[1] * excursion + stretch + offset + drift_offset + z[2] * SENSOR_SKEW_S * speed
         # The offset follows the drift of the load cell, which is a random walk.
         steps = np.diff(z[scalar_count:]) * STRETCH_OFFSET_SCALE_M * nominal / problem.drift_step_N
         prior = np.array(
