@@ -207,7 +207,7 @@ def test_a_client_and_a_reader_of_logs_need_no_extra() -> None:
     assert (ran.stdout, ran.returncode) == (expected, 0), ran.stderr
 
 
-WITHOUT_CONTROLLER = [
+COMMANDS_WITHOUT_EXTRA = [
     ("log info {log}", 0, "hand.toml"),
     ("log export {log} --csv --output {folder}/rows", 0, ""),
     ("doctor", None, "not installed: controller, sim"),
@@ -217,7 +217,7 @@ WITHOUT_CONTROLLER = [
 """Command lines in an environment without extras, each with exit code and part of the output."""
 
 
-@pytest.mark.parametrize(("words", "exit_code", "text"), WITHOUT_CONTROLLER)
+@pytest.mark.parametrize(("words", "exit_code", "text"), COMMANDS_WITHOUT_EXTRA)
 def test_verbs_for_logs_and_buses_need_no_controller(
     words: str, exit_code: int | None, text: str, tmp_path: Path
 ) -> None:

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-RUN_CODE = """
+IMPORT_CHECK_CODE = """
 import json, sys
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
@@ -71,7 +71,7 @@ def test_no_tick_imports_a_module(hand: str) -> None:
     A task with a phase ``follow`` imported 202 modules of scipy in the tick that began this phase.
     This import took 0.3 s.
     """
-    assert run_code(RUN_CODE, hand) == []
+    assert run_code(IMPORT_CHECK_CODE, hand) == []
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

@@ -50,7 +50,7 @@ class WheelEnvironment:
         self._constraints.write_text("\n".join(pins))
 
     def _build_wheel(self) -> Path:
-        dist = self.folder / "dist"
+        wheel_folder = self.folder / "dist"
         command = [
             sys.executable,
             "-m",
@@ -59,10 +59,10 @@ class WheelEnvironment:
             "--target",
             "wheel",
             "--directory",
-            str(dist),
+            str(wheel_folder),
         ]
         subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
-        (wheel,) = dist.glob("*.whl")
+        (wheel,) = wheel_folder.glob("*.whl")
         return wheel
 
     def run(self, *program_arguments: str, exit_code: int = 0) -> subprocess.CompletedProcess[str]:

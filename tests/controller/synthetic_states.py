@@ -76,7 +76,7 @@ class SyntheticEstimate(NamedTuple):
     grip_travel: np.ndarray
 
 
-BLOCK_FIELD_BY_ATTRIBUTE = {
+STATE_FIELD_BY_ATTRIBUTE = {
     "tension_sigma": "sigma",
     "tendon_speed": "speed", "motor_disturbance": "disturbance",
     "external_tension": "external",
@@ -121,7 +121,7 @@ def active_state(model: HandModel) -> ControllerState:
     return _active_state_template(model).copy()
 
 
-def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
+def constant_args_of(model: HandModel) -> tuple[BlockArray, TablePlaces]:
     """Return the constants of a hand, and the layout of these constants.
 
     Every stage of a tick has these two objects as its last arguments.
@@ -134,7 +134,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
 
     Functions from ``uncompiled_function`` take the constants as such tables.
     """
-    return uncompiled_function(constant_tables)(*stage_constants(model))
+    return uncompiled_function(constant_tables)(*constant_args_of(model))
 
 
 def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
@@ -142,7 +142,7 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[estimate.is_slack] = SLACK_REGIME
     return state
 
@@ -157,7 +157,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
     return SyntheticEstimate(**{name: np.array(value) for name, value in estimate_values.items()})
 
 
-class LoadStatics(NamedTuple):
+class StaticTendonForces(NamedTuple):
     """Known forces along each tendon (N,) [N].
 
     Attributes:
@@ -185,12 +185,12 @@ def _tendon_load_forces(
     )
 
 
-def load_statics(
+def static_tendon_forces(
     model: HandModel,
     table: np.ndarray,
     tension: np.ndarray,
     friction_state: np.ndarray | None = None,
-) -> LoadStatics:
+) -> StaticTendonForces:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
     The stretch offset of each tendon is chosen so that the tendon has its given tension.
@@ -203,8 +203,8 @@ def load_statics(
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
-    return LoadStatics(
-        *_tendon_load_forces(state.block, state.layout.places, *stage_constants(model))
+    return StaticTendonForces(
+        *_tendon_load_forces(state.block, state.layout.places, *constant_args_of(model))
     )
 
 
@@ -225,12 +225,12 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """
     return np.asarray(
         _winding_efficiency(
-            *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
+            *constant_args_of(model), np.asarray(q, dtype=np.float64), model.tendon_count
         )
     )
 
 
-def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
+def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that corresponds exactly to filter states (N, 7).
 
     In this estimate, all tendons are taut and no digit touches an object.
@@ -274,7 +274,10 @@ def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
-    x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness
+    x[:, X] = (
+        x[:, S]
+        + static_tendon_forces(model, x, np.zeros(len(x))).resistance / model.space.stiffness
+    )
     return x
 
 
@@ -282,7 +285,7 @@ def estimate_under_tension(
     model: HandModel, tension: float | np.ndarray, joint_angle: float = 0.0
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons have given tensions."""
-    return exact_estimate(model, balanced_state(model, joint_angle))._replace(
+    return estimate_from_states(model, balanced_state(model, joint_angle))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 
@@ -316,7 +319,7 @@ def detect_contacts(
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[...] = state.view("kind")[...] = np.where(
         estimate.is_slack, SLACK_REGIME, 0
     )
@@ -326,7 +329,7 @@ def detect_contacts(
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - elastic_tension / model.space.stiffness
     )
-    tick_stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.places, *constant_args_of(model))
     hand_estimate = state.estimate
     return estimate._replace(
         contact_force=hand_estimate.contact_force.copy(),

@@ -38,15 +38,15 @@ from tests.controller.filter_runs import (
     flags_without_contact,
     noiseless_readings,
     run_filter_tick,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_at_rest,
-    state_with_tendons_in_regime,
+    state_in_regime,
 )
 from tests.controller.synthetic_states import (
     SensorReadings,
     active_state,
+    constant_args_of,
     empty_readings,
-    stage_constants,
     uncompiled_function,
 )
 
@@ -120,7 +120,7 @@ def run_monte_carlo(
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
     closed, free = 0.5, regime == TendonRegime.FREE
     truth, _ = state_at_rest(model, 40.0, closed)
-    state = state_with_tendons_in_regime(model, regime, truth)
+    state = state_in_regime(model, regime, truth)
     contact = (not free,) * len(model.digits)
     rows: list[tuple[np.ndarray, ...]] = []
     regimes = set()
@@ -211,12 +211,12 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, sigma = state_with_tendons_in_regime(model, TendonRegime.FREE, x), []
+    state, sigma = state_in_regime(model, TendonRegime.FREE, x), []
     for k in range(300):
         measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
             measured.travel[0] = np.nan
-        state, estimate = run_unplanned_filter_tick(
+        state, estimate = run_filter_tick_without_plan(
             model, state, measured, force, flags_without_contact(model)
         )
         if state.covariance is not None:
@@ -251,7 +251,7 @@ def test_missing_measurement_is_detected_in_each_regime(
     x = uncompiled_function(state_tables)(state.block, state.layout.places)
     assert (
         uncompiled_function(_is_measurement_missing)(
-            x, uncompiled_function(constant_tables)(*stage_constants(model)), z
+            x, uncompiled_function(constant_tables)(*constant_args_of(model)), z
         )
         is is_detected
     )
@@ -264,7 +264,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = (
-        state_with_tendons_in_regime(model, TendonRegime.FREE, x),
+        state_in_regime(model, TendonRegime.FREE, x),
         (True, *flags_without_contact(model)[1:]),
     )
     readings_without_travel, zero_vector = (
@@ -333,7 +333,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     slack = regime == TendonRegime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
-    state = state_with_tendons_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
+    state = state_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
     blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
@@ -341,7 +341,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         state_before = state
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
         )
         assert set(state.regimes) == {regime}
@@ -370,7 +370,7 @@ def test_covariance_grows_over_skipped_ticks(
     """
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, zero_vector = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
-    state = state_with_tendons_in_regime(model, TendonRegime.FREE, x)
+    state = state_in_regime(model, TendonRegime.FREE, x)
     state_after, _ = run_filter_tick(
         model,
         state,
@@ -406,7 +406,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, second = state_with_tendons_in_regime(model, TendonRegime.FREE, x), x.copy()
+    state, second = state_in_regime(model, TendonRegime.FREE, x), x.copy()
     blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
     P = [block.P.copy() for block in blocks]
     compared = 0
@@ -415,7 +415,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
         z[rng.random((n, 3)) < 0.15] = np.nan
         push = force + 0.1 * rng.normal(size=n)
-        state, _ = run_unplanned_filter_tick(
+        state, _ = run_filter_tick_without_plan(
             model,
             state,
             SensorReadings(*z.T, empty_readings(model).joints),

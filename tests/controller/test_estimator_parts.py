@@ -30,7 +30,7 @@ from tests.controller.filter_runs import (
     FilterState,
     corrected_state,
     filter_state_of,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_with_filter,
     write_readings,
 )
@@ -213,7 +213,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
 def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
-    _, estimate = run_unplanned_filter_tick(
+    _, estimate = run_filter_tick_without_plan(
         model, FilterState.initial_filter_state(n), empty_readings(model), np.zeros(n), no
     )
     shapes = {

@@ -7,7 +7,7 @@ from handctl.controller.controller_state import ControllerState
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
-from tests.controller.synthetic_states import active_state, stage_constants
+from tests.controller.synthetic_states import active_state, constant_args_of
 
 
 def moment_arms_of(model: HandModel) -> np.ndarray:
@@ -40,7 +40,7 @@ def targets_after_command(
     state = previous_state.copy()
     state.view("q_goal")[...] = joint_angle
     state.view("excursion")[...] = excursions
-    tick_stages.store_commands(state.block, state.layout.places, *stage_constants(model))
+    tick_stages.store_commands(state.block, state.layout.places, *constant_args_of(model))
     return state
 
 

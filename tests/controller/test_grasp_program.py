@@ -30,8 +30,8 @@ from tests.controller.synthetic_states import (
     constant_tables_of,
     detect_contacts,
     empty_readings,
+    estimate_from_states,
     estimate_under_tension,
-    exact_estimate,
     slack_hand_estimate,
 )
 from tests.hand.hand_on_wrist import mount_on_wrist
@@ -319,7 +319,7 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
         tip_forces_while_closing(
-            model, exact_estimate(model, x)._replace(external_tension=balance)
+            model, estimate_from_states(model, x)._replace(external_tension=balance)
         ),
         forces,
     )

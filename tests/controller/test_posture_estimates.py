@@ -47,7 +47,7 @@ GRASPS_AND_OBJECTS = [
 HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
-class PostureTick(NamedTuple):
+class GraspPostureSample(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
@@ -80,7 +80,9 @@ def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = Non
     return path
 
 
-def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> Iterator[PostureTick]:
+def run_grasp(
+    hand_file: Path, task_name: str, scene_name: str, seed: int
+) -> Iterator[GraspPostureSample]:
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
     program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
@@ -92,7 +94,7 @@ def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> It
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
-            yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            yield GraspPostureSample(out.phase, real, numbers.q, numbers.q_sigma, free, force)
             if run.state.mode == HandMode.RELAX:
                 break
 

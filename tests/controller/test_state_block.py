@@ -260,7 +260,9 @@ def random_hand(seed: int) -> HandModel:
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
-            _varied_section(entry, rng) for entry in raw[section] if is_kept_section(entry["name"])
+            _randomised_section(entry, rng)
+            for entry in raw[section]
+            if is_kept_section(entry["name"])
         ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
@@ -271,22 +273,22 @@ def random_hand(seed: int) -> HandModel:
     )
 
 
-VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+RANDOMISED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
+def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file in which numbers are varied at random."""
-    varied_section = dict(section)
-    for key in VARIED_KEYS:
-        if key in varied_section:
+    randomised_section = dict(section)
+    for key in RANDOMISED_KEYS:
+        if key in randomised_section:
             factor = rng.uniform(0.8, 1.25)
-            varied_section[key] = (
-                [factor * x for x in varied_section[key]]
-                if isinstance(varied_section[key], list)
-                else factor * varied_section[key]
+            randomised_section[key] = (
+                [factor * x for x in randomised_section[key]]
+                if isinstance(randomised_section[key], list)
+                else factor * randomised_section[key]
             )
-    return varied_section
+    return randomised_section
 
 
 def packed_constants(
@@ -399,7 +401,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
     yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """Yield copies of a program's progress. Each copy differs in one part.
 
     The test changes the goals one by one.
@@ -423,7 +425,7 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
 
 
 EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
-OTHER_STREAM_VALUES = {
+CHANGED_STREAM_VALUES = {
     "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
     "period": 0.02, "horizon": 0.015,
 }  # fmt: skip
@@ -434,7 +436,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
-        "progress": [progress for _, progress in changed_progresses(decisions.progress)],
+        "progress": [progress for _, progress in progress_variants(decisions.progress)],
         "latched": [
             (*decisions.latched, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
@@ -478,7 +480,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
             EXAMPLE_STREAM,
             *(
                 replace(EXAMPLE_STREAM, **{name: value})
-                for name, value in OTHER_STREAM_VALUES.items()
+                for name, value in CHANGED_STREAM_VALUES.items()
             ),
         ],
     }

@@ -226,10 +226,10 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
                     snapshot_bytes(client.run.state),
                     len(client.run.recorded_ticks),
                 )
-        check_ticks_are_repeated(client.run, middle_snapshot, at)
+        check_reexecuted_ticks(client.run, middle_snapshot, at)
 
 
-def check_ticks_are_repeated(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
+def check_reexecuted_ticks(run: SimulatedRun, snapshot: bytes, snapshot_tick: int) -> None:
     """Check that the ticks give equal results, to the last bit, when they are executed again.
 
     The ticks are executed from the start, and from a snapshot after ``snapshot_tick`` ticks.
@@ -757,7 +757,7 @@ PUSH_FORCE_N = 1.5
 
 def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
     """A constant push on the last link opens a soft digit further than a stiff digit."""
-    yield_by_softness = {}
+    displacement_by_stiffness = {}
     for stiffness_N_m_per_rad in (None, 0.2):
         with live_client(jamia) as client:
             client.send_command("move", angle_deg={"index": 40.0})
@@ -768,9 +768,11 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             engine = client.run.simulated_hand.world.plant.engine
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
-            yield_by_softness[stiffness_N_m_per_rad] = start - true_angle(client.run)
+            displacement_by_stiffness[stiffness_N_m_per_rad] = start - true_angle(client.run)
             assert client.tick_outputs[-1].mode == HandMode.ACTIVE
-    assert yield_by_softness[0.2] > 1.5 * yield_by_softness[None] > 0.0, yield_by_softness
+    assert displacement_by_stiffness[0.2] > 1.5 * displacement_by_stiffness[None] > 0.0, (
+        displacement_by_stiffness
+    )
 
 
 def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(

@@ -28,9 +28,9 @@ from handctl.drives.moteus.settings import (
 from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import (
-    begin_to_and_fro,
     hand_with_position_loop,
     moteus_command,
+    start_back_and_forth_run,
 )
 from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.test_guard_readback import keep_setting
@@ -183,7 +183,7 @@ VALUES_OUT_OF_RANGE = [
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
     target_row: int, target_value: float
 ) -> None:
-    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
+    with start_back_and_forth_run(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
             run.run_tick()
         assert run.state.view("servo_kp").all()

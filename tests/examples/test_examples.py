@@ -18,10 +18,10 @@ from nbclient import NotebookClient
 from handctl.cli.main import main
 from handctl.hand.hand_loading import load_hand
 from tests.runtime.processes import (
-    HOMED_OPTIONS,
+    HOMED_HAND_OPTIONS,
     READY_TIMEOUT_S,
     end_process,
-    time_scale_options,
+    make_time_scale_options,
     write_homed_calibration,
 )
 
@@ -102,10 +102,18 @@ def simulated_hand(repeat_time_scale, *words, name="jamia"):
 
     Yield the command-line options for the controller of this hand.
     """
-    scale = time_scale_options(TIME_SCALE * repeat_time_scale)
+    scale = make_time_scale_options(TIME_SCALE * repeat_time_scale)
     write_homed_calibration(Path("c.toml"), load_hand(name))
     with running_simulator(
-        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED_OPTIONS, *words, *scale
+        "-m",
+        "firmware_sim",
+        "--hand",
+        name,
+        "--bus",
+        "local:lab",
+        *HOMED_HAND_OPTIONS,
+        *words,
+        *scale,
     ):
         yield ("--calibration", "c.toml", *scale)
 

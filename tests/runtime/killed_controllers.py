@@ -37,8 +37,8 @@ from tests.runtime.processes import (
     LOCAL_BUS,
     LONG_TASK,
     end_process,
+    make_time_scale_options,
     start_hand,
-    time_scale_options,
     write_homed_calibration,
 )
 
@@ -133,7 +133,7 @@ class KillVerdict(NamedTuple):
         )
 
 
-class KillTestHand:
+class KillTestSetup:
     """A simulated hand, and the plan with which each controller of this hand starts."""
 
     def __init__(self, work_folder: Path, time_scale: float) -> None:
@@ -165,7 +165,9 @@ class KillTestHand:
             arm_at_once=True,
         )
         self.truth = work_folder / "hand.truth"
-        self.simulator = start_hand(self.truth, "--hand", "jamia", *time_scale_options(time_scale))
+        self.simulator = start_hand(
+            self.truth, "--hand", "jamia", *make_time_scale_options(time_scale)
+        )
 
     def now_ns(self) -> tuple[int, int]:
         """Return the time of the simulator, and the total time in which it did not run [ns]."""
@@ -212,7 +214,7 @@ class KillTestHand:
                 simulator_delay_ns = self.now_ns()[1] - slip_ns
                 if sent_signal == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
-                wait_for_end(child, listener)
+                wait_for_process_end(child, listener)
             finally:
                 with suppress(ProcessLookupError, ChildProcessError):
                     os.kill(child, signal.SIGKILL)
@@ -296,7 +298,7 @@ class SyncListener:
             self.listen(0.004)
 
 
-def wait_for_end(controller_pid: int, listener: SyncListener) -> None:
+def wait_for_process_end(controller_pid: int, listener: SyncListener) -> None:
     """Wait for the end of a controller process. If the process does not end, terminate it."""
     until = time.monotonic() + 3.0
     while os.waitpid(controller_pid, os.WNOHANG) == (0, 0):
@@ -358,7 +360,7 @@ def disturb_controllers(
     The signals SIGKILL and SIGSTOP alternate.
     """
     chance = random.Random(seed)
-    test_hand = KillTestHand(work_folder, time_scale)
+    test_hand = KillTestSetup(work_folder, time_scale)
     runs: list[DisturbedRun] = []
     try:
         for number in range(controller_count):
@@ -376,7 +378,7 @@ After a batch, its truth file is read and deleted.
 """
 
 
-def disturb_in_batches(
+def disturb_controllers_in_batches(
     controller_count: int, seed: int, time_scale: float
 ) -> Iterator[list[KillVerdict]]:
     """Kill or stop ``controller_count`` controllers in batches, and yield the verdicts of each batch.

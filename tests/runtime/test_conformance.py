@@ -34,22 +34,22 @@ def check_results(
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     virtual_bench = VirtualBench(protocol, drive_fault, shaft_inertia, delay_ticks)
     rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
-    return checks_of(rig), virtual_bench, rig
+    return run_checks_by_name(rig), virtual_bench, rig
 
 
-def checks_of(rig: DriveRig) -> dict[str, ConformanceCheck]:
+def run_checks_by_name(rig: DriveRig) -> dict[str, ConformanceCheck]:
     """Run the checks on a drive, and return them by name."""
     return {check.name: check for check in run_checks(DeviceUnderTest(rig, TORQUE_LIMIT_N_M, 0.05))}
 
 
-def checks_of_three_runs(virtual_bench, protocol, drive_options=None):
+def run_checks_three_times(virtual_bench, protocol, drive_options=None):
     """Run the checks of a drive three times.
 
     After each run, two seconds pass without frames from the host.
     """
     for _ in range(3):
         rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M, drive_options)
-        checks = checks_of(rig)
+        checks = run_checks_by_name(rig)
         assert release_drive(rig, 0.05)
         virtual_bench.advance_time(2.0)
         yield checks
@@ -124,7 +124,7 @@ def test_a_good_drive_passes_three_times_running(protocol):
     So these drives failed when the checks ran a second time.
     """
     virtual_bench = VirtualBench(protocol)
-    for checks in checks_of_three_runs(virtual_bench, protocol):
+    for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
         late_rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
         late_rig.run_tick(DriveTarget.LISTEN)
@@ -287,7 +287,7 @@ def test_an_odrive_whose_watchdog_was_set_over_usb_passes_without_options():
 def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(protocol):
     """Reproduce a defect: each good motor of these protocols failed the checks of watchdog and cut."""
     virtual_bench = VirtualBench(protocol)
-    for checks in checks_of_three_runs(virtual_bench, protocol):
+    for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
         names = unchecked_results(checks)
         assert names == [FAILED_CHECK["readback"], FAILED_CHECK["watchdog"], TORQUE_CUT_CHECK_TITLE]
@@ -296,7 +296,7 @@ def test_a_good_motor_without_guards_passes_all_that_can_be_checked_three_times(
 
 def test_an_odrive_without_endpoint_options_passes_all_that_can_be_checked_three_times():
     virtual_bench = VirtualBench("odrive", **OPTIONS_WITHOUT_ENDPOINTS)
-    for checks in checks_of_three_runs(virtual_bench, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
+    for checks in run_checks_three_times(virtual_bench, "odrive", OPTIONS_WITHOUT_ENDPOINTS):
         assert failed_checks(checks) == []
         assert len(unchecked_results(checks)) == 2
 

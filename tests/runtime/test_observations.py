@@ -69,7 +69,7 @@ def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
 NO_STREAM = StreamStatus()
 
 
-def unread_ticks(reader: ObservationReader) -> list[int]:
+def ticks_of_unread_records(reader: ObservationReader) -> list[int]:
     """Return the ticks of all records that the reader has not yet read."""
     ticks = list[int]()
     while (record := reader.next_record()) is not None:
@@ -93,10 +93,10 @@ def write_observation(
 def test_a_full_disk_is_an_error_and_leaves_no_file(
     error_number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse_space(*_: int) -> None:
+    def fail_to_allocate(*_: int) -> None:
         raise OSError(error_number, os.strerror(error_number))
 
-    monkeypatch.setattr(os, "posix_fallocate", refuse_space)
+    monkeypatch.setattr(os, "posix_fallocate", fail_to_allocate)
     with pytest.raises(BusError, match="cannot write observations"):
         ObservationWriter("local:x", AXIS_LENGTHS, {})
     assert not observations_path("local:x").exists()
@@ -156,10 +156,10 @@ def test_a_reader_gets_every_tick_once_and_a_late_one_misses_the_oldest() -> Non
     reader = ObservationReader("local:x")
     for k in range(10):
         write_observation(writer, k)
-    assert unread_ticks(reader) == list(range(10))
+    assert ticks_of_unread_records(reader) == list(range(10))
     for k in range(10, 10 + 2 * RING_RECORDS):
         write_observation(writer, k)
-    late_ticks = unread_ticks(reader)
+    late_ticks = ticks_of_unread_records(reader)
     assert late_ticks == list(range(10 + 2 * RING_RECORDS - len(late_ticks), 10 + 2 * RING_RECORDS))
     assert RING_RECORDS - 4 <= len(late_ticks) < RING_RECORDS
     reader.close()

@@ -31,7 +31,7 @@ class FilteredTendons(SyntheticMonitor):
 
     def __init__(self, tendon_count: int, **value_by_field: Any) -> None:
         super().__init__(synthetic_limits(tendon_count), residual_fraction=0.0)
-        self.set_rows(value_by_field)
+        self.set_state_values(value_by_field)
 
     def run_tick(
         self, tension: TensionList, commanded_tension: TensionList, **value_by_field: Any
@@ -162,7 +162,7 @@ def test_the_speed_of_a_snapped_tendon_depends_on_its_tension_loop(
     def is_snapped(spool_speed):
         tendon = FilteredTendons(1, taut_ago=0, goal_kind=int(GoalKind.TENSION))
         if is_digit_moving:
-            tendon.set_rows({"way_kind": MINIMUM_JERK})
+            tendon.set_state_values({"way_kind": MINIMUM_JERK})
         tendon.set_constants(tension_gain=0.1, tension_speed_gain=speed_gain, coulomb=friction_N)
         tendon.run_tick([2.2], [commanded_tension_N], measured_tension=0.0, speed=spool_speed)
         return "T01" in tendon.reported
