@@ -218,7 +218,7 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
             third_value(strided_array)
 
 
-PROBE_MODULE_CODE = """
+PROBE_MODULE_TEXT = """
 from handctl.compiled import kernel, kernel_helper
 from handctl.core.state_block import STATE_SCHEMA, state_tables
 from handctl.core.detectors import frame_losses
@@ -230,7 +230,7 @@ def misses(block, at):
     return frame_losses.misses_every_second_reply(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
-RUN_PROBE_CODE = """
+RUN_PROBE_SCRIPT = """
 from handctl import compiled
 from handctl.core import state_block as s
 from handctl.core.probe import misses
@@ -249,13 +249,13 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 @pytest.fixture
 def package_copy(tmp_path: Path) -> Path:
-    """Return a copy of the package to which the kernel ``PROBE_MODULE_CODE`` was added.
+    """Return a copy of the package to which the kernel ``PROBE_MODULE_TEXT`` was added.
 
     The added kernel detects a node that is silent in every second tick.
     """
     package = tmp_path / "handctl"
     shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "core" / "probe.py").write_text(PROBE_MODULE_CODE, encoding="utf-8")
+    (package / "core" / "probe.py").write_text(PROBE_MODULE_TEXT, encoding="utf-8")
     return package
 
 
@@ -270,7 +270,7 @@ def run_copied_kernel(package_folder: Path, cache_folder: Path) -> tuple[bool, b
         "NUMBA_CACHE_DIR": str(cache_folder),
         "PYTHONPATH": str(package_folder.parent),
     }
-    command = [sys.executable, "-c", RUN_PROBE_CODE]
+    command = [sys.executable, "-c", RUN_PROBE_SCRIPT]
     done = subprocess.run(
         command,
         env=environment,

@@ -37,7 +37,7 @@ MAX_HELP_TIME_RATIO = 10
 
 The unit is the start-up time of an empty Python interpreter.
 """
-HELP_CODE = (
+HELP_SCRIPT = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 )
 
@@ -57,7 +57,7 @@ def run_duration_s(program_text: str) -> float:
 @pytest.mark.realtime
 @pytest.mark.alone
 def test_help_answers_at_once() -> None:
-    pairs = [(run_duration_s("pass"), run_duration_s(HELP_CODE)) for _ in range(5)]
+    pairs = [(run_duration_s("pass"), run_duration_s(HELP_SCRIPT)) for _ in range(5)]
     bare, full_time_s = (min(column) for column in zip(*pairs, strict=True))
     allowed = max(MAX_HELP_TIME_S, MAX_HELP_TIME_RATIO * bare)
     assert full_time_s <= allowed, (
@@ -66,7 +66,7 @@ def test_help_answers_at_once() -> None:
 
 
 def test_help_imports_no_heavy_library() -> None:
-    code = f"{HELP_CODE}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
+    code = f"{HELP_SCRIPT}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
     result = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True
     )

@@ -80,7 +80,7 @@ class WheelEnvironment:
         )
         return result
 
-    def install(self, extra_names: str = "") -> None:
+    def install_wheel(self, extra_names: str = "") -> None:
         """Install the wheel with extras, in the versions of the lock file."""
         self.run(
             "python",
@@ -110,19 +110,19 @@ class WheelEnvironment:
 @pytest.fixture(scope="module")
 def environment_without_extras(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
     fresh_wheel_environment = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
-    fresh_wheel_environment.install()
+    fresh_wheel_environment.install_wheel()
     return fresh_wheel_environment
 
 
 @pytest.fixture(scope="module")
 def controller_environment(environment_without_extras: WheelEnvironment) -> WheelEnvironment:
-    environment_without_extras.install("[controller]")
+    environment_without_extras.install_wheel("[controller]")
     return environment_without_extras
 
 
 @pytest.fixture(scope="module")
 def simulator_environment(controller_environment: WheelEnvironment) -> WheelEnvironment:
-    controller_environment.install("[sim,view]")
+    controller_environment.install_wheel("[sim,view]")
     return controller_environment
 
 

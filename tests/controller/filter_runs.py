@@ -134,7 +134,7 @@ def write_readings(state: ControllerState, measured: SensorReadings) -> None:
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
     state.view("measured_joint")[...] = measured.joints
-    state.view("saturated")[list(measured.saturated)] = 1
+    state.view("saturated")[list(measured.saturated_tendons)] = 1
 
 
 def run_filter_tick(

@@ -38,7 +38,7 @@ class SensorReadings(NamedTuple):
     Attributes:
         travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
             and reduced by its tare [N]. excursion: tendon excursion, read by joint encoders [m].
-        joints: (J,) joint angles, read by the joint encoders [rad]. saturated: tendons whose load
+        joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
             cell is at an end of its range.
     """
 
@@ -46,7 +46,7 @@ class SensorReadings(NamedTuple):
     tension: np.ndarray
     excursion: np.ndarray
     joints: np.ndarray
-    saturated: tuple[int, ...] = ()
+    saturated_tendons: tuple[int, ...] = ()
 
 
 class SyntheticEstimate(NamedTuple):

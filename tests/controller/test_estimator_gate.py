@@ -45,7 +45,7 @@ class HandAtConstantTension:
         read = empty_readings(model)._replace(
             travel=self.travel + extra_travel, tension=np.full(n, HOLD_TENSION_N)
         )
-        read = read._replace(saturated=saturated_tendons)
+        read = read._replace(saturated_tendons=saturated_tendons)
         read.tension[0] = cell_tension
         motor_force, zero_rates, contact = (
             np.full(n, HOLD_TENSION_N),
@@ -109,7 +109,7 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def slack_state(
+def slack_tendon_estimate(
     hand: HandAtConstantTension, cell_error_N: float, slack_length_m: float, duration_s: float
 ) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
@@ -137,7 +137,7 @@ def slack_state(
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = HandAtConstantTension(model)
-    estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
+    estimate = slack_tendon_estimate(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(
         estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02
     )
@@ -146,7 +146,7 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
 
 
 def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
-    assert not slack_state(
+    assert not slack_tendon_estimate(
         HandAtConstantTension(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0
     ).cell_error.any()
 

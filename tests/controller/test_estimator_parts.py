@@ -173,15 +173,15 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     After the tendon has become taut, the filter counts its evidence from zero again.
     """
     n = model.tendon_count
-    above = next(
-        above
-        for above, worth in SLACK_EVIDENCE_POINTS
+    lower_tension = next(
+        lower_tension
+        for lower_tension, worth in SLACK_EVIDENCE_POINTS
         if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
         is_length_known=(is_length_known,) * n
     )
-    regimes_after = regimes_after_sample(model, state, above + 1e-6)
+    regimes_after = regimes_after_sample(model, state, lower_tension + 1e-6)
     assert (
         regimes_after.regimes
         == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n

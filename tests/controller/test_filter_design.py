@@ -192,9 +192,9 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
                     err_msg=name,
                 )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
-            twice = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
+            stored_information = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
             np.testing.assert_allclose(
-                [information[0, 0], 4 * information[0, 1], information[1, 1]], twice
+                [information[0, 0], 4 * information[0, 1], information[1, 1]], stored_information
             )
             assert row[h.TENSION_VARIANCE_OFFSET] == block.tension_variance
             np.testing.assert_allclose(

@@ -94,14 +94,16 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
     The motor counts as stuck only if the target has moved since the motor stopped.
     """
     arms = moment_arms_of(jamia)
-    then = targets_after_command(
+    state_after_command = targets_after_command(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
     )
-    np.testing.assert_allclose(filtered_goal_of(then), arms * 0.4)
-    goal_at_rest = then.copy()
+    np.testing.assert_allclose(filtered_goal_of(state_after_command), arms * 0.4)
+    goal_at_rest = state_after_command.copy()
     goal_at_rest.view("motor_stuck")[...] = 1
     later_targets = targets_after_command(jamia, goal_at_rest, 0.4, arms * 0.3)
-    np.testing.assert_array_equal(filtered_goal_of(later_targets), filtered_goal_of(then))
+    np.testing.assert_array_equal(
+        filtered_goal_of(later_targets), filtered_goal_of(state_after_command)
+    )
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:

@@ -503,8 +503,8 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
     digit, tension = model.digits[d], run.progress.goals[d].tension
     assert tension is not None
     q = estimate_in_contact.q[digit.joints]
-    static = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
-    assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
+    static_tension = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
+    assert tip_force(digit, q, tension - static_tension) == pytest.approx(4.0, rel=1e-3)
 
 
 def test_contact_ends_with_the_next_move(

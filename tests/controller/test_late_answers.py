@@ -61,15 +61,15 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
     run.run_until_mode(HandMode.ACTIVE)
     waiting: list[Frame] = []
 
-    def remove_stamps(frames: list[Frame]) -> list[Frame]:
+    def remove_time_stamps(frames: list[Frame]) -> list[Frame]:
         now_ns = run.k * run.period_ns + 30_000
         return [frame._replace(t_ns=now_ns) for frame in frames]
 
-    run.modify_frames_to_host = remove_stamps
+    run.modify_frames_to_host = remove_time_stamps
     run.run(0.5)
     run.modify_frames_to_host = lambda frames: waiting.extend(frames) or []
     run.tick()
-    run.modify_frames_to_host = lambda frames: remove_stamps([*waiting, *frames])
+    run.modify_frames_to_host = lambda frames: remove_time_stamps([*waiting, *frames])
     out = run.tick()
     assert not [
         event.text
@@ -77,7 +77,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
     assert out.mode == HandMode.ACTIVE
-    run.modify_frames_to_host = lambda frames: remove_stamps(
+    run.modify_frames_to_host = lambda frames: remove_time_stamps(
         [*frames, *[f for f in frames if f.can_id == 0x11]]
     )
     out = run.tick()

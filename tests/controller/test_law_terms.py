@@ -194,16 +194,18 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     estimate, space = estimate_under_tension(model, 20.0), model.space
     goals_at_rest = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
-    ways = [
+    trajectories = [
         MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0)
         for d in model.digits
     ]
     goals = tuple(
         replace(goal, trajectory=trajectory, since=since)
-        for goal, trajectory in zip(goals_at_rest, ways, strict=True)
+        for goal, trajectory in zip(goals_at_rest, trajectories, strict=True)
     )
     speed, acceleration = np.zeros((2, model.tendon_count))
-    for digit, tendons, trajectory in zip(model.digits, model.digit_tendons, ways, strict=True):
+    for digit, tendons, trajectory in zip(
+        model.digits, model.digit_tendons, trajectories, strict=True
+    ):
         speed[tendons], acceleration[tendons] = (
             trajectory.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )

@@ -387,7 +387,7 @@ def test_every_element_of_every_field_changes_the_digest(
         known_digests.add(digest)
 
 
-def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
+def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
     move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
     tension = np.array([5.0])
     yield "limp", DigitGoal()
@@ -413,7 +413,7 @@ def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramP
         "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(reference_excursion=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(limited=True)],
-        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
+        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in goal_variants())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
@@ -431,7 +431,7 @@ CHANGED_STREAM_VALUES = {
 }  # fmt: skip
 
 
-def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
+def decision_variants(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """Yield copies of a controller's decisions. Each copy differs in one part."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
@@ -493,7 +493,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
 def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
     state = active_bench.state
     name_by_digest = {state.digest(): "unchanged"}
-    for name, changed in changed_decisions(state.decisions):
+    for name, changed in decision_variants(state.decisions):
         digest = ControllerState(state.layout, state.block, changed).digest()
         assert digest not in name_by_digest, f"{name} and {name_by_digest[digest]} have one digest"
         name_by_digest[digest] = name

@@ -39,7 +39,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     return _static_torque(*constant_args_of(model), q)
 
 
-def filter_table_at(
+def filter_states_at_angles(
     model: HandModel, joint_angles: list[np.ndarray], tendon_speed: float = 0.0
 ) -> np.ndarray:
     """Return filter states (N, 7) of a hand whose digits have the joint angles ``joint_angles``."""
@@ -57,7 +57,7 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
     for _ in range(20):
         theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
         resistance = static_tendon_forces(
-            model, filter_table_at(model, theta), np.zeros(model.tendon_count)
+            model, filter_states_at_angles(model, theta), np.zeros(model.tendon_count)
         ).resistance
         for digit, tendons, angle in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
@@ -81,7 +81,7 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     theta = [np.full(digit.coupling.shape[1], 0.6) for digit in model.digits]
     tension = np.full(model.tendon_count, 20.0)
     at_rest, closing, opening = (
-        static_tendon_forces(model, filter_table_at(model, theta, v), tension)
+        static_tendon_forces(model, filter_states_at_angles(model, theta, v), tension)
         for v in (0.0, 0.05, -0.05)
     )
     np.testing.assert_allclose(at_rest.force_at_joints, tension)
@@ -91,7 +91,10 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
         closing.force_at_joints * opening.force_at_joints, tension**2, rtol=0.12
     )
     known_forces = static_tendon_forces(
-        model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
+        model,
+        filter_states_at_angles(model, theta, -0.05),
+        tension,
+        np.full(model.tendon_count, 1.0),
     )
     np.testing.assert_allclose(
         known_forces.force_at_joints,
@@ -131,7 +134,9 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
                 * tension[i]
                 * math.exp(-tendon.friction_coefficient * developed_torque[i] * passed_angle)
             )
-    load = static_tendon_forces(model, filter_table_at(model, theta), tension, developed_torque)
+    load = static_tendon_forces(
+        model, filter_states_at_angles(model, theta), tension, developed_torque
+    )
     np.testing.assert_allclose(load.force_at_joints, model.torque_to_tension @ torque, rtol=1e-9)
 
 

@@ -174,12 +174,12 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
             assert client.reported_faults == set()
             assert stream_status(client.run.state).accepted == 300
             assert stream_status(client.run.state).clipped == 0
-    known_error = error_of_trajectory(jamia)
+    known_error = rms_error_of_trajectory(jamia)
     assert errors["linear"] < 1.5 * known_error, (errors, known_error)
     assert errors["minimum_jerk"] < 1.2 * known_error, (errors, known_error)
 
 
-def error_of_trajectory(model: HandModel) -> float:
+def rms_error_of_trajectory(model: HandModel) -> float:
     """Return the RMS error [deg] of a hand that follows the sine of this test as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
     stay = {

@@ -333,10 +333,10 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
     ]
     begin = np.searchsorted(truth.t_ns, run.before_signal_ns)
-    over = np.searchsorted(
+    end = np.searchsorted(
         truth.t_ns, run.after_signal_ns + run.simulator_delay_ns + int(FINGER_OPENING_TIME_S * 1e9)
     )
-    driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
+    driven = np.flatnonzero(np.abs(torque[begin:end]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = (
         int(truth.t_ns[begin + driven[-1]]) - run.simulator_delay_ns
         if len(driven)
@@ -348,7 +348,7 @@ def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
         had_motor_torque=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         max_torque_off_ms=(last_ns - run.before_signal_ns) * 1e-6,
         min_torque_off_ms=(last_ns - run.after_signal_ns) * 1e-6,
-        remaining_tension_N=float(tension[min(over, len(tension) - 1)].max()),
+        remaining_tension_N=float(tension[min(end, len(tension) - 1)].max()),
     )
 
 

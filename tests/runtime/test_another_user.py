@@ -120,7 +120,7 @@ def test_a_folder_that_another_user_made_is_refused(
 ):
     folder = folder_of_nobody(shared_tmp)
 
-    def make():
+    def create_folder():
         folder.mkdir()
         if has_run_folder:
             (folder / "handctl").mkdir()
@@ -128,7 +128,7 @@ def test_a_folder_that_another_user_made_is_refused(
         folder.chmod(folder_mode)
         return "made"
 
-    assert call_as_user_nobody(make) == "made"
+    assert call_as_user_nobody(create_folder) == "made"
     assert folder.stat().st_uid == NOBODY_UID
     check_refusals("belongs to user nobody|belongs to another user")
     assert main(["stop", "--bus", "local:x"]) == 71

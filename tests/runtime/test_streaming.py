@@ -199,7 +199,7 @@ def fake_stream(work_folder):
     """Return a stream of two angles [rad], and the list of the targets that it has sent [deg]."""
     from handctl.client.stream import TargetStream
 
-    class Sender:
+    class FakeTargetSender:
         def send(self, index, sent_ns, values):
             sent.append(values.tolist())
             return True
@@ -210,7 +210,7 @@ def fake_stream(work_folder):
     sent = []
     goal = {"stream": "1-1", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0, "space": "joint"}
     owner = SimpleNamespace(description=load_hand("jamia"))
-    return TargetStream(owner, Sender(), goal, "rad", 0.012, 1.0), sent
+    return TargetStream(owner, FakeTargetSender(), goal, "rad", 0.012, 1.0), sent
 
 
 def test_values_are_checked_before_they_are_sent(fake_stream):

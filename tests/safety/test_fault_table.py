@@ -312,7 +312,7 @@ def test_a_time_is_rounded_to_ticks(
     assert tick_count_for_time(duration_s, period_s, minimum_ticks) == expected_ticks
 
 
-def trace_fault(fault_id: str) -> list[tuple[SafetyAction, int]]:
+def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
     """Return the action and the number of findings of one fault in each tick.
 
     The first ticks are before the onset of the fault.
@@ -390,7 +390,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
         if 0 <= fault.action + step <= 4
     ]
     redeclare_fault(fault)
-    expected_trace = trace_fault(fault_id)
+    expected_trace = fault_trace(fault_id)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
             SafetyAction.PASS,
@@ -398,7 +398,7 @@ def test_a_changed_row_would_be_noticed(fault_id: str, redeclare_fault) -> None:
         ) or fault.action == mutant.action == SafetyAction.PASS:
             continue  # a latched fault without an action has no effect
         redeclare_fault(mutant)
-        assert trace_fault(fault_id) != expected_trace, mutant
+        assert fault_trace(fault_id) != expected_trace, mutant
 
 
 THRESHOLD_STEP_BY_FAULT = {

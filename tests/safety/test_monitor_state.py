@@ -57,7 +57,7 @@ def make_monitor(
     return monitor
 
 
-FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
+STATE_FIELD_BY_READING = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
                  "speed": "speed",
          "force": "measured_force", "excursion": "measured_excursion", "joints": "measured_joint",
          "read": "joints_read"}  # fmt: skip
@@ -84,7 +84,7 @@ def measurements_at_rest(**changed_measurements: Any) -> dict[str, Any]:
     resting_measurements.setdefault(
         "position", np.asarray(resting_measurements["travel"]) / SPOOL_RADIUS_M
     )
-    return {FIELD_BY_NAME[name]: value for name, value in resting_measurements.items()}
+    return {STATE_FIELD_BY_READING[name]: value for name, value in resting_measurements.items()}
 
 
 def monitor_at_20_newton(

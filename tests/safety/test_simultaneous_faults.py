@@ -106,15 +106,15 @@ def test_instances_do_not_share_their_debounce_counts() -> None:
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
-    twice = TickInput(
+    two_overflow_reports = TickInput(
         reports=(
             *event_report("enobufs", "can0", 1).reports,
             *event_report("enobufs", "can0", 2).reports,
         )
     )
-    _, verdicts = judge_ticks(twice)
+    _, verdicts = judge_ticks(two_overflow_reports)
     assert verdicts[0].action == SafetyAction.PASS
-    _, verdicts = judge_ticks(twice, twice)
+    _, verdicts = judge_ticks(two_overflow_reports, two_overflow_reports)
     assert verdicts[-1].action == SafetyAction.RELAX
     assert len(verdicts[-1].findings) == 1
 
