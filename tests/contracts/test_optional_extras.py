@@ -33,8 +33,10 @@ The dependency itself pins the version of such a package.
 
 def hide_packages_script(extra_names: set[str]) -> str:
     """Return Python code that hides the packages of some extras from a process."""
-    hidden = [package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names]
-    return f"import sys\nsys.modules.update(dict.fromkeys({hidden}))\n"
+    hidden_packages = [
+        package for package, extra in EXTRA_BY_MODULE.items() if extra in extra_names
+    ]
+    return f"import sys\nsys.modules.update(dict.fromkeys({hidden_packages}))\n"
 
 
 HIDE_EXTRAS_SCRIPT = hide_packages_script(set(EXTRA_BY_MODULE.values()))

@@ -139,8 +139,10 @@ def test_logs_and_clients_need_no_extra(environment_without_extras: WheelEnviron
 
 
 def test_a_controller_needs_one_extra(controller_environment: WheelEnvironment) -> None:
-    executed = controller_environment.run("handctl", "replay", "execute", str(GOLDEN_LOG)).stdout
-    assert "0 differ" in executed
+    replay_output = controller_environment.run(
+        "handctl", "replay", "execute", str(GOLDEN_LOG)
+    ).stdout
+    assert "0 differ" in replay_output
     controller_environment.run("handctl", "report", str(GOLDEN_LOG), "--output", "report.html")
     controller_environment.run("handctl", "config", "check", "--hand", "jamia")
     expected = controller_environment.run("handctl", "demo", "--lockstep", exit_code=2).stderr

@@ -58,7 +58,7 @@ def two_n_hand() -> Hand:
     base = content["tendon"][-1]
     motor = content["motor"][-1]
     arm = 0.004948
-    routes = {
+    moment_arms_by_tendon = {
         "f1": {"thumb_j1": arm},
         "e1": {"thumb_j1": -arm},
         "f2": {"thumb_j1": arm, "thumb_j2": arm},
@@ -66,7 +66,7 @@ def two_n_hand() -> Hand:
     }
     tendons = [tendon for tendon in content["tendon"] if not tendon["name"].startswith("thumb")]
     motors = [entry for entry in content["motor"] if not entry["name"].startswith("thumb")]
-    for i, (name, arms) in enumerate(routes.items()):
+    for i, (name, arms) in enumerate(moment_arms_by_tendon.items()):
         tendons.append(
             base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
         )

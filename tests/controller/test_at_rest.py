@@ -33,10 +33,10 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     for _ in range(round(rest_s / period)):
         resting = tick(far_angles, 0.05e-3)
     for _ in range(round(2.0 / period)):
-        touched = tick(far_angles, 0.4e-3)
-    assert np.abs(touched - resting).max() < 0.5 * STUCK_SENSOR_GOAL_CHANGE_M
+        goal_in_contact = tick(far_angles, 0.4e-3)
+    assert np.abs(goal_in_contact - resting).max() < 0.5 * STUCK_SENSOR_GOAL_CHANGE_M
     for _ in range(round(0.5 / period)):
-        away = tick(far_angles * 1.2, 0.4e-3)
-    assert np.abs(away - touched).min() > STUCK_SENSOR_GOAL_CHANGE_M, (
+        moved_goal = tick(far_angles * 1.2, 0.4e-3)
+    assert np.abs(moved_goal - goal_in_contact).min() > STUCK_SENSOR_GOAL_CHANGE_M, (
         "a goal that does move is still seen"
     )

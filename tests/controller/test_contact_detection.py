@@ -143,7 +143,7 @@ def test_drifted_load_cells_cause_no_contact_where_a_digit_stops(
 FALSE_CONTACT_XFAIL = pytest.mark.xfail(
     strict=True, reason="a load-cell error of 1.7 N makes the index finger report a contact at 48 s"
 )
-FREE_MOTIONS = [
+FREE_MOTION_CASES = [
     pytest.param(hand, seed, marks=FALSE_CONTACT_XFAIL if (hand, seed) == ("jamia11", 2) else ())
     for hand in ("jamia", "jamia11")
     for seed in range(10)
@@ -153,7 +153,7 @@ FREE_MOTIONS = [
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize(("hand", "seed"), FREE_MOTIONS)
+@pytest.mark.parametrize(("hand", "seed"), FREE_MOTION_CASES)
 def test_a_minute_of_free_motion_has_no_contact(hand: str, seed: int, tmp_path: Path) -> None:
     assert count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) == 0
 

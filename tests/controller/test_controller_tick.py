@@ -93,14 +93,14 @@ def test_another_controller_of_the_same_hand_repeats_the_run(
 
 def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
     random_generator = random.Random(3)
-    checked = 0
+    shuffled_tick_count = 0
     for state_before, entry, out in session_bench.tick_history[::3]:
         frames = list(entry.frames)
         random_generator.shuffle(frames)
         _, again = session_bench.controller.tick(state_before, entry._replace(frames=tuple(frames)))
         assert comparable_outputs(again) == comparable_outputs(out)
-        checked += frames != list(entry.frames)
-    assert checked > 50
+        shuffled_tick_count += frames != list(entry.frames)
+    assert shuffled_tick_count > 50
 
 
 def test_frames_with_unknown_identifiers_change_no_decision(session_bench: ControllerBench) -> None:

@@ -172,14 +172,14 @@ def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
-    taut = [MIN_TAUT_TENSION_N + 1.0] * 30
+    taut_readings = [MIN_TAUT_TENSION_N + 1.0] * 30
     regimes_after_one_low_sample = regimes_of_readings(
-        model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]]
+        model, [*taut_readings, 0.0, *taut_readings[:5], 0.0, *taut_readings[:5]]
     )
-    assert TendonRegime.SLACK not in set().union(*regimes_after_one_low_sample[len(taut) :]), (
-        "one low sample is noise"
-    )
-    assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
+    assert TendonRegime.SLACK not in set().union(
+        *regimes_after_one_low_sample[len(taut_readings) :]
+    ), "one low sample is noise"
+    assert regimes_of_readings(model, [*taut_readings, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
 
 
 def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) -> None:

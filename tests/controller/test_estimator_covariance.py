@@ -129,11 +129,11 @@ def run_monte_carlo(
         # The motor of this test holds the tendon as a controller would. The planned rate of change
         # keeps the tension from drifting.
         tension = (tension_rows * truth).sum(axis=1)
-        away = (
+        travel_error = (
             truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
         )
         force = (tension if free else 40.0) - model.space.motor_mass * (
-            40.0 * truth[:, V] + 400.0 * free * away
+            40.0 * truth[:, V] + 400.0 * free * travel_error
         )
         rate = 5.0 * (40.0 - tension)
         z = truth @ model.filter.blocks[0][regime].H.T
@@ -222,16 +222,16 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
             sigma.append(estimate.tension_sigma)
-    steady = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
+    steady_state_sigma = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
-    assert sigma[4][0] > 1.01 * steady[0]
+    assert sigma[4][0] > 1.01 * steady_state_sigma[0]
     assert max(sample[0] for sample in sigma) == max(sigma[4][0], sigma[5][0]), (
         "it grows as long as nothing is read"
     )
     np.testing.assert_allclose(
-        [sample[1:] for sample in sigma], [steady[1:]] * len(sigma), rtol=1e-3
+        [sample[1:] for sample in sigma], [steady_state_sigma[1:]] * len(sigma), rtol=1e-3
     )
-    np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
+    np.testing.assert_allclose(sigma[-1], steady_state_sigma, rtol=0.02)
 
 
 @pytest.mark.parametrize(("missing_column", "regime", "is_detected"), [
@@ -263,7 +263,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     The last digit of the hand stays without contact.
     """
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, touched = (
+    state, digit_contact = (
         state_in_regime(model, TendonRegime.FREE, x),
         (True, *flags_without_contact(model)[1:]),
     )
@@ -272,7 +272,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         np.zeros(model.tendon_count),
     )
     state_after, _ = run_filter_tick(
-        model, state, readings_without_travel, force, zero_vector, touched, missed_ticks=4
+        model, state, readings_without_travel, force, zero_vector, digit_contact, missed_ticks=4
     )
     first_tendon, last_tendon = 0, model.tendon_count - 1
     assert (state_after.regimes[first_tendon], state_after.regimes[last_tendon]) == (
@@ -280,16 +280,20 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
         int(TendonRegime.FREE),
     )
     assert state_after.covariance is not None
-    steady = [model.filter.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)]
-    np.testing.assert_array_equal(state_after.covariance[first_tendon], steady[first_tendon])
+    steady_state_covariances = [
+        model.filter.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)
+    ]
+    np.testing.assert_array_equal(
+        state_after.covariance[first_tendon], steady_state_covariances[first_tendon]
+    )
     state_after_one_tick, _ = run_filter_tick(
-        model, state, readings_without_travel, force, zero_vector, touched
+        model, state, readings_without_travel, force, zero_vector, digit_contact
     )
     assert state_after_one_tick.covariance is not None
     tension_variances = [
         state_after.covariance[last_tendon, X, X],
         state_after_one_tick.covariance[last_tendon, X, X],
-        steady[last_tendon][X, X],
+        steady_state_covariances[last_tendon][X, X],
     ]
     assert tension_variances == sorted(tension_variances, reverse=True), (
         "what is not read is known less with every period"
@@ -335,7 +339,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     x[:, X] -= slack * 1e-3
     state = state_in_regime(model, regime, x)._replace(is_length_known=(True,) * n)
     blocks = [blocks_of_tendon[regime] for blocks_of_tendon in model.filter.blocks]
-    P, compared = np.array([block.P for block in blocks]), 0
+    P, compared_count = np.array([block.P for block in blocks]), 0
     for k in range(40):
         missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
@@ -354,8 +358,10 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
             P = np.array([block.P for block in blocks])
             continue
         assert_same_covariance(state.covariance, P)
-        compared += 1
-    assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
+        compared_count += 1
+    assert (
+        compared_count == 0 if slack and missing_pattern == "a load cell" else compared_count >= 3
+    )
 
 
 @pytest.mark.parametrize(
@@ -409,7 +415,7 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     state, second = state_in_regime(model, TendonRegime.FREE, x), x.copy()
     blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
     P = [block.P.copy() for block in blocks]
-    compared = 0
+    compared_count = 0
     for _ in range(300):
         z = np.column_stack((x[:, X], np.full(n, 25.0), x[:, S]))
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
@@ -445,5 +451,5 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             rtol=1e-7,
             atol=1e-7,
         )
-        compared += 1
-    assert compared > 50
+        compared_count += 1
+    assert compared_count > 50

@@ -100,9 +100,9 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
     for i, blocks in enumerate(model.filter.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
-        taut = regime != TendonRegime.SLACK
+        is_taut = regime != TendonRegime.SLACK
         tension = (
-            (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+            (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if is_taut else 0.0
         )
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
         np.testing.assert_allclose(H @ state, [state[X], tension + state[E], state[S]], rtol=1e-12)

@@ -102,8 +102,10 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
         validate_content({"schema": 1, "name": "turns", "phase": move_phases}, Task, "test")
     )
     run = run_on_plant(hand, task, None, tmp_path, 4.5)
-    starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]
-    assert len(starts) == len(angles) - 1
+    move_start_times = [
+        t for t, event in run.events if event.name == "phase" and event.text == "move"
+    ][1:]
+    assert len(move_start_times) == len(angles) - 1
     tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
     real, estimate, cell = (
         np.array(table)[:, tendons]
@@ -112,10 +114,10 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     ticks = [
         k
         for k, t in enumerate(run.time_s)
-        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in starts)
+        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in move_start_times)
     ]
     assert len(ticks) == pytest.approx(
-        len(starts) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(starts)
+        len(move_start_times) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(move_start_times)
     )
     estimate_error, raw = (
         np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell)

@@ -79,9 +79,9 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     assert filtered_goal_of(slow_state) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
         "what goes slowly is followed at once"
     )
-    limp = targets_after_command(jamia, state_after, np.nan)
-    assert np.isnan(filtered_goal_of(limp)).all()
-    assert filtered_goal_of(state_after_goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
+    limp_state = targets_after_command(jamia, state_after, np.nan)
+    assert np.isnan(filtered_goal_of(limp_state)).all()
+    assert filtered_goal_of(state_after_goals(0.1, 1, limp_state)) == pytest.approx(arms * 0.1), (
         "after a hold it begins anew"
     )
 

@@ -148,11 +148,13 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
         0.2, abs=1.1 * model.period
     )
     assert run.run_until_phase("close", taut_estimate) == pytest.approx(0.3, abs=1.1 * model.period)
-    everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
-    assert run.run_until_phase("hold", everything) == pytest.approx(0.01, abs=0.01), (
-        "all touch: go on"
+    estimate_with_all_contacts = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
+    assert run.run_until_phase("hold", estimate_with_all_contacts) == pytest.approx(
+        0.01, abs=0.01
+    ), "all touch: go on"
+    assert run.run_until_phase("release", estimate_with_all_contacts) == pytest.approx(
+        0.4, abs=1.1 * model.period
     )
-    assert run.run_until_phase("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
     assert run.run_until_phase("open", taut_estimate) == pytest.approx(0.1, abs=1.1 * model.period)
     assert run.run_until_phase("end", taut_estimate) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.progress.finished
@@ -273,8 +275,10 @@ def test_contact_is_a_force_at_the_tip_that_lasts(
     model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run, threshold = begin_closing(model, taut_estimate), model.gains.contact.threshold_N
-    weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
-    run.run_until_contact(weak)
+    weak_contact_estimate = hand_in_contact(
+        model, {"index": tension_for_tip_force(model, 0.95 * threshold)}
+    )
+    run.run_until_contact(weak_contact_estimate)
     run.run_until_contact(hand_in_contact(model, {"index": 0.0}))
     for _ in range(10):
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))

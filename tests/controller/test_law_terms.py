@@ -209,13 +209,13 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         speed[tendons], acceleration[tendons] = (
             trajectory.motion_at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
-    needed = (
+    required_force = (
         space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
     )
-    needed += (model.motion.tension_speed + space.motor_damping) * speed
+    required_force += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
         motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, goals_at_rest),
-        needed,
+        required_force,
         rtol=1e-9,
     )
     goals_with_one_motion = (goals[0], *goals_at_rest[1:])
@@ -223,7 +223,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         model, estimate, goals_at_rest
     )
     first_tendons = model.digit_tendons[0]
-    np.testing.assert_allclose(change[first_tendons], needed[first_tendons], rtol=1e-9)
+    np.testing.assert_allclose(change[first_tendons], required_force[first_tendons], rtol=1e-9)
     assert not np.delete(change, first_tendons).any(), "no other digit is in motion"
 
 
@@ -237,9 +237,11 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     slack_torque = run_control_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[
         1
     ].torque
-    taut = run_control_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
+    taut_torque = run_control_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[
+        1
+    ].torque
     np.testing.assert_allclose(
-        (slack_torque - taut) / model.space.spool, model.space.coulomb, rtol=0.02
+        (slack_torque - taut_torque) / model.space.spool, model.space.coulomb, rtol=0.02
     )
 
 

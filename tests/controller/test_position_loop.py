@@ -521,9 +521,9 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):
             value = min(loop[f"servo_{name}"][n], steps[f"servo_{key}_max"][n])
             step = steps[f"servo_{key}_step"][n]
-            rounded = step * math.floor(value / step + 0.5)
-            assert 0.0 < rounded <= rows[row, 3], "the law's rounded gain can be encoded"
-            assert np.float32(rounded / rows[row, 0]) <= 1.0
+            rounded_gain = step * math.floor(value / step + 0.5)
+            assert 0.0 < rounded_gain <= rows[row, 3], "the law's rounded gain can be encoded"
+            assert np.float32(rounded_gain / rows[row, 0]) <= 1.0
             assert (value < loop[f"servo_{name}"][n]) == (
                 gain_value < 1.0 and (name == "damping" or rate_hz > 100.0)
             )

@@ -190,9 +190,9 @@ def angles_of_tick(
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
-    touched = np.full(len(model.digits), 15.0)
+    contact_forces = np.full(len(model.digits), 15.0)
     for k in range(200):
-        angles = angles_of_tick(model, state, estimate, touched, k)
+        angles = angles_of_tick(model, state, estimate, contact_forces, k)
     moment_arms = model.hand.moment_arms
     np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
     turned = np.degrees(np.abs(angles.q - estimate.q).max())
@@ -204,9 +204,9 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     zero_force = np.zeros(len(model.digits))
 
-    def angles_after_contact(touched: np.ndarray, seconds: float) -> JointAngles:
+    def angles_after_contact(contact_forces: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
-            angles = angles_of_tick(model, state, estimate, touched, k)
+            angles = angles_of_tick(model, state, estimate, contact_forces, k)
         return angles
 
     constants = constant_tables_of(model)

@@ -182,15 +182,20 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
 def rms_error_of_trajectory(model: HandModel) -> float:
     """Return the RMS error [deg] of a hand that follows the sine of this test as a trajectory of a task."""
     times = np.arange(0.0, 3.001, 0.02)
-    stay = {
+    hold_phase = {
         "kind": "move",
         "name": "stay",
         "angle_deg": {"index": SINE_MIDDLE_DEG},
         "duration_s": 1.0,
     }
     angles = {"index": sine_angle(times).tolist()}
-    follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
-    task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
+    follow_phase = {
+        "kind": "follow",
+        "name": "follow",
+        "time_s": times.tolist(),
+        "angle_deg": angles,
+    }
+    task = {"schema": 1, "name": "sine", "phase": [hold_phase, follow_phase]}
     program = TaskProgram(Task.model_validate_json(json.dumps(task)))
     with SimulatorSettings(model.hand.name, homed=True).begin_run(
         homed_controller(model, program)
@@ -836,10 +841,12 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.tick_outputs[-1].phase == "live", "a goal ends the task"
         wrong_task = task | {"phase": [{"kind": "move", "angle_deg": {"pinky": 3.0}}]}
         assert client.send_command("grasp", task=wrong_task).startswith("refused: task: phase[0]")
-        fast = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
-        assert client.send_command("grasp", task=fast).startswith("refused: ")
-        slips = task | {"phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]}
-        assert client.send_command("grasp", task=slips).startswith("refused: "), (
+        too_fast_task = task | {"phase": [{"kind": "move", "angle_deg": 100.0, "duration_s": 0.2}]}
+        assert client.send_command("grasp", task=too_fast_task).startswith("refused: ")
+        slip_limit_task = task | {
+            "phase": [{"kind": "hold", "tension_N": 12.0, "slip_limit_N": 10.0}]
+        }
+        assert client.send_command("grasp", task=slip_limit_task).startswith("refused: "), (
             "as a run refuses it"
         )
         assert client.tick_outputs[-1].phase == "live"

@@ -399,14 +399,14 @@ def disturb_controllers_in_batches(
 def summary_of_kills(verdicts: list[KillVerdict]) -> str:
     """Summarise the runs of killed or stopped controllers in one line of text."""
     safe_run_count = sum(run.torque_ended_in_time for run in verdicts)
-    complete = sum(run.has_complete_log for run in verdicts)
-    pulled = sum(run.was_taut for run in verdicts)
-    driven = sum(run.had_motor_torque for run in verdicts)
-    latest = max(run.max_torque_off_ms for run in verdicts)
+    complete_log_count = sum(run.has_complete_log for run in verdicts)
+    taut_count = sum(run.was_taut for run in verdicts)
+    driven_count = sum(run.had_motor_torque for run in verdicts)
+    latest_torque_off_ms = max(run.max_torque_off_ms for run in verdicts)
     tension = max(run.remaining_tension_N for run in verdicts)
     return (
         f"{len(verdicts)} controllers: {safe_run_count} times without torque in time, "
-        f"at most {latest:.1f} ms after the signal; "
-        f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
+        f"at most {latest_torque_off_ms:.1f} ms after the signal; "
+        f"{complete_log_count} logs complete; {driven_count} disturbed under torque, {taut_count} with a taut tendon; "
         f"at most {tension:.1f} N left 0.3 s later"
     )

@@ -18,19 +18,19 @@ async def use_hand_as_client(*connect_options):
 
     Meanwhile, another asyncio task counts, to show that the client does not block the event loop.
     """
-    counted = 0
+    loop_count = 0
 
     async def count():
-        nonlocal counted
+        nonlocal loop_count
         while True:
-            counted += 1
+            loop_count += 1
             await asyncio.sleep(0.01)
 
     counting_task = asyncio.create_task(count())
     async with library.connect_async("jamia", LOCAL_BUS, *connect_options) as hand:
-        counted = 0
+        loop_count = 0
         await hand.move(index=30.0)
-        assert counted > 30, "other tasks go on while the hand moves"
+        assert loop_count > 30, "other tasks go on while the hand moves"
         assert hand.observe().q_deg[:3] == pytest.approx(30.0, abs=3.0)
         with pytest.raises(ConfigError, match="no digit 'pinky'"):
             await hand.wait_for(contact="pinky")

@@ -103,14 +103,14 @@ def test_a_good_drive_passes_although_the_host_is_late(protocol, seed, monkeypat
     source = random.Random(seed)
     wait = VirtualBench.wait
 
-    def wait_and_stall(virtual_bench, k):
+    def wait_with_stalls(virtual_bench, k):
         late = wait(virtual_bench, k)
         if source.random() < 1.0 / 40.0:
             virtual_bench.advance_time(source.uniform(0.0, 0.03))
             late = wait(virtual_bench, k)
         return late
 
-    monkeypatch.setattr(VirtualBench, "wait", wait_and_stall)
+    monkeypatch.setattr(VirtualBench, "wait", wait_with_stalls)
     checks, virtual_bench, rig = check_results(protocol)
     assert failed_checks(checks) == []
     assert (unchecked_results(checks) == []) is (protocol in VERIFIABLE_PROTOCOLS)
@@ -126,11 +126,13 @@ def test_a_good_drive_passes_three_times_running(protocol):
     virtual_bench = VirtualBench(protocol)
     for checks in run_checks_three_times(virtual_bench, protocol):
         assert failed_checks(checks) == []
-        late_rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
-        late_rig.run_tick(DriveTarget.LISTEN)
-        late_rig.run_for(DriveTarget.POLL, 0.3)
-        assert late_rig.state.error_text == "", "nothing is latched after a silence of two seconds"
-        assert release_drive(late_rig, 0.05)
+        second_rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
+        second_rig.run_tick(DriveTarget.LISTEN)
+        second_rig.run_for(DriveTarget.POLL, 0.3)
+        assert second_rig.state.error_text == "", (
+            "nothing is latched after a silence of two seconds"
+        )
+        assert release_drive(second_rig, 0.05)
 
 
 @pytest.mark.parametrize("shaft_inertia", [2e-5, 1e-4, 2e-3])

@@ -240,7 +240,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
                 commands.append((t_ns, command))
             return advance_drive(state, t_ns, target, command)
 
-    def wait_and_stall(k):
+    def wait_with_stalls(k):
         if (
             remaining_stalls
             and commands
@@ -257,7 +257,7 @@ def stall_host(virtual_bench, rig, stall_time_s, missed_ticks):
                 virtual_bench.advance_time(PERIOD_NS * 1e-9)
         return wait(k)
 
-    drive, rig.drive, virtual_bench.wait = rig.drive, CommandRecordingDrive(), wait_and_stall
+    drive, rig.drive, virtual_bench.wait = rig.drive, CommandRecordingDrive(), wait_with_stalls
     return commands
 
 

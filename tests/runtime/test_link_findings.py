@@ -48,8 +48,8 @@ def failed_findings(ip_output, data_bitrate=None):
 
 def test_a_good_interface_has_only_good_findings():
     assert failed_findings(link_json()) == []
-    fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
-    assert failed_findings(link_json(**fast), 5 * MEGABIT_PER_S) == []
+    fast_link = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT_PER_S}}}
+    assert failed_findings(link_json(**fast_link), 5 * MEGABIT_PER_S) == []
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def telemetry_of_tick(tick_index: int) -> PackedTelemetry:
     return PackedTelemetry(1000.0 * tick_index + np.arange(first_element), places)
 
 
-NO_STREAM = StreamStatus()
+CLOSED_STREAM_STATUS = StreamStatus()
 
 
 def ticks_of_unread_records(reader: ObservationReader) -> list[int]:
@@ -78,7 +78,7 @@ def ticks_of_unread_records(reader: ObservationReader) -> list[int]:
 
 
 def write_observation(
-    writer: ObservationWriter, tick_index: int, status: StreamStatus = NO_STREAM
+    writer: ObservationWriter, tick_index: int, status: StreamStatus = CLOSED_STREAM_STATUS
 ) -> None:
     """Write the record of tick k into the ring of observations."""
     out = TickOut(

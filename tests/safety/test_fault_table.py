@@ -192,9 +192,9 @@ def test_a_silent_drive_is_no_fault_while_torque_is_off(fault_id: str) -> None:
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
-    nan = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
+    nan_values = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
     _, verdicts = judge_ticks(
-        *[merge_inputs(measured_tensions(**nan), drive_temperatures(**nan))] * 30
+        *[merge_inputs(measured_tensions(**nan_values), drive_temperatures(**nan_values))] * 30
     )
     assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
@@ -335,11 +335,11 @@ def fault_trace(fault_id: str) -> list[tuple[SafetyAction, int]]:
         monitor.found_values[
             [row for row in range(len(DETECTOR_ROWS)) if row not in rows_of_fault]
         ] = math.nan
-        demanded = call_interpreted(
+        demanded_action = call_interpreted(
             compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )
         reports = tick_input.reports if judgement.FAULT_BY_ID[fault_id].reports else ()
-        verdict = monitor.conclude(demanded, reports)
+        verdict = monitor.conclude(demanded_action, reports)
         actions_and_counts.append((verdict.action, len(verdict.findings)))
     return actions_and_counts
 

@@ -157,11 +157,15 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
 def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
     monitor: SyntheticMonitor,
 ) -> None:
-    pushed = {"pushed": [9.0, 9.0]}
-    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, 20.0, pushed)["cell"] == ["a", "b"]
-    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 2, 20.0, pushed)["cell"] == []
+    changed_state = {"pushed": [9.0, 9.0]}
+    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, 20.0, changed_state)["cell"] == [
+        "a",
+        "b",
+    ]
+    assert stuck_sensor_names(monitor, STUCK_CELL_READINGS - 2, 20.0, changed_state)["cell"] == []
     assert (
-        stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, TAUT_TENSION_N, pushed)["cell"] == []
+        stuck_sensor_names(monitor, STUCK_CELL_READINGS - 1, TAUT_TENSION_N, changed_state)["cell"]
+        == []
     ), "a slack tendon's cell may rest"
 
 

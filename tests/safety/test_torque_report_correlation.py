@@ -14,7 +14,7 @@ from tests.safety.synthetic_monitor import (
     synthetic_limits,
 )
 
-COMMAND_TICKS = 1000
+COMMAND_TICK_COUNT = 1000
 
 
 class TorqueReportMonitor(SyntheticMonitor):
@@ -61,11 +61,11 @@ def motors_after_reports(
 
 
 def noisy_commands(seed: int, noise_N: float = 0.1) -> np.ndarray:
-    """Return noisy commands (COMMAND_TICKS, 2) [N] for two motors that hold 90 N.
+    """Return noisy commands (COMMAND_TICK_COUNT, 2) [N] for two motors that hold 90 N.
 
     The commands are rounded to 12 bits, as in a frame to a drive.
     """
-    return 90.0 + noise_N * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
+    return 90.0 + noise_N * np.random.default_rng(seed).standard_normal((COMMAND_TICK_COUNT, 2))
 
 
 def rounded_to_counts(reported_force: np.ndarray) -> np.ndarray:
@@ -117,7 +117,7 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(
 
 
 def test_constant_command_and_constant_report_give_no_verdict() -> None:
-    constant_command = np.full((COMMAND_TICKS, 2), 90.0)
+    constant_command = np.full((COMMAND_TICK_COUNT, 2), 90.0)
     assert not motors_after_reports(
         constant_command, delayed_reports(noisy_commands(1))
     ).now_unfollowed
@@ -154,15 +154,15 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, noise_N: float) 
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (COMMAND_TICKS, 2) [N], and the torque that healthy drives report [N].
+    """Return commands (COMMAND_TICK_COUNT, 2) [N], and the torque that healthy drives report [N].
 
     The bus sometimes transmits no frames for one to five ticks, while the commands continue to change. The first
     reports after a stop still show the command from before the stop.
     """
     random = np.random.default_rng(seed)
-    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICKS, 2), np.nan)
+    commanded, torque_reports = noisy_commands(seed), np.full((COMMAND_TICK_COUNT, 2), np.nan)
     obeyed_commands, stalled_tick_count = commanded[0].copy(), 0
-    for k in range(1, COMMAND_TICKS):
+    for k in range(1, COMMAND_TICK_COUNT):
         stalled_tick_count = (
             stalled_tick_count - 1
             if stalled_tick_count
@@ -241,22 +241,22 @@ def test_a_drive_that_obeys_fast_commands_is_not_a_fault(seed: int, ticks: int) 
     random = np.random.default_rng(seed)
     command_steps = (
         50.0
-        * random.uniform(-1.0, 1.0, (COMMAND_TICKS, 2))
-        * (random.random((COMMAND_TICKS, 2)) < 0.05)
+        * random.uniform(-1.0, 1.0, (COMMAND_TICK_COUNT, 2))
+        * (random.random((COMMAND_TICK_COUNT, 2)) < 0.05)
     )
     commanded = np.clip(np.cumsum(command_steps, axis=0), -100.0, 100.0)
-    commanded += 40.0 * np.sin(np.arange(COMMAND_TICKS) / 4.0)[:, None]
+    commanded += 40.0 * np.sin(np.arange(COMMAND_TICK_COUNT) / 4.0)[:, None]
     reports = delayed_reports(commanded, ticks)
-    lost = np.flatnonzero(random.random(COMMAND_TICKS - 5) < 0.02) + 2
+    lost = np.flatnonzero(random.random(COMMAND_TICK_COUNT - 5) < 0.02) + 2
     reports[lost] = reports[lost - 1] if ticks == 1 else np.nan
     assert not motors_after_reports(commanded, reports).disobeyed
 
 
 def test_a_drive_with_a_slow_current_and_a_wrong_torque_constant_is_not_a_fault() -> None:
     """In this test, the motor current lags by 4 ms, and the torque constant is 15 % too low."""
-    commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICKS) // 50 % 2)[:, None] * np.ones(2)
+    commanded = 24.0 + 36.0 * (np.arange(COMMAND_TICK_COUNT) // 50 % 2)[:, None] * np.ones(2)
     torque_reports = np.zeros_like(commanded)
-    for k in range(1, COMMAND_TICKS):
+    for k in range(1, COMMAND_TICK_COUNT):
         torque_reports[k] = torque_reports[k - 1] + (1.0 - np.exp(-0.5)) * (
             0.85 * commanded[k - 1] - torque_reports[k - 1]
         )
