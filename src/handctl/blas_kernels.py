@@ -27,11 +27,11 @@ def use_portable_kernels() -> None:
     The call has an effect only before the first import of numpy. The call changes nothing if the
     user has chosen other kernels, or if the processor cannot execute the kernels for Haswell.
     """
-    if portable_kernels_run():
+    if can_run_portable_kernels():
         os.environ.setdefault(KERNELS_VARIABLE, PORTABLE_MATRIX_KERNELS)
 
 
-def portable_kernels_run() -> bool:
+def can_run_portable_kernels() -> bool:
     """Return True if the processor has the features that the portable kernels need."""
     try:
         with CPU_DESCRIPTION.open() as lines:

@@ -64,7 +64,7 @@ def _without_compiler(context: Any) -> Iterator[None]:
     rebuild_environment = environment._rebuild_env
     context.refresh = _do_nothing
     context.get_executable = partial(_get_executable, rebuild)
-    environment._rebuild_env = _without_module
+    environment._rebuild_env = _load_environment
     try:
         yield
     finally:
@@ -78,7 +78,7 @@ def _do_nothing() -> None:
     """Do nothing. This function replaces numba's registration of types."""
 
 
-def _without_module(module: str, constants: list[Any], name: str) -> Any:
+def _load_environment(module: str, constants: list[Any], name: str) -> Any:
     """Return the constants that the code of a function uses.
 
     The original function of numba also imports the module of the code. Only interpreted code needs

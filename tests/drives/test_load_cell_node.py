@@ -364,16 +364,16 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(
 ) -> None:
     bench = FirmwareBench(firmware_library, 4)
     bench.set_cell_tensions([20.0] * 4)
-    good_tension_code = tension_code(20.0)
+    valid_tension_code = tension_code(20.0)
     bench.chips[0].new_channels = 0b1101
     assert [bench.tension_codes()[1] for _ in range(4)] == [
-        good_tension_code,
-        good_tension_code,
+        valid_tension_code,
+        valid_tension_code,
         RAIL_CODE,
         RAIL_CODE,
     ]
     bench.chips[0].new_channels = 0xF
-    assert bench.tension_codes() == [good_tension_code] * 4
+    assert bench.tension_codes() == [valid_tension_code] * 4
 
 
 @pytest.mark.parametrize(

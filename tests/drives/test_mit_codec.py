@@ -16,7 +16,7 @@ from handctl.drives.protocol_registry import make_drive
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
-from tests.drives.conftest import MotorSection, mit_drive_of
+from tests.drives.conftest import MotorSection, make_mit_drive
 
 TORQUE_MAX_N_M = 0.8
 MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TORQUE_MAX_N_M)
@@ -26,7 +26,7 @@ COMMAND_TABLE, FEEDBACK_TABLE = (
     SignalTable(codec.feedback_message(0x11, MOTOR_RANGES)),
 )
 ENABLED_STATE = DriveState(
-    phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
+    phase=DrivePhase.ENABLED, protocol_state=MitProgress(is_configured=True, is_enable_sent=True)
 )
 
 
@@ -119,20 +119,20 @@ def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque:
 )
 def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
-        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
+        make_mit_drive().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_nan_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
-        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
+        make_mit_drive().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
 @given(torques_in_range, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
-    drive = mit_drive_of(direction=direction, zero_rad=0.25)
+    drive = make_mit_drive(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND_TABLE.pack(direction * torque)
-    state = DriveState(phase=DrivePhase.READY, private=MitProgress(configured=True))
+    state = DriveState(phase=DrivePhase.READY, protocol_state=MitProgress(is_configured=True))
     frames = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert frames.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
     assert frames.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
@@ -174,7 +174,7 @@ drive_states = st.builds(
     DriveState,
     phase=st.sampled_from(DrivePhase),
     error=st.sampled_from([0, 0xA, 0x102]),
-    private=st.builds(
+    protocol_state=st.builds(
         MitProgress,
         cursor=st.builds(
             ReadbackCursor,
@@ -184,10 +184,10 @@ drive_states = st.builds(
             st.integers(-1, 9),
             st.integers(0, 10),
         ),
-        configured=st.booleans(),
+        is_configured=st.booleans(),
         enabled_by_other_host=st.booleans(),
-        enable_sent=st.booleans(),
-        disabling=st.booleans(),
+        is_enable_sent=st.booleans(),
+        is_disabling=st.booleans(),
         disable_command_ns=st.integers(0, 10),
         clearing=st.integers(0, 6),
     ),
@@ -195,7 +195,7 @@ drive_states = st.builds(
     # that no setting has.
     recheck=st.builds(
         RecheckCursor,
-        st.integers(0, len(mit_drive_of().rechecked_settings) - 1),
+        st.integers(0, len(make_mit_drive().rechecked_settings) - 1),
         st.integers(0, 10),
         st.integers(0, 9),
     ),
@@ -213,17 +213,21 @@ frame_payloads = st.one_of(
 def test_any_frame_is_survived_in_any_state(
     state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
 ) -> None:
-    drive = mit_drive_of()
+    drive = make_mit_drive()
     state_after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
     if can_id != 0x11 or bus != 0:
         assert state_after is state
     _, frames = drive.advance(state_after, 10, target, 0.0)
-    acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
-    assert not acting or (target == DriveTarget.ENABLE and state_after.phase == DrivePhase.ENABLED)
+    torque_frames = [
+        frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7
+    ]
+    assert not torque_frames or (
+        target == DriveTarget.ENABLE and state_after.phase == DrivePhase.ENABLED
+    )
 
 
 def test_frames_of_every_identifier_and_length_are_survived() -> None:
-    drive, state = mit_drive_of(), mit_drive_of().initial_state()
+    drive, state = make_mit_drive(), make_mit_drive().initial_state()
     for can_id in range(2048):
         for length in range(65):
             state_after = drive.receive(state, Frame(can_id, b"\x01" * length))
@@ -231,12 +235,12 @@ def test_frames_of_every_identifier_and_length_are_survived() -> None:
 
 
 def test_options_set_reply_identifier_and_can_fd() -> None:
-    drive = mit_drive_of(options={"reply_id": 0x55, "fd": True})
+    drive = make_mit_drive(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
     assert drive.torque_cut_frames()[0].flags & FDF
     assert drive.frames_per_tick == ((8, True), (8, True))
-    assert mit_drive_of().frames_per_tick == ((8, False), (8, False))
-    assert mit_drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
+    assert make_mit_drive().frames_per_tick == ((8, False), (8, False))
+    assert make_mit_drive().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
 
 
 @pytest.mark.parametrize(
@@ -254,7 +258,7 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
 )
 def test_wrong_options_are_refused(drive_options: dict[str, object], expected_message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        mit_drive_of(options=drive_options)
+        make_mit_drive(options=drive_options)
     assert str(caught.value).startswith(expected_message)
 
 
@@ -267,6 +271,6 @@ def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    expected = dict(mit_drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
+    expected = dict(make_mit_drive(watchdog_ms=50, torque_max_N_m=1.5).required)
     assert expected == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

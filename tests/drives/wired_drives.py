@@ -37,7 +37,7 @@ class WiredDrives:
     def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
-        n = len(sensors.frame_of)
+        n = len(sensors.tendon_frame_indices)
         joints = 1 + max(
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )

@@ -70,7 +70,7 @@ def test_command_line_chooses_the_kernels_before_numpy_is_imported() -> None:
 
 
 @pytest.mark.skipif(
-    not blas_kernels.portable_kernels_run(), reason="this processor cannot execute the kernels"
+    not blas_kernels.can_run_portable_kernels(), reason="this processor cannot execute the kernels"
 )
 @pytest.mark.parametrize("log_name", ["jamia-grasp", "jamia11-grasp"])
 def test_golden_log_repeats_to_the_bit_in_a_new_process(log_name: str) -> None:

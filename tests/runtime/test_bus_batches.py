@@ -20,8 +20,8 @@ from handctl.drives.frame_records import (
     FRAME_RECORD_DTYPE,
     WORDS_PER_RECORD,
     Frames,
+    concatenate_frames,
     frames_as_records,
-    join_frames,
 )
 from handctl.runtime.buses.bus_opening import open_bus
 from handctl.runtime.buses.contract import Bus
@@ -106,7 +106,7 @@ def drain_frames(bus: Bus, frame_count: int) -> Frames:
     while sum(map(len, frame_batches)) < frame_count and time.monotonic() < end:
         time.sleep(0.001)
         frame_batches.append(bus.drain())
-    return join_frames(frame_batches)
+    return concatenate_frames(frame_batches)
 
 
 def kernel_datagram(frame: Frame, trailing_bytes: bytes = b"") -> bytes:
@@ -247,7 +247,7 @@ def test_a_record_split_within_an_odd_batch_is_reassembled(
         frame_batches.append(bus.drain())
         at += cut
         assert sum(map(len, frame_batches)) == min(at, len(all_records)) // 72
-    assert frame_contents(join_frames(frame_batches)) == [frame[:4] for frame in batch]
+    assert frame_contents(concatenate_frames(frame_batches)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("payload_size", [9, 12, 64])

@@ -166,7 +166,7 @@ def test_a_watchdog_stops_the_signs_of_life(work_folder):
         assert count(0.1) > 0
         count(0.3)
         assert count(0.2) == 0
-        heartbeat_sender.note_call()
+        heartbeat_sender.record_call_time()
         assert count(0.1) > 0
     finally:
         heartbeat_sender.end()

@@ -48,7 +48,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     calls: list[str] = []
     monkeypatch.setattr(realtime_priority, "_lock_memory", lambda: calls.append("memory") is None)
     monkeypatch.setattr(
-        realtime_priority, "_enter_fifo", lambda level: calls.append("priority") is None
+        realtime_priority, "_set_fifo_scheduling", lambda level: calls.append("priority") is None
     )
     assert request_priority() == realtime_priority.GrantedPriority(
         is_realtime=True, memory_locked=True

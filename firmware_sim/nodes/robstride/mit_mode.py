@@ -37,7 +37,7 @@ from firmware_sim.nodes.robstride import bench
 from firmware_sim.nodes.robstride.node import (
     DEFAULT_TYPE,
     FAULT_REPORT_BITS,
-    REPORT_SHIFT,
+    FAULT_REPORT_SHIFT,
     RUN_MODE,
     RobstrideNode,
 )
@@ -159,7 +159,7 @@ class RobstrideMitNode(RobstrideNode):
         """Return the present faults, coded as in a fault report."""
         return (
             sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if self.fault & bit)
-            | self.fault >> REPORT_SHIFT
+            | self.fault >> FAULT_REPORT_SHIFT
         )
 
     def follow_command(self, data: bytes) -> None:

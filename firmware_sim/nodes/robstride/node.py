@@ -67,9 +67,9 @@ FAULT_REPORT_BITS = {
 FEEDBACK_FAULTS = 0x3F
 """Mask of the faults that the feedback can report.
 
-Faults with higher bits appear only in the fault report, see ``REPORT_SHIFT``.
+Faults with higher bits appear only in the fault report, see ``FAULT_REPORT_SHIFT``.
 """
-REPORT_SHIFT = 8
+FAULT_REPORT_SHIFT = 8
 """Number of the fault bit that corresponds to bit 0 of the fault report."""
 OVERHEATING_C = 135.0
 """Winding temperature above which the motor reports a fault [degC]."""
@@ -395,7 +395,7 @@ class RobstrideNode:
         """Return the frame that reports faults."""
         bits = (
             sum(report_bit for bit, report_bit in FAULT_REPORT_BITS.items() if fault & bit)
-            | fault >> REPORT_SHIFT
+            | fault >> FAULT_REPORT_SHIFT
         )
         warning = int(self.thermal.winding > OVERHEATING_C)
         return Frame(

@@ -129,9 +129,9 @@ Source: the form in which Vector's tools write this attribute and cantools reads
 def _signal_line(signal: Signal, receiver_name: str) -> str:
     """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
-    order = 0 if signal.is_big_endian else 1
+    byte_order = 0 if signal.is_big_endian else 1
     sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
-    layout = f"{signal.start}|{signal.length}@{order}{sign}"
+    layout = f"{signal.start}|{signal.length}@{byte_order}{sign}"
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver_name}'
 
 

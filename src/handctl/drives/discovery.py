@@ -55,7 +55,7 @@ class DiscoveredNode:
     twins: bool = False
 
 
-TWO_DRIVES_WARNING = (
+DUPLICATE_NODE_WARNING = (
     "two drives answer with this number: set another number with one drive on the bus at a time"
 )
 """Warning for a node whose ``twins`` is True."""
@@ -130,9 +130,11 @@ def split_safe_requests(
             no drive obeys it.
         command_ids: command identifiers of every discovered node of another protocol.
     """
-    obeyed_ids = frozenset().union(*command_ids)
+    all_command_ids = frozenset().union(*command_ids)
     requests = tuple(probe_frames)
     safe_requests = tuple(
-        frame for frame in requests if frame.can_id & REMOTE_FLAG or frame.can_id not in obeyed_ids
+        frame
+        for frame in requests
+        if frame.can_id & REMOTE_FLAG or frame.can_id not in all_command_ids
     )
     return safe_requests, tuple(frame for frame in requests if frame not in safe_requests)

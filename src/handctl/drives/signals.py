@@ -66,7 +66,7 @@ class SignalCoding(enum.IntEnum):
     """IEEE 754, 32 bits."""
 
 
-FLOAT_STEPS = 1 << 16
+FLOAT_STEPS_PER_COUNT = 1 << 16
 """Steps of a float from 0 to 1 count in position commands.
 
 A float32 below 256 counts contains each of these steps exactly.
@@ -125,9 +125,9 @@ class Signal(NamedTuple):
     def step(self) -> float:
         """Return the resolution of the value [unit].
 
-        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS`` of a count.
+        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS_PER_COUNT`` of a count.
         """
-        return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
+        return abs(self.scale) / (FLOAT_STEPS_PER_COUNT if self.coding == SignalCoding.FLOAT else 1)
 
 
 class CyclicMessage(NamedTuple):
@@ -142,7 +142,7 @@ class CyclicMessage(NamedTuple):
         base: payload of a command in which all signals are 0.
         answers: True for feedback that answers a command.
         limit: largest absolute value that a command may have, in the unit of its signal.
-        nearest: True for feedback that the drive sends both on request and by itself, with values
+        keeps_nearest_frame: True for feedback that the drive sends both on request and by itself, with values
             measured at different times. If several such frames arrive in a tick, the one nearest to
             the expected position is used.
     """
@@ -155,7 +155,7 @@ class CyclicMessage(NamedTuple):
     base: bytes = b""
     answers: bool = True
     limit: float = math.inf
-    nearest: bool = False
+    keeps_nearest_frame: bool = False
 
 
 class CyclicMessages(NamedTuple):
@@ -168,7 +168,7 @@ class CyclicMessages(NamedTuple):
             for no limit.
         position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
             closes its own position loop. None if the protocol has no such frame.
-        moves_commanded_position: True if the drive moves the commanded position with the commanded velocity
+        integrates_velocity: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
             until the next command. After a failure of the host, a moving position would increase
             the tension more and more, so its command contains a torque limit.
@@ -178,7 +178,7 @@ class CyclicMessages(NamedTuple):
     commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
     position: CyclicMessage | None = None
-    moves_commanded_position: bool = False
+    integrates_velocity: bool = False
 
 
 POSITION_COMMAND = (

@@ -82,9 +82,9 @@ class LocalCanBus(can.BusABC):
         frame = self._link.receive_one()
         if frame is not None and (self._fd or not frame.flags & FDF):
             self._waiting.append(frame)
-        self._raise_if_lost()
+        self._raise_if_hub_lost()
 
-    def _raise_if_lost(self) -> None:
+    def _raise_if_hub_lost(self) -> None:
         if any(kind == "enodev" for kind, _, _ in self._link.take_events()):
             raise can.CanOperationError("the hub of the local bus is gone")
 
@@ -105,7 +105,7 @@ class LocalCanBus(can.BusABC):
         frame = frame_of_message(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR_FLAG),)):
-            self._raise_if_lost()
+            self._raise_if_hub_lost()
             remaining_s = end - time.monotonic()
             if remaining_s <= 0:
                 raise can.CanOperationError("the local bus accepts no more frames")

@@ -23,7 +23,7 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.core.tick_types import HandMode, IoEvent, TickIn, TickOut, TickRequest
 from handctl.drives.frame import Frame
-from handctl.drives.frame_records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, concatenate_frames, frames_as_records
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.runtime.clocks.real_clock import TickClock
 from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
@@ -373,7 +373,7 @@ class ControlLoop(Generic[S]):
         for bus in self.buses:
             frame_batches.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        frames = join_frames(frame_batches)
+        frames = concatenate_frames(frame_batches)
         return TickIn(k, k * self.period_ns, lateness_ns, frames, tuple(events))
 
     def _send(self, frames: Sequence[Frame]) -> None:

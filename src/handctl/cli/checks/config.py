@@ -47,7 +47,7 @@ from handctl.hand.readiness import arm_table_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output_files import (
     FIGURE_SUFFIXES,
-    check_output,
+    check_output_path,
     path_with_suffix,
     write_text_atomically,
 )
@@ -185,7 +185,7 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError(
             str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES))
         )
-    check_output(args.output, "--output", Path(args.hand))
+    check_output_path(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})

@@ -77,7 +77,7 @@ class Cia402ModeDrive(Cia402Drive):
 
         The command is the present position, or a velocity of zero.
         """
-        return self.mode.rest(state.position)
+        return self.mode.command_at_rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return no frames, because the RPDO contains no torque in position mode and velocity mode."""

@@ -122,7 +122,7 @@ KP_MAX = 500.0
 """Full scale of the gain kp in a command [N m/rad]."""
 KD_MAX = 5.0
 """Full scale of the gain kd in a command [N m s/rad]."""
-_NO_MOTION = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
+_ZERO_MOTION_BITS = MAX_POSITION_COUNT // 2 << 48 | MAX_COUNT // 2 << 36
 """Payload of a command in which position, velocity, and gains are 0.
 
 The motor uses position and velocity only together with the gains.
@@ -174,7 +174,14 @@ def command_message(
         ),
     )
     return CyclicMessage(
-        "command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque
+        "command",
+        can_id,
+        8,
+        signals,
+        flags,
+        _ZERO_MOTION_BITS.to_bytes(8, "big"),
+        False,
+        ranges.torque,
     )
 
 

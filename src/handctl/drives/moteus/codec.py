@@ -133,7 +133,7 @@ TEXT_IN, TEXT_OUT, TEXT_POLL = 0x40, 0x41, 0x42
 """First bytes of text subframes: text to the drive, text from the drive, request for text."""
 DIAGNOSTIC_CHANNEL = 1
 """Channel of the diagnostic protocol."""
-LONGEST_TEXT = 48
+MAX_TEXT_BYTES = 48
 """Longest text in one reply of the drive [bytes]."""
 _VALUE_STRUCTS = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
 """``struct`` code of each type of register value."""
@@ -226,7 +226,7 @@ def text_request(text: bytes) -> bytes:
     return padded_payload(bytes((TEXT_IN, DIAGNOSTIC_CHANNEL, len(text))) + text)
 
 
-TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, LONGEST_TEXT)))
+TEXT_REQUEST = padded_payload(bytes((TEXT_POLL, DIAGNOSTIC_CHANNEL, MAX_TEXT_BYTES)))
 """Payload to request text from the diagnostic channel."""
 
 
@@ -366,7 +366,7 @@ def _float_signal(
     )
 
 
-def joined_status(mode: int, fault: int) -> int:
+def join_mode_and_fault(mode: int, fault: int) -> int:
     """Return the status of feedback with a given mode and fault code.
 
     Compiled code joins both signals to the same number.
@@ -391,12 +391,12 @@ class DriveReply(NamedTuple):
 
     Attributes:
         values: value of each register in the reply, by register.
-        refused: error numbers of refused reads and writes, by register.
+        error_by_register: error numbers of refused reads and writes, by register.
         text: text from the diagnostic channel, None if the reply has no text subframe.
     """
 
     values: dict[int, float]
-    refused: dict[int, int]
+    error_by_register: dict[int, int]
     text: bytes | None
 
 

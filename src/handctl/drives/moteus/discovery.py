@@ -11,7 +11,7 @@ frame with a classical frame. Source: docs/facts/moteus.md.
 import math
 
 from handctl.drives.discovery import (
-    TWO_DRIVES_WARNING,
+    DUPLICATE_NODE_WARNING,
     DiscoveredNode,
     ProtocolDiscovery,
     ReceivedFrames,
@@ -103,7 +103,7 @@ def _describe_drive(
     words = [values.get(codec.SERIAL_NUMBER + i, 0) & 0xFFFFFFFF for i in range(3)]
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
     is_number_used_twice = is_number_used_by_two_drives(payloads_by_command, codec.SERIAL_NUMBER)
-    notes = (TWO_DRIVES_WARNING,) * is_number_used_twice + (
+    notes = (DUPLICATE_NODE_WARNING,) * is_number_used_twice + (
         "needs a bus with CAN FD: data_bitrate = 5_000_000",
     )
     state = _MODE_TEXTS.get(mode, f"mode {mode}")

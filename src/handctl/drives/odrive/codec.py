@@ -171,7 +171,7 @@ def encoder_message(node_id: int, ratio: float, zero: float, is_requested: bool)
     return CyclicMessage("encoder_estimates", message_id(node_id, ENCODER_ESTIMATES), 8, (
         _float_signal("position", SignalQuantity.POSITION, 0, turn, -zero / ratio, "rad"),
         _float_signal("velocity", SignalQuantity.VELOCITY, 4, turn, 0.0, "rad/s"),
-    ), nearest=is_requested)  # fmt: skip
+    ), keeps_nearest_frame=is_requested)  # fmt: skip
 
 
 def torques_message(node_id: int, ratio: float) -> CyclicMessage:

@@ -55,7 +55,7 @@ class OdriveModeDrive(OdriveDrive):
 
         The command is the present position, or a velocity of zero.
         """
-        return self.mode.rest(state.position)
+        return self.mode.command_at_rest(state.position)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return no frames, because a torque is only a feedforward in this mode."""

@@ -213,7 +213,7 @@ class RobstrideMitDrive(CubemarsDrive):
         next_state = next_state._replace(
             position=position, velocity=velocity, torque=torque, temperature=winding_temperature
         )
-        return self._on_answer(next_state, state.private)
+        return self._on_answer(next_state, state.protocol_state)
 
     def _on_faults(self, state: DriveState, fault_bits: int) -> DriveState:
         """Return the state after an answer to the request that reads the faults.
@@ -222,7 +222,7 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         if not fault_bits:
             return state
-        error = fault_bits << codec.REPORT_SHIFT
+        error = fault_bits << codec.FAULT_REPORT_SHIFT
         return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
 
     def advance(
@@ -234,9 +234,9 @@ class RobstrideMitDrive(CubemarsDrive):
         faults.
         """
         next_state, frames = CubemarsDrive.advance(self, state, t_ns, target, command)
-        progress: CubemarsProgress = next_state.private
+        progress: CubemarsProgress = next_state.protocol_state
         is_disabled = (
-            next_state.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+            next_state.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.is_enable_sent
         )
         if (
             target == DriveTarget.POLL

@@ -53,7 +53,7 @@ CONTROL_MESSAGES_STRUCT = struct.Struct("@NiillNiiI12x")
     length | level | SO_TIMESTAMPNS | s | ns
     length | level | SO_RXQ_OVFL | dropped 32 | padding 12
 """
-STAMP_OFFSET = struct.calcsize("@Nii")
+TIME_STAMP_OFFSET = struct.calcsize("@Nii")
 """Offset of the time stamp's seconds in the control messages [bytes].
 
 The nanoseconds follow them.
@@ -128,19 +128,19 @@ class DatagramSlots:
         """
         self.count = count
         self.size = size
-        store = (ctypes.c_char * (count * size))()
+        buffer = (ctypes.c_char * (count * size))()
         messages = (ctypes.c_char * (count * CONTROL_MESSAGES_STRUCT.size))()
         self._iovecs = (_Iovec * count)()
         headers = (_MultiMessageHeader * count)()
         for i in range(count):
-            self._iovecs[i] = _Iovec(ctypes.addressof(store) + i * size, size)
+            self._iovecs[i] = _Iovec(ctypes.addressof(buffer) + i * size, size)
             message = headers[i].message
             message.iov = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec)
             message.iovlen = 1
             if has_control_data:
                 message.control = ctypes.addressof(messages) + i * CONTROL_MESSAGES_STRUCT.size
                 message.controllen = CONTROL_MESSAGES_STRUCT.size
-        self.data = memoryview(store).cast("B")
+        self.data = memoryview(buffer).cast("B")
         self.control = memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
@@ -148,7 +148,7 @@ class DatagramSlots:
             :, 1
         ]
         control_words = np.frombuffer(self.control, "l").reshape(count, -1)
-        at = STAMP_OFFSET // control_words.itemsize
+        at = TIME_STAMP_OFFSET // control_words.itemsize
         self._seconds = control_words[:, at]
         self._nanoseconds = control_words[:, at + 1]
         counters = np.frombuffer(self.control, np.uint32).reshape(count, -1)
@@ -222,7 +222,7 @@ class DatagramSlots:
         times += self._nanoseconds[:count]
         return times
 
-    def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
+    def set_datagram_lengths(self, lengths: NDArray[np.uint64]) -> None:
         """Set how many bytes of each slot are sent.
 
         ``lengths`` contains one number for each of the first slots.

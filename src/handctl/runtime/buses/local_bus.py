@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR_FLAG, Frame
-from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
+from handctl.drives.frame_records import NO_FRAMES, Frames, concatenate_frames
 from handctl.errors import BusError, NoSimulatorError
 from handctl.runtime.buses.bus_events import BusEvent, BusEvents
 from handctl.runtime.buses.canfd_structs import (
@@ -132,13 +132,13 @@ class LocalBus:
         frame_batches = [self.early_frames] if self.early_frames else []
         self.early_frames = NO_FRAMES
         for _ in range(self._reads):
-            partial = self._partial_record_bytes
-            size = self._read(self._buffer[partial:] if partial else self._buffer)
+            partial_size = self._partial_record_bytes
+            size = self._read(self._buffer[partial_size:] if partial_size else self._buffer)
             if size:
-                frame_batches.append(self._frames_of_complete_records(partial + size))
-            if size < len(self._buffer) - partial:
+                frame_batches.append(self._frames_of_complete_records(partial_size + size))
+            if size < len(self._buffer) - partial_size:
                 break
-        return join_frames(frame_batches)
+        return concatenate_frames(frame_batches)
 
     def _read(self, buffer: memoryview) -> int:
         """Read from the socket into a buffer.
@@ -194,11 +194,11 @@ class LocalBus:
             frame = self.early_frames[0]
             self.early_frames = self.early_frames[1:]
             return frame
-        filled = self._partial_record_bytes + self._read(
+        filled_size = self._partial_record_bytes + self._read(
             self._buffer[self._partial_record_bytes : CANFD_FRAME_BYTES]
         )
-        self._partial_record_bytes = filled % CANFD_FRAME_BYTES
-        if filled < CANFD_FRAME_BYTES:
+        self._partial_record_bytes = filled_size % CANFD_FRAME_BYTES
+        if filled_size < CANFD_FRAME_BYTES:
             return None
         can_id, length, flags, lost_count, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
         self._count_dropped_frames(lost_count)

@@ -68,7 +68,7 @@ class RealClock:
 
     def start(self) -> None:
         """Start the time of the run. The deadline of tick 0 is one period later."""
-        self.start_ns = self._read_ns() + int(self.period_ns / self.time_scale)
+        self.start_ns = self._read_clock_ns() + int(self.period_ns / self.time_scale)
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
@@ -88,7 +88,7 @@ class RealClock:
         """Convert a CLOCK_MONOTONIC time stamp to a time of the run [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 
-    def _read_ns(self) -> int:
+    def _read_clock_ns(self) -> int:
         """Return the reading of the clock [ns of wall time]."""
         return time.monotonic_ns()
 
@@ -98,11 +98,11 @@ class RealClock:
 
     def _wait_until(self, deadline_ns: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        waiting_ns = deadline_ns - self._read_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
+        waiting_ns = deadline_ns - self._read_clock_ns() - (BUSY_WAIT_NS if self.busy_wait else 0)
         if waiting_ns > 0:
             time.sleep(waiting_ns / 1e9)
         while (
-            now := self._read_ns()
+            now := self._read_clock_ns()
         ) < deadline_ns:  # sleep may return too early, so the loop reads the clock again
             if not self.busy_wait:
                 time.sleep((deadline_ns - now) / 1e9)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 LATENCY_FILE = "/dev/cpu_dma_latency"
 """File through which a process tells Linux how fast idle processors must wake up."""
-ZERO_LATENCY_BYTES = bytes(4)
+ZERO_CPU_LATENCY = bytes(4)
 """Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
 
 
@@ -47,7 +47,7 @@ def request_priority(level: int = 60) -> GrantedPriority:
     # The memory is locked before SCHED_FIFO is requested. Locking the memory fills hundreds of MB.
     # Under SCHED_FIFO, no other process on the same core could run during this time.
     is_memory_locked = _lock_memory()
-    return GrantedPriority(_enter_fifo(level), is_memory_locked)
+    return GrantedPriority(_set_fifo_scheduling(level), is_memory_locked)
 
 
 def prepare_priority() -> GrantedPriority:
@@ -70,9 +70,9 @@ def realtime_priority(level: int = 60) -> Iterator[bool]:
     """
     try:
         with keep_processors_awake():
-            yield _enter_fifo(level)
+            yield _set_fifo_scheduling(level)
     finally:
-        _leave_fifo()
+        _restore_scheduling()
 
 
 @contextmanager
@@ -90,7 +90,7 @@ def keep_processors_awake() -> Iterator[bool]:
         yield False
         return
     try:
-        os.write(descriptor, ZERO_LATENCY_BYTES)
+        os.write(descriptor, ZERO_CPU_LATENCY)
         yield True
     finally:
         os.close(descriptor)
@@ -98,14 +98,14 @@ def keep_processors_awake() -> Iterator[bool]:
 
 def restore_priority() -> None:
     """Return to ordinary scheduling and unlock the memory, after the control loop has ended."""
-    _leave_fifo()
+    _restore_scheduling()
     if sys.platform.startswith("linux"):
         import ctypes
 
         ctypes.CDLL(None).munlockall()
 
 
-def _leave_fifo() -> None:
+def _restore_scheduling() -> None:
     """Return from SCHED_FIFO to ordinary scheduling. Any other scheduling class stays unchanged."""
     if not sys.platform.startswith("linux"):
         return
@@ -113,7 +113,7 @@ def _leave_fifo() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _enter_fifo(level: int) -> bool:
+def _set_fifo_scheduling(level: int) -> bool:
     """Enter SCHED_FIFO, and return True if the system grants it.
 
     Child processes start with ordinary scheduling.

@@ -109,7 +109,7 @@ class SharedClock(RealClock):
     """
 
     file: ClockFile = field(kw_only=True)
-    _end_and_duration_of_pause_ns: tuple[int, int] = (0, 0)
+    _last_pause_ns: tuple[int, int] = (0, 0)
     _answer_count_at_timeout: int = -1
 
     def start(self) -> None:
@@ -130,7 +130,7 @@ class SharedClock(RealClock):
             self._pause_at_gate()
             self._wait_for_simulator(deadline)
             self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
-            lateness_ns = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
+            lateness_ns = min(self._read_clock_ns(), self._numbers[GATE_INDEX]) - deadline
         self._move_gate(k + 1 + int(lateness_ns * self.time_scale) // self.period_ns)
         return int(lateness_ns * self.time_scale)
 
@@ -146,13 +146,13 @@ class SharedClock(RealClock):
 
         The result is right only for time stamps after the second-last pause.
         """
-        end_ns, pause_ns = self._end_and_duration_of_pause_ns
+        end_ns, pause_ns = self._last_pause_ns
         paused_before_ns = self._numbers[PAUSED_INDEX] - min(
             max(end_ns - monotonic_ns, 0), pause_ns
         )
         return int((monotonic_ns - paused_before_ns - self.start_ns) * self.time_scale)
 
-    def _read_ns(self) -> int:
+    def _read_clock_ns(self) -> int:
         return time.monotonic_ns() - self._numbers[PAUSED_INDEX]
 
     @property
@@ -171,7 +171,7 @@ class SharedClock(RealClock):
         The simulator has never seen a time after the gate. Therefore no jump back in time occurs in
         the simulator.
         """
-        self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
+        self._numbers[PAUSED_INDEX] += max(0, self._read_clock_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline_ns: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
@@ -193,15 +193,15 @@ class SharedClock(RealClock):
     def _is_answered(self, deadline_ns: int) -> bool:
         """Return True if the simulator has answered all frames and is not more than ``MAX_SIMULATOR_LAG_NS`` late."""
         numbers = self._numbers
-        behind_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
+        max_lag_ns = int(MAX_SIMULATOR_LAG_NS / self.time_scale)
         return bool(
             numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX]
-            and numbers[REACHED_INDEX] >= deadline_ns - behind_ns
+            and numbers[REACHED_INDEX] >= deadline_ns - max_lag_ns
         )
 
     def _count_pause(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""
         if pause_ns:
-            self._end_and_duration_of_pause_ns = (time.monotonic_ns(), pause_ns)
+            self._last_pause_ns = (time.monotonic_ns(), pause_ns)
             self.pause_count += 1
             self.paused_ns += pause_ns

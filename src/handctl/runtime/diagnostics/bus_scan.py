@@ -152,11 +152,11 @@ def _foreign_frames(seen_frames: list[Frame]) -> tuple[Frame, ...]:
     """
     foreign_frames: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        explained_commands = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
+        known_command_ids = frozenset().union(*_commands_of_other_hosts(name, seen_frames))
         foreign_frames += [
             frame
             for frame in discovery.other_host_frames(seen_frames)
-            if frame.can_id not in explained_commands
+            if frame.can_id not in known_command_ids
         ]
     return tuple(dict.fromkeys(foreign_frames)) if len(foreign_frames) > MAX_IGNORED_FRAMES else ()
 

@@ -275,11 +275,11 @@ def _check_feedback(device: DeviceUnderTest) -> str:
         ages.append(rig.t_ns - PERIOD_NS - state.feedback_t_ns)
     ages.sort()
     count = rig.state.feedback_count - start
-    late_age = ages[-MAX_LATE_TICKS_PER_100]
+    high_age_ns = ages[-MAX_LATE_TICKS_PER_100]
     result_text = (
         f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     )
-    if count < 0.8 * ticks or late_age > MAX_FEEDBACK_AGE_NS:
+    if count < 0.8 * ticks or high_age_ns > MAX_FEEDBACK_AGE_NS:
         raise CheckFailed(result_text)
     return result_text
 
