@@ -296,12 +296,12 @@ class _UncompiledKernel(NamedTuple):
 
     Attributes:
         name: module and name of the kernel.
-        code: numba dispatcher of the kernel.
+        dispatcher: numba dispatcher of the kernel.
         types: numba types of the kernel's arguments.
     """
 
     name: str
-    code: Any
+    dispatcher: Any
     types: tuple[Any, ...]
 
 
@@ -323,7 +323,7 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     uncompiled_kernels = [
         known_kernel
         for known_kernel in all_kernels
-        if not getattr(known_kernel.code, "signatures", True)
+        if not getattr(known_kernel.dispatcher, "signatures", True)
     ]
     if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, uncompiled_kernels) < len(
         uncompiled_kernels
@@ -332,10 +332,10 @@ def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     for compiled_count, uncompiled_kernel in enumerate(uncompiled_kernels):
         report(compiled_count, len(uncompiled_kernels))
         if _CACHE_FOLDER:
-            load_kernel(uncompiled_kernel.code, uncompiled_kernel.types)
+            load_kernel(uncompiled_kernel.dispatcher, uncompiled_kernel.types)
         # The next call does nothing if the code was loaded from the disk.
-        uncompiled_kernel.code.compile(uncompiled_kernel.types)
-        uncompiled_kernel.code.disable_compile()
+        uncompiled_kernel.dispatcher.compile(uncompiled_kernel.types)
+        uncompiled_kernel.dispatcher.disable_compile()
 
 
 def _ignore_progress(done: int, total: int) -> None:
@@ -371,7 +371,7 @@ def _compile_together(
     """
     kernel_order = sorted(
         range(len(waiting_kernels)),
-        key=lambda i: len(waiting_kernels[i].code.py_func.__code__.co_names),
+        key=lambda i: len(waiting_kernels[i].dispatcher.py_func.__code__.co_names),
         reverse=True,
     )
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
@@ -422,6 +422,6 @@ def _start_compiler_process(
         return process
     try:
         while number := os.read(remaining_count, 1):
-            waiting_kernels[number[0]].code.compile(waiting_kernels[number[0]].types)
+            waiting_kernels[number[0]].dispatcher.compile(waiting_kernels[number[0]].types)
     finally:
         os._exit(0)

@@ -10,7 +10,7 @@ from typing import Any
 import moteus  # type: ignore[import-untyped,unused-ignore]
 from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
 
-TRAVEL_TURNS = 0.1
+MOTION_TURNS = 0.1
 MAX_STEP_ATTEMPTS = 400
 RETRY_INTERVAL_S = 0.005
 CLIENT_TIMEOUT_S = 60.0
@@ -79,12 +79,12 @@ async def _use_controller(controller: Any, transport: Any, node_id: int) -> None
 
     moving_values = await _step_until(
         command_torque,
-        lambda reply_values: reply_values[register.POSITION] > TRAVEL_TURNS,
+        lambda reply_values: reply_values[register.POSITION] > MOTION_TURNS,
         "turned by a torque",
     )
     assert moving_values[register.MODE] == mode.POSITION
     assert math.isclose(moving_values[register.TORQUE], 0.05, abs_tol=0.02)
-    goal = moving_values[register.POSITION] - TRAVEL_TURNS
+    goal = moving_values[register.POSITION] - MOTION_TURNS
 
     async def hold() -> Any:
         return await controller.set_position(

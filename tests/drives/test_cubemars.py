@@ -78,7 +78,7 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
 
 @pytest.mark.parametrize(
     ("feedback_error", "error_text", "fault_cause"),
-    [(FeedbackError.HOT, "over-temperature", DriveFaultCause.HOT),
+    [(FeedbackError.HOT, "over-temperature", DriveFaultCause.OVERHEATED),
      (FeedbackError.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
      (FeedbackError.ENCODER, "encoder error", DriveFaultCause.OTHER)],
 )  # fmt: skip

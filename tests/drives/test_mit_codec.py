@@ -189,7 +189,7 @@ drive_states = st.builds(
         is_enable_sent=st.booleans(),
         is_disabling=st.booleans(),
         disable_command_ns=st.integers(0, 10),
-        clearing=st.integers(0, 6),
+        errors_to_ignore=st.integers(0, 6),
     ),
     # Draw only indices of existing settings. Without this limit, hypothesis would generate an index
     # that no setting has.

@@ -65,7 +65,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Protoc
 @pytest.mark.parametrize(
     ("fault_bits", "error_text", "fault_cause"),
     [
-        (simulated.HOT_FAULT, "over-temperature", DriveFaultCause.HOT),
+        (simulated.HOT_FAULT, "over-temperature", DriveFaultCause.OVERHEATED),
         (simulated.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
         (simulated.OVERLOAD_FAULT, "overload: the shaft is blocked", DriveFaultCause.OTHER),
         (1 << simulated.FAULT_REPORT_SHIFT + 6, "unknown fault bit 14", DriveFaultCause.UNKNOWN),

@@ -42,7 +42,7 @@ from handctl.runtime.target_socket import (
     MAX_DATAGRAMS_PER_TICK,
     MAX_TARGETS_PER_TICK,
     TARGET_MAGIC,
-    TargetBox,
+    TargetReceiver,
     TargetSender,
 )
 from handctl.safety.safety_action import SafetyAction
@@ -232,7 +232,7 @@ def test_a_file_that_a_killed_controller_left_is_replaced() -> None:
 
 
 def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
-    box = TargetBox("local:x", lambda ns: ns - 1000)
+    box = TargetReceiver("local:x", lambda ns: ns - 1000)
     sender = TargetSender("local:x", 17, 3)
     for index in range(3):
         assert sender.send(index, 5000 + index, np.array([0.1, math.nan, 1e308]))
@@ -254,7 +254,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 
     Requests such as a stop use another socket and are not delayed.
     """
-    box, mail = TargetBox("local:x", int), Mailbox("local:x")
+    box, mail = TargetReceiver("local:x", int), Mailbox("local:x")
     sender, sent = TargetSender("local:x", 1, 1), 0
     start_time_s = time.monotonic()
     while time.monotonic() < start_time_s + 0.2:
@@ -282,7 +282,7 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(datagram: bytes) -> None:
-    box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
+    box, sender = TargetReceiver("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(datagram)
     assert box.read_targets() == ()
     sender._socket.send(

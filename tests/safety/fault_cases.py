@@ -342,7 +342,7 @@ CASE_BY_FAULT = {
                      True, True),
     "N09a": FaultCase(drive_temperatures(m0=70.1), drive_temperatures(m0=70.0), "m0", 20, WARN, False),
     "N09b": FaultCase(drive_temperatures(m1=85.1), drive_temperatures(m1=85.0), "m1", 20, RELAX, True),
-    "N10": FaultCase(drive_error(3, DriveFaultCause.VOLTAGE), drive_error(3, DriveFaultCause.HOT), "m3", 1, RELAX,
+    "N10": FaultCase(drive_error(3, DriveFaultCause.VOLTAGE), drive_error(3, DriveFaultCause.OVERHEATED), "m3", 1, RELAX,
                      True, True),
     "N11": FaultCase(drive_error(4, DriveFaultCause.OTHER), state_input(fault_cause={4: DriveFaultCause.OTHER}), "m4",
                      1, RELAX, True,
@@ -408,7 +408,7 @@ ALTERNATIVE_INPUTS_BY_FAULT = {
     "N05a": [state_input(joint_jump={0: 0.4})],
     "N05b": [state_input(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
     "N11": [
-        drive_error(4, DriveFaultCause.HOT),
+        drive_error(4, DriveFaultCause.OVERHEATED),
         drive_error(4, DriveFaultCause.COMMUNICATION_LOST),
     ],
     "T06": [

@@ -32,7 +32,7 @@ def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
     tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
-        drive_error(1, DriveFaultCause.HOT, 11),
+        drive_error(1, DriveFaultCause.OVERHEATED, 11),
         drive_error(2, DriveFaultCause.COMMUNICATION_LOST, 12),
     )
     assert monitor_at_rest().tick(tick_input.state_values)["N11"] == {

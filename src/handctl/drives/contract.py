@@ -85,7 +85,7 @@ class DriveFaultCause(enum.IntEnum):
     """The drive's watchdog fired, because commands of the host were missing."""
     VOLTAGE = 3
     """The supply voltage is too low or too high."""
-    HOT = 4
+    OVERHEATED = 4
     """The motor or the power stage is too hot."""
     SETTING_MISMATCH = 5
     """A setting of the drive reads back wrong, or another host has enabled the drive."""

@@ -81,7 +81,7 @@ def is_number_used_by_two_drives(
     )
 
 
-def unchanged_node(node: DiscoveredNode) -> DiscoveredNode:
+def keep_node_unchanged(node: DiscoveredNode) -> DiscoveredNode:
     """Return the node unchanged.
 
     This is the default for protocols in which a missing answer has no meaning.
@@ -105,7 +105,7 @@ class ProtocolDiscovery(NamedTuple):
             sent.
         ping: function returning a request to one node. The request does not move the motor.
         is_ping_reply: function returning True if a frame is the answer of a node to ``ping``.
-        correct_without_requests: function that corrects the data of a node if the scan has only listened, without
+        correct_passive_result: function that corrects the data of a node if the scan has only listened, without
             requests. Without requests, a missing answer has no meaning.
     """
 
@@ -115,7 +115,7 @@ class ProtocolDiscovery(NamedTuple):
     other_host_frames: Callable[[ReceivedFrames], tuple[Frame, ...]]
     ping: Callable[[DiscoveredNode], Frame]
     is_ping_reply: Callable[[DiscoveredNode, Frame], bool]
-    correct_without_requests: Callable[[DiscoveredNode], DiscoveredNode] = unchanged_node
+    correct_passive_result: Callable[[DiscoveredNode], DiscoveredNode] = keep_node_unchanged
 
 
 def split_safe_requests(

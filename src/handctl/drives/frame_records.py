@@ -32,7 +32,7 @@ FRAME_RECORD_DTYPE = np.dtype(
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
 """Size of a record [bytes]."""
-SHORT_RECORD_BYTES = 24
+CLASSICAL_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
 RecordArray = NDArray[np.void]
 WordRows = NDArray[np.uint64]

@@ -139,8 +139,8 @@ class CyclicMessage(NamedTuple):
         length: length of the payload [bytes].
         signals: signals in the frame.
         flags: flags of the frame, see ``frame``.
-        base: payload of a command in which all signals are 0.
-        answers: True for feedback that answers a command.
+        base_payload: payload of a command in which all signals are 0.
+        is_reply: True for feedback that answers a command.
         limit: largest absolute value that a command may have, in the unit of its signal.
         keeps_nearest_frame: True for feedback that the drive sends both on request and by itself, with values
             measured at different times. If several such frames arrive in a tick, the one nearest to
@@ -152,8 +152,8 @@ class CyclicMessage(NamedTuple):
     length: int
     signals: tuple[Signal, ...] = ()
     flags: int = 0
-    base: bytes = b""
-    answers: bool = True
+    base_payload: bytes = b""
+    is_reply: bool = True
     limit: float = math.inf
     keeps_nearest_frame: bool = False
 
@@ -410,7 +410,7 @@ class SignalTable:
             # The comparison is negated, so that it refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
-        data = self._words(self.message.base)
+        data = self._words(self.message.base_payload)
         pack_rows(data, self.signal_integers, self.signal_reals, np.array(values, dtype=np.float64))
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 

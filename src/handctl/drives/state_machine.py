@@ -29,7 +29,7 @@ class EnablingProgress(Protocol):
         is_enable_sent: True from the enable command until the drive reports that it is off.
         is_disabling: True while the drive is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        clearing: number of feedback frames with an error still to be ignored.
+        errors_to_ignore: number of feedback frames with an error still to be ignored.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
     """
@@ -40,7 +40,7 @@ class EnablingProgress(Protocol):
     is_enable_sent: bool
     is_disabling: bool
     disable_command_ns: int
-    clearing: int
+    errors_to_ignore: int
     ready_ns: int
     serial: int
 
@@ -186,7 +186,7 @@ def state_when_off(
 ) -> DriveState:
     """Return the state after the drive has reported that it is off, without an error.
 
-    The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``clearing``, ``is_disabling``
+    The function uses the fields ``is_enable_sent``, ``enabled_by_other_host``, ``errors_to_ignore``, ``is_disabling``
     and ``disable_command_ns``.
 
     Args:
@@ -198,7 +198,7 @@ def state_when_off(
     """
     progress: EnablingProgress = state.protocol_state
     progress_when_off = progress._replace(
-        is_enable_sent=False, enabled_by_other_host=False, clearing=0
+        is_enable_sent=False, enabled_by_other_host=False, errors_to_ignore=0
     )
     if progress.is_disabling:
         # Feedback from before the disable command does not show the effect of this command.

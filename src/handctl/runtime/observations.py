@@ -33,7 +33,7 @@ from handctl.core.tick_types import (
 )
 from handctl.errors import BusError
 from handctl.programs.stream_plans import StreamStatus
-from handctl.runtime.mailbox import RUN_FOLDER_ADVICE_TEXT
+from handctl.runtime.mailbox import RUN_FOLDER_ADVICE
 from handctl.runtime.socket_paths import observations_path
 
 OBSERVATION_FILE_MAGIC = b"HCOBS001"
@@ -134,7 +134,7 @@ class ObservationWriter:
             self._map = _create_mapped_file(self.path, self._ring_at + RING_RECORDS * self._size)
         except OSError as error:
             raise BusError(
-                f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE_TEXT
+                f"cannot write observations: {error}", str(self.path.parent), RUN_FOLDER_ADVICE
             ) from None
         # All telemetry fields consist of 8-byte numbers without gaps. They are written together, as
         # one vector at the end of the record.

@@ -42,7 +42,7 @@ from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
 from handctl.runtime.socket_paths import clock_path, faults_path, is_socket_served
 from handctl.runtime.status_line import status_of_tick
-from handctl.runtime.target_socket import TargetBox
+from handctl.runtime.target_socket import TargetReceiver
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_header import run_header
@@ -169,7 +169,7 @@ def run_live(
         clock = _open_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
-        targets = TargetBox(plan.buses[0], clock.run_time_of)
+        targets = TargetReceiver(plan.buses[0], clock.run_time_of)
         stack.callback(targets.close)
         observations = ObservationWriter(
             plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)

@@ -56,7 +56,7 @@ _ROW_BY_CAUSE = {
     DriveFaultCause.DROPPED_OUT: N01,
     DriveFaultCause.WATCHDOG: N08,
     DriveFaultCause.VOLTAGE: N10,
-    DriveFaultCause.HOT: N11,
+    DriveFaultCause.OVERHEATED: N11,
     DriveFaultCause.SETTING_MISMATCH: N12,
     DriveFaultCause.COMMUNICATION_LOST: N11,
     DriveFaultCause.UNKNOWN: N11B,

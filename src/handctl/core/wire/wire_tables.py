@@ -117,7 +117,7 @@ class WireTables:
                 for can_id in drive.node_ids
             }
             for message in drive.cyclic_messages.feedback:
-                kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
+                kind = FEEDBACK_FRAMES if message.is_reply else VALUE_FRAMES
                 signals = self._add_message(message)
                 entry_by_key[_frame_key(drive.bus, message.can_id)] = [
                     n,
@@ -293,6 +293,6 @@ def _frame_key(bus: int, can_id: int) -> int:
 
 
 def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
-    payload = message.base.ljust(message.length, b"\0")
+    payload = message.base_payload.ljust(message.length, b"\0")
     row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row

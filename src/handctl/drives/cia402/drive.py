@@ -282,7 +282,7 @@ class Cia402Drive:
     @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and of SYNC if the option ``sync`` is set."""
-        sync = (CyclicMessage("sync", canopen.SYNC, 0, answers=False),) if self.sync else ()
+        sync = (CyclicMessage("sync", canopen.SYNC, 0, is_reply=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )
@@ -350,7 +350,7 @@ class Cia402Drive:
         # that all errors have ended.
         code = int.from_bytes(frame.data[:2], "little")
         return (
-            state._replace(protocol_state=get_progress(state)._replace(code=code))
+            state._replace(protocol_state=get_progress(state)._replace(error_code=code))
             if code
             else state
         )
@@ -461,7 +461,7 @@ class Cia402Drive:
             enabling_state = start_enabling(
                 state._replace(protocol_state=progress), self.node_id, t_ns
             )
-            return enabling_state, (self._rpdo_frame(control_word, self._rest_command(state)),)
+            return enabling_state, (self._rpdo_frame(control_word, self._command_at_rest(state)),)
         return state._replace(protocol_state=progress), ()
 
     def _disable(
@@ -514,10 +514,12 @@ class Cia402Drive:
         The host repeats these frames until a status word arrives. If the operator has cleared a
         fault, these frames reset the fault.
         """
-        if progress.clearing and progress.power_state == codec.FAULT:
+        if progress.errors_to_ignore and progress.power_state == codec.FAULT:
             # The control word alternates between two values, because a fault is reset only when bit
             # 7 changes from 0 to 1.
-            control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
+            control_word = (
+                codec.FAULT_RESET if progress.errors_to_ignore % 2 else codec.DISABLE_VOLTAGE
+            )
             return state._replace(protocol_state=progress), (self._rpdo_frame(control_word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
             return state._replace(protocol_state=progress), ()
@@ -536,7 +538,7 @@ class Cia402Drive:
             raise ValueError(f"{self.name}: {error}") from None
         return Frame(canopen.RPDO + self.node_id, data, 0, self.bus)
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
@@ -599,7 +601,7 @@ class Cia402Drive:
         """
         power = get_progress(state).power_state
         initial_progress = Cia402Progress(
-            power_state="" if power == codec.FAULT else power, clearing=IGNORED_FAULT_COUNT
+            power_state="" if power == codec.FAULT else power, errors_to_ignore=IGNORED_FAULT_COUNT
         )
         next_state = state._replace(
             phase=SILENT, error=0, error_text="", protocol_state=initial_progress

@@ -72,7 +72,7 @@ class Cia402ModeDrive(Cia402Drive):
         """Return the frames of a tick: RPDO, TPDO, and also SYNC if the option ``sync`` is set."""
         return ((6, False), (8, False), *(((0, False),) if self.sync else ()))
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return the command that causes no motion.
 
         The command is the present position, or a velocity of zero.

@@ -18,8 +18,8 @@ SETTING_MISMATCH_ERROR = 0x1_0001
 DRIVE_LOST_ERROR = 0x1_0002
 ENABLED_BY_OTHER_HOST_ERROR = 0x1_0003
 CAUSE_BY_ERROR = {
-    0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.HOT,
-    0x4310: DriveFaultCause.HOT, 0x8130: DriveFaultCause.WATCHDOG,
+    0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.OVERHEATED,
+    0x4310: DriveFaultCause.OVERHEATED, 0x8130: DriveFaultCause.WATCHDOG,
     0x8250: DriveFaultCause.WATCHDOG, 0x8100: DriveFaultCause.DROPPED_OUT,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, DRIVE_LOST_ERROR: DriveFaultCause.COMMUNICATION_LOST,
     SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
@@ -39,27 +39,27 @@ class Cia402Progress(NamedTuple):
     Attributes:
         cursor: position in the list of objects to read back.
         power_state: power state in the latest status word, or an empty text before the first status word.
-        code: error code in the latest emergency frame.
+        error_code: error code in the latest emergency frame.
         life_sign_ns: time of the latest heartbeat or status word of the drive [ns], -1 before the
             first.
         started_ns: time of the latest NMT start [ns].
         heartbeat_sent_ns: time of this host's latest heartbeat [ns].
         is_enable_sent: True from the enable command until the drive reports the state disabled.
         disable_command_ns: time of the first disable command [ns], or -1 if none was sent.
-        clearing: number of status words whose fault must still be ignored while the fault is being
+        errors_to_ignore: number of status words whose fault must still be ignored while the fault is being
             cleared.
         serial: serial number of the drive, 0 if unknown.
     """
 
     cursor: ReadbackCursor = ReadbackCursor()
     power_state: str = ""
-    code: int = 0
+    error_code: int = 0
     life_sign_ns: int = -1
     started_ns: int = -REPEAT_PERIOD_NS
     heartbeat_sent_ns: int = -REPEAT_PERIOD_NS
     is_enable_sent: bool = False
     disable_command_ns: int = -1
-    clearing: int = 0
+    errors_to_ignore: int = 0
     serial: int = 0
 
     @property
@@ -111,24 +111,26 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
         )
     if state.phase == CONFIGURING and power in codec.STATES_WITHOUT_TORQUE:
         return next_state._replace(
-            phase=READY, error_text="", protocol_state=progress._replace(clearing=0)
+            phase=READY, error_text="", protocol_state=progress._replace(errors_to_ignore=0)
         )
     return next_state
 
 
 def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState:
     """Return the state after the drive has reported a fault, with the error code of the latest emergency."""
-    if progress.clearing:
-        return state._replace(protocol_state=progress._replace(clearing=progress.clearing - 1))
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     state_when_off = state._replace(
         protocol_state=progress._replace(is_enable_sent=False, disable_command_ns=-1)
     )
     text = (
-        codec.error_text(progress.code)
-        if progress.code
+        codec.error_text(progress.error_code)
+        if progress.error_code
         else "fault, and its emergency message was not heard"
     )
-    return enter_fault(state_when_off, progress.code or DROPPED_OUT_ERROR, text)
+    return enter_fault(state_when_off, progress.error_code or DROPPED_OUT_ERROR, text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
@@ -163,6 +165,6 @@ def state_after_timeout(state: DriveState) -> DriveState:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     if state.phase == READY:
         return state._replace(
-            phase=SILENT, protocol_state=Cia402Progress(clearing=progress.clearing)
+            phase=SILENT, protocol_state=Cia402Progress(errors_to_ignore=progress.errors_to_ignore)
         )
     return state

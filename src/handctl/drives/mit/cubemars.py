@@ -69,7 +69,7 @@ ERROR_TEXTS = {
 }
 """Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
 CAUSE_BY_ERROR = {
-    1: DriveFaultCause.HOT,
+    1: DriveFaultCause.OVERHEATED,
     3: DriveFaultCause.VOLTAGE,
     4: DriveFaultCause.VOLTAGE,
 } | dict.fromkeys((2, 5, 6), DriveFaultCause.OTHER)
@@ -120,13 +120,13 @@ class CubemarsProgress(NamedTuple):
     Attributes:
         last_special_command: latest special command to the motor, ENABLE or DISABLE.
         command_start_ns: time at which the latest special command was first sent [ns].
-        answers: number of consecutive answers that agree with the latest special command.
+        agreeing_answers: number of consecutive answers that agree with the latest special command.
         is_enable_sent: True from the enable command until the motor counts as disabled.
     """
 
     last_special_command: DriveTarget = DISABLE
     command_start_ns: int = -1
-    answers: int = 0
+    agreeing_answers: int = 0
     is_enable_sent: bool = False
 
 
@@ -316,7 +316,7 @@ class CubemarsDrive:
         enabled = (
             state.phase == ENABLED
             and progress.last_special_command == ENABLE
-            and progress.answers >= REQUIRED_ANSWER_COUNT
+            and progress.agreeing_answers >= REQUIRED_ANSWER_COUNT
         )
         return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
 
@@ -365,16 +365,20 @@ class CubemarsDrive:
         if state.feedback_t_ns < progress.command_start_ns:
             return state
         if progress.last_special_command == ENABLE:
-            if progress.answers >= REQUIRED_ANSWER_COUNT:
+            if progress.agreeing_answers >= REQUIRED_ANSWER_COUNT:
                 return state  # the command counts as obeyed, and further answers change nothing
-            is_done = state.phase != FAULT and progress.answers + 1 >= REQUIRED_ANSWER_COUNT
+            is_done = (
+                state.phase != FAULT and progress.agreeing_answers + 1 >= REQUIRED_ANSWER_COUNT
+            )
             return state._replace(
                 phase=ENABLED if is_done else state.phase,
-                protocol_state=progress._replace(answers=progress.answers + 1),
+                protocol_state=progress._replace(agreeing_answers=progress.agreeing_answers + 1),
             )
         is_torque_free = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
-        progress = progress._replace(answers=progress.answers + 1 if is_torque_free else 0)
-        if progress.answers < REQUIRED_ANSWER_COUNT:
+        progress = progress._replace(
+            agreeing_answers=progress.agreeing_answers + 1 if is_torque_free else 0
+        )
+        if progress.agreeing_answers < REQUIRED_ANSWER_COUNT:
             feedback = CONFIGURING if state.phase == SILENT else state.phase
             return state._replace(phase=feedback, protocol_state=progress)
         phase = FAULT if state.error else READY

@@ -361,7 +361,9 @@ class MitDrive:
         # watchdog.
         watchdog_needs_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
-            (self._frame_to_motor(codec.special_command(codec.CLEAR)),) if progress.clearing else ()
+            (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
+            if progress.errors_to_ignore
+            else ()
         )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.is_configured):
             next_state, requests = self._configure(
@@ -374,7 +376,7 @@ class MitDrive:
         if (
             state.phase == READY
             and target == ENABLE
-            and not (watchdog_needs_commands and progress.clearing)
+            and not (watchdog_needs_commands and progress.errors_to_ignore)
         ):
             enabling_state = start_enabling(
                 state._replace(protocol_state=progress), self.node_id, t_ns
@@ -460,7 +462,7 @@ class MitDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            protocol_state=MitProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=MitProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
         return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
 

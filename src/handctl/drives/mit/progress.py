@@ -18,8 +18,8 @@ SETTING_MISMATCH_ERROR = 0x101
 UNKNOWN_STATUS_ERROR = 0x102
 ENABLED_BY_OTHER_HOST_ERROR = 0x103
 CAUSE_BY_ERROR = {
-    0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.HOT, 0xC: DriveFaultCause.HOT,
-    0xD: DriveFaultCause.WATCHDOG,
+    0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.OVERHEATED,
+    0xC: DriveFaultCause.OVERHEATED, 0xD: DriveFaultCause.WATCHDOG,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.ERROR_TEXTS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, DriveFaultCause.OTHER)  # fmt: skip
@@ -50,7 +50,7 @@ class MitProgress(NamedTuple):
         is_enable_sent: True from the enable command until the motor reports the state disabled.
         is_disabling: True while the motor is being disabled.
         disable_command_ns: time of the first disable command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last register was verified [ns].
         serial: serial number of the motor, 0 if unknown.
@@ -62,7 +62,7 @@ class MitProgress(NamedTuple):
     is_enable_sent: bool = False
     is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
@@ -98,8 +98,10 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
     A motor with a known error makes no torque. A motor with an unknown state nibble may still make
     torque.
     """
-    if status_nibble in codec.ERROR_TEXTS and progress.clearing:
-        return state._replace(protocol_state=progress._replace(clearing=progress.clearing - 1))
+    if status_nibble in codec.ERROR_TEXTS and progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     is_idle = not (
         progress.is_enable_sent or progress.enabled_by_other_host or progress.is_disabling
     )
@@ -108,7 +110,7 @@ def _state_after_error(state: DriveState, progress: MitProgress, status_nibble: 
         # torque, so no operator has to clear the error.
         return state._replace(
             error_text=WATCHDOG_FIRES_WHILE_DISABLED_TEXT,
-            protocol_state=progress._replace(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=progress._replace(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
     if status_nibble in codec.ERROR_TEXTS:
         off_state = state._replace(

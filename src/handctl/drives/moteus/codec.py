@@ -325,7 +325,7 @@ def position_message(
         limit._replace(largest=torque.limit * (1.0 + FLOAT32_STEP)),
         _float_signal("watchdog", SignalQuantity.UNUSED, 36, 1.0, "s"),
     )
-    return torque._replace(name="position_command", signals=signals, base=base)
+    return torque._replace(name="position_command", signals=signals, base_payload=base)
 
 
 def feedback_message(node_id: int, direction: int = 1, zero: float = 0.0) -> CyclicMessage:

@@ -26,7 +26,7 @@ DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
 """Payload to read the mode of a node, to discover the node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
-DETAIL_REQUESTS = (
+IDENTITY_REQUESTS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
     *(
         codec.read_subframe(codec.INT32, register)
@@ -57,7 +57,7 @@ def probe_frames(scan_round: int, received_frames: ReceivedFrames) -> tuple[Fram
         return tuple(
             Frame(codec.request_id(drive.node_id), data)
             for drive in discovered_drives(received_frames)
-            for data in DETAIL_REQUESTS
+            for data in IDENTITY_REQUESTS
         )
     return ()
 

@@ -403,7 +403,7 @@ class MoteusDrive:
             return enabling_state, (self._frame_to_drive(self._torque_payload(0.0)),)
         request_frame = (
             self.torque_cut_frames()[0]
-            if progress.clearing
+            if progress.errors_to_ignore
             else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         )
         return state._replace(protocol_state=progress), (request_frame,)
@@ -540,7 +540,7 @@ class MoteusDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            protocol_state=MoteusProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=MoteusProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
         return fresh_state, self.torque_cut_frames()
 

@@ -21,7 +21,7 @@ SETTING_MISMATCH_ERROR = 0x101
 ENABLED_BY_OTHER_HOST_ERROR = 0x102
 CAUSE_BY_ERROR = {
     codec.FAULT_MODE: DriveFaultCause.OTHER, codec.TIMED_OUT: DriveFaultCause.WATCHDOG, 34: DriveFaultCause.VOLTAGE,
-    40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.HOT,
+    40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.OVERHEATED,
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.SETTING_MISMATCH,
     ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.SETTING_MISMATCH,
 } | dict.fromkeys(codec.FAULT_TEXTS.keys() - {34, 38, 40}, DriveFaultCause.OTHER)  # fmt: skip
@@ -44,7 +44,7 @@ class MoteusProgress(NamedTuple):
         is_enable_sent: True from the enable command until the drive reports the state stopped.
         is_disabling: True while the drive is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        clearing: number of feedback frames whose error must still be ignored while the error is
+        errors_to_ignore: number of feedback frames whose error must still be ignored while the error is
             being cleared.
         ready_ns: time at which the last setting was verified [ns].
         serial: serial number of the drive, 0 if unknown.
@@ -58,7 +58,7 @@ class MoteusProgress(NamedTuple):
     is_enable_sent: bool = False
     is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
@@ -120,8 +120,10 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error_code: 
 
     A drive with an error makes no torque.
     """
-    if progress.clearing:
-        return state._replace(protocol_state=progress._replace(clearing=progress.clearing - 1))
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     off_state = state._replace(
         protocol_state=progress._replace(is_enable_sent=False, enabled_by_other_host=False)
     )

@@ -429,7 +429,7 @@ class OdriveDrive:
                 protocol_state=progress._replace(is_just_verified=False)
             ), requests
         if progress.enable_command_ns >= 0:
-            return state, (self._command_frame(self._rest_command(state)), *requests)
+            return state, (self._command_frame(self._command_at_rest(state)), *requests)
         if not progress.is_just_verified:
             recheck = progress._replace(cursor=ReadbackCursor(), is_configured=False)
             return state._replace(phase=CONFIGURING, protocol_state=recheck), requests
@@ -441,7 +441,7 @@ class OdriveDrive:
             ),
         )
         return next_state, (
-            *self._setup_frames(), self._command_frame(self._rest_command(state)),
+            *self._setup_frames(), self._command_frame(self._command_at_rest(state)),
             self._axis_state_frame(codec.CLOSED_LOOP), *requests,
         )  # fmt: skip
 
@@ -520,7 +520,7 @@ class OdriveDrive:
         )
         frame = (
             self._data_frame(codec.CLEAR_ERRORS, b"")
-            if progress.clearing
+            if progress.errors_to_ignore
             else self._remote_frame(codec.GET_VERSION)
         )
         return state._replace(protocol_state=requests), (frame,)
@@ -557,7 +557,7 @@ class OdriveDrive:
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return a command of zero torque, for a drive that is being enabled."""
         return 0.0
 
@@ -600,7 +600,7 @@ class OdriveDrive:
         initial_progress = OdriveProgress(
             version=self.firmware_05,
             axis=get_progress(state).axis,
-            clearing=IGNORED_FAULT_COUNT,
+            errors_to_ignore=IGNORED_FAULT_COUNT,
         )
         next_state = state._replace(
             phase=SILENT, error=0, error_text="", protocol_state=initial_progress

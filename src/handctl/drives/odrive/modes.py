@@ -50,7 +50,7 @@ class OdriveModeDrive(OdriveDrive):
         """Return the control mode in the message Set_Controller_Mode."""
         return _CONTROL_MODES[self.mode]
 
-    def _rest_command(self, state: DriveState) -> float:
+    def _command_at_rest(self, state: DriveState) -> float:
         """Return the command that causes no motion.
 
         The command is the present position, or a velocity of zero.

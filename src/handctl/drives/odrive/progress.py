@@ -28,8 +28,8 @@ CAUSE_BY_ERROR = {
 }  # fmt: skip
 """Cause of each error code added by handctl."""
 CAUSE_BY_ERROR_BIT = {
-    8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.HOT,
-    14: DriveFaultCause.HOT, 24: DriveFaultCause.WATCHDOG,
+    8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.OVERHEATED,
+    14: DriveFaultCause.OVERHEATED, 24: DriveFaultCause.WATCHDOG,
 }  # fmt: skip
 """Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
 # Time after which a request is repeated, and time between two temperature requests [ns].
@@ -65,7 +65,7 @@ class OdriveProgress(NamedTuple):
         sent_ns: time of the latest request for version or serial number [ns].
         tries: number of requests for the version so far.
         temperature_request_ns: time of the latest temperature request [ns].
-        clearing: number of heartbeats whose error must still be ignored while the error is being
+        errors_to_ignore: number of heartbeats whose error must still be ignored while the error is being
             cleared.
         is_just_verified: True if all settings were verified in the last tick. Since the last tick, the
             drive has had no time to restart.
@@ -84,7 +84,7 @@ class OdriveProgress(NamedTuple):
     sent_ns: int = -REPEAT_PERIOD_NS
     tries: int = 0
     temperature_request_ns: int = -TEMPERATURE_PERIOD_NS
-    clearing: int = 0
+    errors_to_ignore: int = 0
     is_just_verified: bool = False
     enable_attempts: int = 0
 
@@ -113,9 +113,11 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         else codec.decode_heartbeat(frame.data)
     )
     progress = get_progress(state)._replace(axis=heartbeat.state, heartbeat_ns=frame.t_ns)
-    if heartbeat.errors and progress.clearing:
-        return state._replace(protocol_state=progress._replace(clearing=progress.clearing - 1))
-    next_state = state._replace(protocol_state=progress._replace(clearing=0))
+    if heartbeat.errors and progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
+    next_state = state._replace(protocol_state=progress._replace(errors_to_ignore=0))
     if heartbeat.errors:
         return _state_after_error(next_state, progress, heartbeat, firmware_05)
     if heartbeat.state == codec.CLOSED_LOOP:
@@ -137,7 +139,7 @@ def _state_after_error(
     if heartbeat.state == codec.IDLE:
         return fault_state._replace(
             protocol_state=progress._replace(
-                enable_command_ns=-1, disable_command_ns=-1, clearing=0
+                enable_command_ns=-1, disable_command_ns=-1, errors_to_ignore=0
             )
         )
     return fault_state._replace(phase=ENABLED) if progress.disable_command_ns >= 0 else fault_state
@@ -149,7 +151,7 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
         progress.enable_command_ns >= 0 and state.phase != FAULT
     ):
         return state._replace(
-            phase=ENABLED, protocol_state=progress._replace(enable_attempts=0, clearing=0)
+            phase=ENABLED, protocol_state=progress._replace(enable_attempts=0, errors_to_ignore=0)
         )
     if state.phase == READY:
         return enter_fault(
@@ -248,7 +250,10 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     if state.phase == ENABLED or progress.enable_command_ns >= 0:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     return state._replace(
-        phase=SILENT, protocol_state=OdriveProgress(version=firmware_05, clearing=progress.clearing)
+        phase=SILENT,
+        protocol_state=OdriveProgress(
+            version=firmware_05, errors_to_ignore=progress.errors_to_ignore
+        ),
     )
 
 

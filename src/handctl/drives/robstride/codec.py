@@ -262,7 +262,7 @@ def impedance_message(
         ),
         *torque.signals,
     )
-    return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
+    return torque._replace(name="position_command", signals=signals, base_payload=EMPTY_DATA)
 
 
 def feedback_message(

@@ -269,7 +269,9 @@ class RobstrideDrive:
             return self._on_fault_report(state, data)
         serial = int.from_bytes(data, "big")
         progress = get_progress(state)._replace(serial=serial)
-        phase = CONFIGURING if state.phase == SILENT and not progress.clearing else state.phase
+        phase = (
+            CONFIGURING if state.phase == SILENT and not progress.errors_to_ignore else state.phase
+        )
         return state._replace(phase=phase, protocol_state=progress)
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int, status: int) -> DriveState:
@@ -375,16 +377,16 @@ class RobstrideDrive:
                 state._replace(protocol_state=progress), self.node_id, t_ns
             )
             return enabling_state, (self._request_frame(codec.ENABLE),)
-        return state._replace(protocol_state=progress), (self._idle_request(state, progress),)
+        return state._replace(protocol_state=progress), (self._standby_request(state, progress),)
 
-    def _idle_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
+    def _standby_request(self, state: DriveState, progress: RobstrideProgress) -> Frame:
         """Return the frame that is sent to a motor without torque.
 
         The frame requests feedback, requests the identity, or clears faults.
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
-        if progress.clearing:
+        if progress.errors_to_ignore:
             return self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA)
         return self._request_frame(codec.GET_ID)
 
@@ -462,7 +464,7 @@ class RobstrideDrive:
             phase=SILENT,
             error=0,
             error_text="",
-            protocol_state=RobstrideProgress(clearing=IGNORED_FAULT_COUNT),
+            protocol_state=RobstrideProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
         return fresh_state, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 

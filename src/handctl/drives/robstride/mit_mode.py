@@ -73,7 +73,7 @@ MOTOR_MODEL_RANGES = {
 """Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
 HOST_ID_OFFSET = 0x10
 """Default of the host's number minus the motor's number, on a bus with several motors."""
-FACTORY_HOST = 0
+FACTORY_HOST_ID = 0
 """Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload of the special command to read the faults."""
@@ -149,7 +149,7 @@ class RobstrideMitDrive(CubemarsDrive):
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"{location}.node_id", f"1 to {codec.LAST_NODE}")
         host = options.pop("host_id", motor.node_id + HOST_ID_OFFSET)
-        if host != FACTORY_HOST:
+        if host != FACTORY_HOST_ID:
             host = checked_whole_number(host, f"{location}.options.host_id", codec.LAST_NODE)
         refuse_unknown_options(options, f"{location}.options", OPTIONS)
         if host == motor.node_id:

@@ -29,8 +29,8 @@ CAUSE_BY_FAULT_BIT = {
     0: DriveFaultCause.VOLTAGE,
     10: DriveFaultCause.VOLTAGE,
     11: DriveFaultCause.VOLTAGE,
-    2: DriveFaultCause.HOT,
-    8: DriveFaultCause.HOT,
+    2: DriveFaultCause.OVERHEATED,
+    8: DriveFaultCause.OVERHEATED,
 }
 """Cause of fault bits of the motor. All other bits have the cause OTHER."""
 IGNORED_FAULT_COUNT = 3
@@ -49,7 +49,7 @@ class RobstrideProgress(NamedTuple):
         is_enable_sent: True from the enable command until the motor reports reset mode.
         is_disabling: True while the motor is being stopped.
         disable_command_ns: time of the first stop command [ns].
-        clearing: number of feedback frames with a fault still to be ignored, while the fault is
+        errors_to_ignore: number of feedback frames with a fault still to be ignored, while the fault is
             being cleared.
         ready_ns: time at which the last parameter was verified [ns].
         serial: identifier of the motor's processor, 0 if unknown.
@@ -61,7 +61,7 @@ class RobstrideProgress(NamedTuple):
     is_enable_sent: bool = False
     is_disabling: bool = False
     disable_command_ns: int = 0
-    clearing: int = 0
+    errors_to_ignore: int = 0
     ready_ns: int = 0
     serial: int = 0
 
@@ -99,8 +99,10 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     A motor in reset mode makes no torque. In any other mode, the motor may still make torque.
     """
     progress = get_progress(state)
-    if progress.clearing:
-        return state._replace(protocol_state=progress._replace(clearing=progress.clearing - 1))
+    if progress.errors_to_ignore:
+        return state._replace(
+            protocol_state=progress._replace(errors_to_ignore=progress.errors_to_ignore - 1)
+        )
     is_off = mode == codec.RESET_MODE
     next_progress = progress._replace(
         is_enable_sent=progress.is_enable_sent and not is_off, enabled_by_other_host=not is_off

@@ -112,14 +112,14 @@ class BusEvents:
         """
         kind = EVENT_KIND_BY_ERRNO.get(errno_code or 0, default_kind)
         if EVENT_KIND_BY_ERRNO.get(errno_code or 0) == "enodev":
-            self.set_lasting_state(kind, True)
+            self.set_persistent_event(kind, True)
             return
         if kind == "enetdown":  # an interface that is down has no error states
-            self.set_lasting_state("bus_off", False)
-            self.set_lasting_state("error_passive", False)
+            self.set_persistent_event("bus_off", False)
+            self.set_persistent_event("error_passive", False)
         self.add_event(kind, occurrences)
 
-    def set_lasting_state(self, event_kind: str, is_present: bool) -> None:
+    def set_persistent_event(self, event_kind: str, is_present: bool) -> None:
         """Begin or end a lasting state of the bus.
 
         Each call of ``take_events`` reports every lasting state.
@@ -137,10 +137,10 @@ class BusEvents:
         self.add_event("error_frame", 1, ", ".join(names) or "unknown class")
         if can_id & CONTROLLER_RESTARTED:
             self.add_event("restarted")
-            self.set_lasting_state("bus_off", False)
-            self.set_lasting_state("error_passive", False)
+            self.set_persistent_event("bus_off", False)
+            self.set_persistent_event("error_passive", False)
         if can_id & BUS_OFF:
-            self.set_lasting_state("bus_off", True)
+            self.set_persistent_event("bus_off", True)
         if can_id & CONTROLLER_ERROR and len(data) > 1:
             self._count_controller_status(data[1])
 
@@ -155,7 +155,7 @@ class BusEvents:
         if status & ACTIVE_MASK:
             self.add_event("error_active")
         if status & (PASSIVE_MASK | WARNING_MASK | ACTIVE_MASK):
-            self.set_lasting_state("error_passive", bool(status & PASSIVE_MASK))
+            self.set_persistent_event("error_passive", bool(status & PASSIVE_MASK))
 
     def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, followed by the lasting states."""

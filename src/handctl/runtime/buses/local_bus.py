@@ -160,7 +160,7 @@ class LocalBus:
     def _report_lost_hub(self) -> None:
         """Set the state that makes every later call of ``take_events`` report the end of the hub."""
         self._closed = True
-        self._events.set_lasting_state("enodev", True)
+        self._events.set_persistent_event("enodev", True)
 
     def _frames_of_complete_records(self, filled_bytes: int) -> Frames:
         """Return the frames in the complete records of the first ``filled_bytes`` bytes of the buffer.
@@ -228,7 +228,7 @@ class LocalBus:
         else:
             self._events.add_error_frame(can_id, data)
 
-    def _frames_for_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+    def _frames_fitting_queue(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return the frames from the first to the last one for which the queue has room.
 
         All other frames count as refused.
@@ -251,7 +251,7 @@ class LocalBus:
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch of frames, and return the number of accepted frames, see ``contract.Bus``."""
         if self._queue_frames:
-            frames = self._frames_for_queue(frames)
+            frames = self._frames_fitting_queue(frames)
         records = self._pack_records(frames)
         unsent_records = self._unsent_bytes + records if self._unsent_bytes else records
         if self._closed or not unsent_records:

@@ -99,7 +99,7 @@ def scan_bus(
         if turn == 0 and not force and (foreign_frames := _foreign_frames(seen_frames)):
             break
     drives = tuple(
-        discovery.correct_without_requests(node) if foreign_frames else node
+        discovery.correct_passive_result(node) if foreign_frames else node
         for discovery in DISCOVERY_BY_PROTOCOL.values()
         for node in discovery.nodes(seen_frames)
     )
