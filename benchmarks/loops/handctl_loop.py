@@ -61,7 +61,7 @@ class ReplyDrivenClock:
     def now_ns(self):
         return 0
 
-    def clock_facts(self):
+    def clock_statistics(self):
         return {}
 
 

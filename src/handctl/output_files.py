@@ -85,12 +85,12 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
 
     For the rules and the errors, see ``atomic_path``.
     """
-    creator = f"handctl {version('handctl')}"
+    creator_text = f"handctl {version('handctl')}"
     kind = path.suffix[1:] if path.suffix in FIGURE_SUFFIXES else "png"
     metadata = {
-        "png": {"Software": creator},
-        "svg": {"Creator": creator, "Date": None},
-        "pdf": {"Creator": creator},
+        "png": {"Software": creator_text},
+        "svg": {"Creator": creator_text, "Date": None},
+        "pdf": {"Creator": creator_text},
     }
     with atomic_path(path) as temporary_path:
         figure.savefig(temporary_path, dpi=dpi, format=kind, metadata=metadata[kind])

@@ -20,7 +20,7 @@ from tests.drives.conftest import MotorSection, make_mit_drive
 
 TORQUE_MAX_N_M = 0.8
 MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TORQUE_MAX_N_M)
-torques_in_range = st.floats(-TORQUE_MAX_N_M, TORQUE_MAX_N_M)
+valid_torques = st.floats(-TORQUE_MAX_N_M, TORQUE_MAX_N_M)
 COMMAND_TABLE, FEEDBACK_TABLE = (
     SignalTable(codec.command_message(1, MOTOR_RANGES)),
     SignalTable(codec.feedback_message(0x11, MOTOR_RANGES)),
@@ -90,7 +90,7 @@ def test_register_replies_are_decoded_to_known_values() -> None:
     assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
     code = int.from_bytes(COMMAND_TABLE.pack(torque), "big") & 0xFFF
     assert code * 2 * TORQUE_MAX_N_M / 4095 - TORQUE_MAX_N_M == pytest.approx(
@@ -98,14 +98,14 @@ def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
     )
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float) -> None:
     data = COMMAND_TABLE.pack(torque)
     assert data[:3] == b"\x7f\xff\x7f"
     assert int.from_bytes(data, "big") >> 12 & 0xFFFFFF == 0
 
 
-@given(torques_in_range, torques_in_range)
+@given(valid_torques, valid_torques)
 def test_more_torque_is_never_a_smaller_code(first_torque: float, second_torque: float) -> None:
     smaller_torque, larger_torque = sorted((first_torque, second_torque))
     assert COMMAND_TABLE.pack(smaller_torque) <= COMMAND_TABLE.pack(larger_torque)
@@ -128,7 +128,7 @@ def test_nan_cannot_be_encoded(torque: float) -> None:
         make_mit_drive().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
-@given(torques_in_range, st.sampled_from([-1, 1]))
+@given(valid_torques, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
     drive = make_mit_drive(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND_TABLE.pack(direction * torque)
@@ -159,7 +159,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(
         assert abs(value - true) <= step * 1.001
 
 
-@given(torques_in_range)
+@given(valid_torques)
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 

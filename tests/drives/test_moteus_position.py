@@ -20,7 +20,7 @@ from handctl.drives.moteus import codec
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.moteus.settings import (
     MoteusSetting,
-    gain_of_drive,
+    gain_per_turn,
     position_configuration,
     rounded_to_float32,
     write_request,
@@ -163,7 +163,7 @@ def test_a_restart_is_found_by_two_reads() -> None:
 def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for gain in (0.0, 0.001, 5000.0, *10.0 ** rng.uniform(-4.0, 3.69, 2000)):
-        value = gain_of_drive(float(gain))
+        value = gain_per_turn(float(gain))
         assert math.tau * gain <= value <= math.tau * gain + max(1.01e-6, 1.1e-5 * value)
         setting = MoteusSetting("servo.pid_position.kp", value)
         text = write_request(setting).decode().split()[-1]

@@ -274,7 +274,7 @@ def test_a_hand_without_load_cells_has_no_reading() -> None:
     assert node.tension_frames == 0
 
 
-def without_unknown_counters(wired_drives: WiredDrives) -> bytes:
+def state_without_unknown_counters(wired_drives: WiredDrives) -> bytes:
     """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
     block = wired_drives.block.copy()
     for name in ("strange", "misread_now"):
@@ -292,12 +292,12 @@ def test_any_sensor_frame_is_survived(can_id: int, frame_flags: int, data: bytes
     node = SensorNode.from_description(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
     wired_drives = state_after_sync(node, 5)
     state_before, is_sensor_frame = (
-        without_unknown_counters(wired_drives),
+        state_without_unknown_counters(wired_drives),
         bus == 0 and can_id in node.node_ids,
     )
     wired_drives.receive([Frame(can_id | frame_flags, data, bus=bus)])
     if frame_flags or not is_sensor_frame:
-        assert without_unknown_counters(wired_drives) == state_before
+        assert state_without_unknown_counters(wired_drives) == state_before
     assert len(wired_drives.foreign_frames) == (
         bus == 0 and not frame_flags and can_id in node.host_ids
     )

@@ -88,9 +88,9 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.places, *self._constants, frames.rows, known_tables.keys, known_tables.entries,
-                known_tables.signal_integers, known_tables.signal_reals, known_tables.recheck_ranges,
-                known_tables.rechecks, at,
+                self.block, self.layout.places, *self._load_cell_constants, frames.rows, known_tables.keys,
+                known_tables.entries, known_tables.signal_integers, known_tables.signal_reals,
+                known_tables.recheck_ranges, known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
@@ -175,11 +175,11 @@ class WiredDrives:
 
         The filter starts as soon as every sensor has been read once.
         """
-        tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
+        tick_stages.observe_tick(self.block, self.layout.places, *self._load_cell_constants)
         return self
 
     @cached_property
-    def _constants(self) -> tuple[NDArray, NDArray]:
+    def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the block of a hand's constants.
 
         Only the constants for load-cell frames have values.

@@ -90,9 +90,9 @@ def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatc
     wall = FakeMonotonicClock(monkeypatch)
     clock = RealClock(PERIOD_NS, 0.5)
     clock.start()
-    assert clock.run_time_of(clock.start_ns) == 0
-    assert clock.run_time_of(clock.start_ns + 4_000_000) == 2_000_000
-    assert clock.run_time_of(wall.now_ns) < 0
+    assert clock.convert_to_run_time(clock.start_ns) == 0
+    assert clock.convert_to_run_time(clock.start_ns + 4_000_000) == 2_000_000
+    assert clock.convert_to_run_time(wall.now_ns) < 0
 
 
 @pytest.mark.realtime
@@ -109,7 +109,7 @@ def test_the_real_clock_keeps_time() -> None:
 def test_the_granted_priority_is_described() -> None:
     assert str(GrantedPriority(True, True)) == "SCHED_FIFO, memory locked"
     assert (
-        str(GrantedPriority(True, True, processors_awake=True))
+        str(GrantedPriority(True, True, are_processors_awake=True))
         == "SCHED_FIFO, memory locked, processors kept awake"
     )
     assert "not permitted" in str(GrantedPriority(False, False))

@@ -45,7 +45,7 @@ class ScriptedClock:
     def now_ns(self) -> int:
         return 0
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         return {}
 
 
@@ -275,7 +275,7 @@ def raise_error(*_: object) -> None:
         "record_tick",
         "show_tick",
         "publish_tick",
-        "keep_snapshot",
+        "record_snapshot",
         "take_requests",
         "take_targets",
         "take_host_events",

@@ -432,7 +432,7 @@ class HandClient:
                 has ended.
         """
         grasp_task, _ = load_task_for_hand(Path(task), self.description)
-        hold_name = next(
+        hold_phase_name = next(
             (phase.name for phase in grasp_task.phase if isinstance(phase, HoldPhase)), "live"
         )
         content = grasp_task.model_dump(by_alias=True, exclude_unset=True, mode="json")
@@ -441,7 +441,7 @@ class HandClient:
             return self.observe(wait=True)
         end = time.monotonic() + timeout_s
         observation = self.observe(wait=True)
-        while observation.phase != hold_name:
+        while observation.phase != hold_phase_name:
             if observation.phase == "live" or time.monotonic() > end:
                 raise DriveError(
                     f"the hand does not hold an object: it is in phase {observation.phase!r}",

@@ -90,7 +90,7 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
         for node in (sent_message.sender, sent_message.receiver)
     )
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
-    float_lines = list[str]()
+    float_type_lines = list[str]()
     format_lines = list[str]()
     for message, sender, receiver in by_identifier.values():
         frame_id = message.can_id & ~EXTENDED_FLAG | (
@@ -102,12 +102,18 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
             signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT
         ]
         # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
-        float_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in float_signals]
+        float_type_lines += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in float_signals]
         if message.flags:
             frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
             format_lines.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
     return "\n".join(
-        [*lines, *(_FRAME_FORMAT_LINES if format_lines else ()), *format_lines, *float_lines, ""]
+        [
+            *lines,
+            *(_FRAME_FORMAT_LINES if format_lines else ()),
+            *format_lines,
+            *float_type_lines,
+            "",
+        ]
     )
 
 

@@ -388,7 +388,7 @@ class SignalTable:
         If a float is not finite, its value is NaN.
         """
         values: list[float] = unpack_rows(
-            self._words(data), self.signal_integers, self.signal_reals
+            self._payload_words(data), self.signal_integers, self.signal_reals
         ).tolist()
         return values
 
@@ -410,11 +410,11 @@ class SignalTable:
             # The comparison is negated, so that it refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
-        data = self._words(self.message.base_payload)
+        data = self._payload_words(self.message.base_payload)
         pack_rows(data, self.signal_integers, self.signal_reals, np.array(values, dtype=np.float64))
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
-    def _words(self, data: bytes) -> WordArray:
+    def _payload_words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
         If the payload is short, zeros are added at its end.

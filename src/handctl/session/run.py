@@ -169,7 +169,7 @@ def run_live(
         clock = _open_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
-        targets = TargetReceiver(plan.buses[0], clock.run_time_of)
+        targets = TargetReceiver(plan.buses[0], clock.convert_to_run_time)
         stack.callback(targets.close)
         observations = ObservationWriter(
             plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)
@@ -179,7 +179,9 @@ def run_live(
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
-            opened_bus = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
+            opened_bus = open_bus(
+                spec, index, bus.bitrate, bus.data_bitrate, clock.convert_to_run_time
+            )
             stack.callback(opened_bus.close)
             buses.append(opened_bus)
         priority = prepare_priority()
@@ -330,13 +332,13 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
+    def record_snapshot(entry: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
             recorder.send_record(pack_snapshot(entry, snapshot_bytes(state)))
 
-    return keep_snapshot
+    return record_snapshot
 
 
 def _build_loop(
@@ -364,7 +366,7 @@ def _build_loop(
         take_host_events=lambda: [*recorder.take_events(), *take_suspend_events()],
         record_tick=record_tick,
         show_tick=show_tick,
-        keep_snapshot=snapshot_recorder(recorder),
+        record_snapshot=snapshot_recorder(recorder),
         disable_drives=partial(shutdown_step, controller),
         tick_priority=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
@@ -509,5 +511,5 @@ def _run_to_end(
             if display:
                 display.close()
         finally:
-            summary = recorder.close(reason, loop.clock.clock_facts())
+            summary = recorder.close(reason, loop.clock.clock_statistics())
     return RunOutcome(state, loop.stats, summary, priority, offset_ns())

@@ -116,7 +116,7 @@ def _check_priority() -> DoctorFinding:
 
 
 def _check_memory() -> DoctorFinding:
-    is_memory_locked = _granted_priority().memory_locked
+    is_memory_locked = _granted_priority().is_memory_locked
     return (
         "locked memory",
         is_memory_locked,

@@ -244,7 +244,7 @@ def open_drive_rig(args: argparse.Namespace, drive: Drive) -> Iterator[tuple[Dri
         drive: drive on the bus.
     """
     clock = RealClock(PERIOD_NS)
-    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.run_time_of)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.convert_to_run_time)
     clock.busy_wait = request_priority().is_realtime
     try:
         yield DriveRig(drive, bus, clock), bus

@@ -112,11 +112,11 @@ def make_mode_drive(
     fields["command_limit"] = (
         limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
     )
-    unit_rad_s = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields[
+    rad_s_per_unit = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields[
         "ratio"
     ]
     try:
-        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=unit_rad_s)
+        return Cia402ModeDrive(**fields, mode=mode, velocity_unit=rad_s_per_unit)
     except ValueError as error:
         raise ConfigError(str(error), location, "a smaller limit or range") from None
 

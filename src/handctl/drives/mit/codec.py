@@ -90,7 +90,7 @@ VELOCITY_MODE = 3
 """Value of register CTRL_MODE for velocity mode."""
 FORCE_MODE = 4
 """Value of register CTRL_MODE for force-position mode."""
-SPEED_CODES = 100.0
+CODES_PER_RAD_S = 100.0
 """Number of codes per rad/s, in the speed limit of force-position mode."""
 FULL_SCALE_COUNT = 10_000
 """Largest code of the speed limit and of the current limit, in force-position mode."""
@@ -287,14 +287,14 @@ def force_position_message(
         ValueError: a limit is too small or too large for the command.
     """
     speed, fraction = limits
-    codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_SCALE_COUNT)
+    codes = math.floor(speed * CODES_PER_RAD_S), math.floor(fraction * FULL_SCALE_COUNT)
     if not all(0 < code <= FULL_SCALE_COUNT for code in codes):
         raise ValueError(
             f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1"
         )
     signals = (
         _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
-        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
+        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / CODES_PER_RAD_S, unit="rad/s"),
         Signal("current", SignalQuantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
     )
     base = struct.pack("<fHH", 0.0, *codes)

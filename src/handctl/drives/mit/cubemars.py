@@ -74,7 +74,7 @@ CAUSE_BY_ERROR = {
     4: DriveFaultCause.VOLTAGE,
 } | dict.fromkeys((2, 5, 6), DriveFaultCause.OTHER)
 """Cause of each error, by byte 7 of the feedback."""
-FEEDBACK_SIZES = (6, 8)
+FEEDBACK_LENGTHS_BYTES = (6, 8)
 """Possible payload lengths of feedback [bytes].
 
 Older firmware sends 6 bytes, without temperature and error.
@@ -333,13 +333,13 @@ class CubemarsDrive:
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
-        if len(data) not in FEEDBACK_SIZES or data[0] != self.node_id & 0xFF:
+        if len(data) not in FEEDBACK_LENGTHS_BYTES or data[0] != self.node_id & 0xFF:
             return state._replace(misread_frame_count=state.misread_frame_count + 1)
-        _, position, velocity, torque, temperature, byte = self.feedback.unpack(data)
+        _, position, velocity, torque, temperature, error_code = self.feedback.unpack(data)
         if len(data) < 8:
             temperature = math.nan
-            byte = 0.0
-        error = int(byte)
+            error_code = 0.0
+        error = int(error_code)
         feedback = state._replace(
             position=position,
             velocity=velocity,

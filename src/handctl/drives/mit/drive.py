@@ -359,7 +359,7 @@ class MitDrive:
             )
         # This motor has a watchdog that runs even while the motor is disabled. Commands restart the
         # watchdog.
-        watchdog_needs_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
+        does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
             (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
             if progress.errors_to_ignore
@@ -372,17 +372,17 @@ class MitDrive:
             return next_state, (
                 *(clear or self.torque_cut_frames()),
                 *requests,
-            ) if watchdog_needs_commands else requests
+            ) if does_watchdog_need_commands else requests
         if (
             state.phase == READY
             and target == ENABLE
-            and not (watchdog_needs_commands and progress.errors_to_ignore)
+            and not (does_watchdog_need_commands and progress.errors_to_ignore)
         ):
             enabling_state = start_enabling(
                 state._replace(protocol_state=progress), self.node_id, t_ns
             )
             return enabling_state, (self._frame_to_motor(codec.special_command(codec.ENABLE)),)
-        if watchdog_needs_commands and not clear:
+        if does_watchdog_need_commands and not clear:
             return state._replace(protocol_state=progress), self.torque_cut_frames()
         # The manual does not say if the clear command has an answer, so feedback is requested too.
         return state._replace(protocol_state=progress), (*clear, self._refresh_frame())

@@ -300,7 +300,7 @@ class MoteusDrive:
     ) -> DriveState:
         """Return the state after a part of an answer was received over the text channel."""
         is_channel_read = progress.channel.request_sent_ns < 0
-        channel, line = progress.channel.take(text)
+        channel, line = progress.channel.take_line(text)
         progress = progress._replace(channel=channel)
         if is_channel_read:
             # The frame answers a read that empties the channel. The host may send the next request
@@ -582,5 +582,5 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
             expected = 'a number, because control = "position" writes this gain into a moteus'
             raise ConfigError("missing", f"motor[{motor.name}].{key}", expected)
     return codec.PositionGains(
-        *(items.gain_of_drive(value) for value in gain_by_key.values() if value is not None)
+        *(items.gain_per_turn(value) for value in gain_by_key.values() if value is not None)
     )

@@ -70,7 +70,7 @@ The kernel also counts the padding after the counter, if it is within the buffer
 """
 COUNTER_OFFSET = struct.calcsize("@NiillNii")
 """Offset of the loss counter in the control messages [bytes]."""
-_HEADER_TAIL_BYTES = (
+_HEADER_PADDING_BYTES = (
     ctypes.sizeof(_MultiMessageHeader)
     - _MultiMessageHeader.size.offset
     - ctypes.sizeof(ctypes.c_uint)
@@ -81,7 +81,7 @@ _HEADER_GAP_BYTES = (
     - ctypes.sizeof(ctypes.c_size_t)
 )
 _HEADER_STRUCT = struct.Struct(
-    f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x"
+    f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_PADDING_BYTES}x"
 )
 """Values that the kernel writes into a header: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -176,8 +176,8 @@ class DatagramSlots:
             kinds = set(_HEADER_STRUCT.iter_unpack(raw_bytes))
             length, size = kinds.pop()
             self._last_has_counters = length >= COUNTER_CONTROL_BYTES
-            is_stamped = self._last_has_counters or length == STAMP_CONTROL_BYTES
-            self._last_size = size if is_stamped and not kinds else 0
+            has_time_stamp = self._last_has_counters or length == STAMP_CONTROL_BYTES
+            self._last_size = size if has_time_stamp and not kinds else 0
             self._last_headers = raw_bytes
         if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
             return 0
@@ -196,14 +196,14 @@ class DatagramSlots:
             is_timestamp = (
                 length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
             )
-            is_drop_count = (
+            is_drop_counter = (
                 length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
             )
             result.append(
                 (
                     size,
                     s * 1_000_000_000 + ns if is_timestamp else 0,
-                    dropped_count if is_drop_count else 0,
+                    dropped_count if is_drop_counter else 0,
                 )
             )
         return result

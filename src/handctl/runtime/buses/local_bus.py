@@ -209,14 +209,14 @@ class LocalBus:
             can_id, data[:length], flags, self._index, self._convert_time(time.monotonic_ns())
         )
 
-    def _count_dropped_frames(self, hub_counter: int) -> None:
+    def _count_dropped_frames(self, hub_drop_count: int) -> None:
         """Count the frames that the hub has dropped since the last record.
 
-        Here, ``hub_counter`` is the counter of the hub, modulo 65536.
+        Here, ``hub_drop_count`` is the counter of the hub, modulo 65536.
         """
-        if hub_counter != self._dropped:
-            self._events.add_event("dropped", (hub_counter - self._dropped) & 0xFFFF)
-            self._dropped = hub_counter
+        if hub_drop_count != self._dropped:
+            self._events.add_event("dropped", (hub_drop_count - self._dropped) & 0xFFFF)
+            self._dropped = hub_drop_count
 
     def _take_control(self, can_id: int, data: bytes) -> None:
         """Process a frame that contains no data.

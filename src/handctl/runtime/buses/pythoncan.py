@@ -139,7 +139,7 @@ class PythonCanBus:
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:
-                self._events.count_failure(_errno_of(error), "enodev")
+                self._events.count_failure(_error_number(error), "enodev")
                 break
             except (
                 ValueError,
@@ -173,7 +173,7 @@ class PythonCanBus:
             try:
                 self._bus.send(message_of_frame(frame), 0)
             except (can.CanError, OSError) as error:
-                self._events.count_failure(_errno_of(error), "enobufs", len(frames) - number)
+                self._events.count_failure(_error_number(error), "enobufs", len(frames) - number)
                 return number
         return len(frames)
 
@@ -193,7 +193,7 @@ class PythonCanBus:
         self._bus.shutdown()
 
 
-def _errno_of(error: Exception) -> int | None:
+def _error_number(error: Exception) -> int | None:
     """Return the errno of an error from python-can, or None if there is none.
 
     The errno may be in the error itself, in the attribute ``error_code``, or in the cause of the

@@ -78,9 +78,9 @@ def load_simulator(entry: str, **options: object) -> LockstepSimulator:
     Raises:
         ConfigError: the module or class does not exist, or the class refuses the options.
     """
-    factory = load_simulator_object(entry, "the simulated hand")
+    make_simulated_hand = load_simulator_object(entry, "the simulated hand")
     try:
-        peer: LockstepSimulator = factory(**options)
+        peer: LockstepSimulator = make_simulated_hand(**options)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error), "the simulated hand") from None
     return peer
@@ -151,7 +151,7 @@ class LockstepClock:
         """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return an empty mapping, because virtual time is the same in every run."""
         return {}
 

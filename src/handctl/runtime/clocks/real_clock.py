@@ -33,7 +33,7 @@ class TickClock(Protocol):
         """Return the time since the start of the run [ns]."""
         ...
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock, each with its name.
 
         The recorder writes these facts at the end of the log.
@@ -78,13 +78,13 @@ class RealClock:
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
-        return self.run_time_of(time.monotonic_ns())
+        return self.convert_to_run_time(time.monotonic_ns())
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return facts about the clock, see ``TickClock``."""
         return {}
 
-    def run_time_of(self, monotonic_ns: int) -> int:
+    def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to a time of the run [ns]."""
         return int((monotonic_ns - self.start_ns) * self.time_scale)
 

@@ -22,21 +22,25 @@ class GrantedPriority:
     Attributes:
         is_realtime: True if the system has granted SCHED_FIFO, the scheduling class with real-time
             priority.
-        memory_locked: True if the memory of the process is locked against paging.
-        processors_awake: True if idle processors stay awake while the ticks run.
+        is_memory_locked: True if the memory of the process is locked against paging.
+        are_processors_awake: True if idle processors stay awake while the ticks run.
     """
 
     is_realtime: bool
-    memory_locked: bool
-    processors_awake: bool = False
+    is_memory_locked: bool
+    are_processors_awake: bool = False
 
     def __str__(self) -> str:
         """List the granted and the refused permissions in one line."""
         priority_text = (
             "SCHED_FIFO" if self.is_realtime else "no real-time priority (not permitted)"
         )
-        memory = ", memory locked" if self.memory_locked else ", memory not locked"
-        return priority_text + memory + (", processors kept awake" if self.processors_awake else "")
+        memory = ", memory locked" if self.is_memory_locked else ", memory not locked"
+        return (
+            priority_text
+            + memory
+            + (", processors kept awake" if self.are_processors_awake else "")
+        )
 
 
 def request_priority(level: int = 60) -> GrantedPriority:

@@ -134,14 +134,14 @@ class SharedClock(RealClock):
         self._move_gate(k + 1 + int(lateness_ns * self.time_scale) // self.period_ns)
         return int(lateness_ns * self.time_scale)
 
-    def clock_facts(self) -> dict[str, str]:
+    def clock_statistics(self) -> dict[str, str]:
         """Return the number of pauses and their total duration, see ``TickClock``."""
         return {
             "clock_pauses": str(self.pause_count),
             "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}",
         }
 
-    def run_time_of(self, monotonic_ns: int) -> int:
+    def convert_to_run_time(self, monotonic_ns: int) -> int:
         """Convert a CLOCK_MONOTONIC time stamp to the time of the run [ns].
 
         The result is right only for time stamps after the second-last pause.
