@@ -29,7 +29,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.run_plan import RunPlan, default_control_rate
 from handctl.session.simulate import SimulatorSettings
@@ -153,16 +153,16 @@ def excite_and_fit(
     with SimulatorSettings(hand_name, None, seed, plant_factors, homed=True).lockstep_clock(
         plan.period_ns
     ) as clock:
-        hold_limit = HoldLimit()
-        outcome = run_lockstep(plan, controller, log, clock, hold_limit)
+        hold_timeout = HoldTimeout()
+        outcome = run_lockstep(plan, controller, log, clock, hold_timeout)
     row: FitResultRow = {
         "seed": seed,
         "digit": digit_name,
         "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
     }
     row["excite_cpu_s"] = time.process_time() - start_cpu_s
-    if outcome.state.failure or hold_limit.stop_reason:
-        return {}, row | {"failure": hold_limit.stop_reason or outcome.state.failure}
+    if outcome.state.failure or hold_timeout.stop_reason:
+        return {}, row | {"failure": hold_timeout.stop_reason or outcome.state.failure}
     with RunLog(log) as record:
         result = identify_tendons(record, hand)
     log.unlink()

@@ -16,7 +16,7 @@ from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.dbc_export import export_bus_dbc
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -136,7 +136,7 @@ def test_channels_go_to_further_tpdos() -> None:
 )
 def test_the_dbc_decodes_the_same_tensions(value_format: str, raw_bytes: bytes) -> None:
     hand = hand_with_amplifiers(process_value=value_format)
-    text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    text = export_bus_dbc(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     database = cantools.database.load_string(text, "dbc", strict=True)
     decoded_tensions = database.decode_message(0x1A1, raw_bytes)  # type: ignore[union-attr]
     assert decoded_tensions == pytest.approx({"index_tendon": 1.5, "middle_tendon": -2e-3})

@@ -15,7 +15,7 @@ from cantools.database import Database
 from fuzz.fuzzed_drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
+from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, export_bus_dbc
 from handctl.drives.frame import Frame
 from handctl.drives.signals import CyclicMessage, SignalQuantity
 from handctl.hand.description import Hand
@@ -33,7 +33,7 @@ TICK_COUNT = 40
 
 
 def exported_dbc(hand: Hand, bus_index: int = 0) -> Database:
-    text = dbc_of_bus(
+    text = export_bus_dbc(
         bus_index, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints
     )
     database = cantools.database.load_string(text, "dbc", strict=True)

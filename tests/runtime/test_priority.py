@@ -79,7 +79,7 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
     """
     latency = tmp_path / "cpu_dma_latency"
     latency.touch()
-    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(latency))
+    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(latency))
     assert str(latency) not in open_files()
     with realtime_priority.realtime_priority():
         assert str(latency) in open_files()
@@ -90,7 +90,7 @@ def test_processors_stay_awake_only_during_the_ticks(tmp_path, monkeypatch) -> N
 
 
 def test_a_system_that_lets_processors_sleep_is_no_error(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(realtime_priority, "LATENCY_FILE", str(tmp_path / "absent"))
+    monkeypatch.setattr(realtime_priority, "CPU_LATENCY_FILE", str(tmp_path / "absent"))
     with realtime_priority.keep_processors_awake() as awake:
         assert not awake
     assert not realtime_priority.prepare_priority().are_processors_awake

@@ -16,7 +16,7 @@ from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.safety.safety_action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
@@ -171,7 +171,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     While a fault holds the hand, the identification makes no progress. Such a run therefore never
     ended.
     """
-    limit = HoldLimit()
+    limit = HoldTimeout()
 
     def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []

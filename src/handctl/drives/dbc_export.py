@@ -31,7 +31,7 @@ class SentMessage(NamedTuple):
     receiver: str
 
 
-def dbc_of_bus(
+def export_bus_dbc(
     bus: int,
     drives: Iterable[Drive],
     sensors: SensorInterface,

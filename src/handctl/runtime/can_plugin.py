@@ -17,7 +17,7 @@ import can
 from handctl.drives.frame import ERROR_FLAG, FDF, Frame
 from handctl.errors import BusError
 from handctl.runtime.buses.local_bus import LocalBus
-from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
+from handctl.runtime.buses.pythoncan import frame_from_message, message_from_frame
 from handctl.runtime.socket_paths import run_dir
 
 SEND_RETRY_PERIOD_S = 1e-3
@@ -76,7 +76,7 @@ class LocalCanBus(can.BusABC):
         if not self._waiting:
             return None, False
         frame = self._waiting.popleft()
-        return message_of_frame(frame, frame.t_ns / 1e9), False
+        return message_from_frame(frame, frame.t_ns / 1e9), False
 
     def _read(self) -> None:
         frame = self._link.receive_one()
@@ -102,7 +102,7 @@ class LocalCanBus(can.BusABC):
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
-        frame = frame_of_message(msg, 0, time.time_ns())
+        frame = frame_from_message(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR_FLAG),)):
             self._raise_if_hub_lost()

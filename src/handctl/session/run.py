@@ -36,7 +36,7 @@ from handctl.runtime.clocks.realtime_priority import (
 )
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend_watch import SuspendWatch
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.runtime.loop import ControlLoop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
@@ -237,7 +237,7 @@ def run_lockstep(
         recorder, display = _start_recording(
             plan, log, replace(header, metadata=header.metadata | start_offset), cleanup_stack
         )
-        limit = HoldLimit()
+        limit = HoldTimeout()
         request_source = _merge_requests(observer, limit.poll_requests)
         show_tick = _merge_observers(
             limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)

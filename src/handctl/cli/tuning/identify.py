@@ -30,7 +30,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.excitation import ExciteProgram
 from handctl.replay.controller_rebuild import logged_hand
 from handctl.runtime.buses.bus_opening import real_buses
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.session.calibration import (
     ensure_calibration,
     load_calibration,
@@ -104,9 +104,9 @@ def run(args: argparse.Namespace) -> int:
             plan, path, reason, run_live, commissioning_log_path(log)
         )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
-        hold_limit = HoldLimit()
-        outcome = run_live(plan, controller, log, observer=hold_limit)
-        hold_limit.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
+        hold_timeout = HoldTimeout()
+        outcome = run_live(plan, controller, log, observer=hold_timeout)
+        hold_timeout.raise_if_stopped(f"identifying {plan.hand.name}, log {log}")
     outcome.raise_if_not_finished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         results = identify_tendons(record, plan.hand, print_note)

@@ -408,17 +408,17 @@ def decode_reply(data: bytes) -> DriveReply | None:
     reader = _SubframeReader(data)
     try:
         while reader.at < len(data):
-            kind = reader.byte()
+            kind = reader.read_byte()
             if kind == NOP:
                 continue
             if REPLY <= kind < REPLY + 0x10:
-                values.update(reader.registers(kind))
+                values.update(reader.read_registers(kind))
             elif kind in (WRITE_REFUSED, READ_REFUSED):
-                register = reader.varuint()
-                error_by_register[register] = reader.varuint()
+                register = reader.read_varuint()
+                error_by_register[register] = reader.read_varuint()
             elif kind == TEXT_OUT:
-                reader.varuint()
-                text = reader.bytes(reader.varuint())
+                reader.read_varuint()
+                text = reader.read_bytes(reader.read_varuint())
             else:
                 return None
     except IndexError:
@@ -441,13 +441,13 @@ class _SubframeReader:
         self.data = payload
         self.at = 0
 
-    def byte(self) -> int:
+    def read_byte(self) -> int:
         """Return the next byte."""
         value = self.data[self.at]
         self.at += 1
         return value
 
-    def bytes(self, byte_count: int) -> bytes:
+    def read_bytes(self, byte_count: int) -> bytes:
         """Return the given number of next bytes."""
         value = self.data[self.at : self.at + byte_count]
         if len(value) < byte_count:
@@ -455,20 +455,20 @@ class _SubframeReader:
         self.at += byte_count
         return value
 
-    def varuint(self) -> int:
+    def read_varuint(self) -> int:
         """Return the next varuint, which has at most five groups of seven bits."""
         number = 0
         for shift in range(0, 35, 7):
-            group = self.byte()
+            group = self.read_byte()
             number |= (group & 0x7F) << shift
             if group < 0x80:
                 return number
         raise IndexError
 
-    def registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
+    def read_registers(self, value_type: int) -> Iterator[tuple[int, Any]]:
         """Yield the (register, value) pairs of a register subframe."""
         coding = _VALUE_STRUCTS[value_type >> 2 & 3]
-        count = value_type & 3 or self.varuint()
-        first_value = self.varuint()
+        count = value_type & 3 or self.read_varuint()
+        first_value = self.read_varuint()
         for register in range(first_value, first_value + count):
-            yield register, coding.unpack(self.bytes(coding.size))[0]
+            yield register, coding.unpack(self.read_bytes(coding.size))[0]

@@ -187,7 +187,7 @@ def _firmware_06_warnings(serial: str, version: bytes) -> list[str]:
     return notes
 
 
-def with_unknown_firmware(drive: DiscoveredNode) -> DiscoveredNode:
+def mark_firmware_unknown(drive: DiscoveredNode) -> DiscoveredNode:
     """Return the drive with an unknown firmware.
 
     A scan that sends no requests cannot determine the firmware.
@@ -288,5 +288,5 @@ DISCOVERY = ProtocolDiscovery(
     other_host_frames,
     ping_request,
     is_ping_reply,
-    with_unknown_firmware,
+    mark_firmware_unknown,
 )

@@ -36,7 +36,7 @@ CHANNEL_BITS = 12
 """Number of bits of a channel."""
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
-CHANNEL_SHIFTS = tuple(
+CHANNEL_START_BITS = tuple(
     range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS)
 )
 """Number of the lowest bit of each channel in a frame."""
@@ -327,14 +327,14 @@ class SensorNode:
 
 def _tension_signal(slot: int, index: int) -> Signal:
     """Return the signal of a tendon in channel ``slot`` of a frame."""
-    return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+    return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_START_BITS[slot], CHANNEL_BITS,
                       scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
 
 
 def _joint_signal(slot: int, index: int, is_prismatic: bool) -> Signal:
     """Return the signal of a joint in channel ``slot`` of a frame."""
     step, unit = (JOINT_STEP_M, "m") if is_prismatic else (JOINT_STEP_RAD, "rad")
-    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_START_BITS[slot], CHANNEL_BITS,
                   scale=step, offset=-JOINT_ZERO_COUNT * step, unit=unit,
                   channel=index)  # fmt: skip
 

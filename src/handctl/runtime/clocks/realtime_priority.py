@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-LATENCY_FILE = "/dev/cpu_dma_latency"
+CPU_LATENCY_FILE = "/dev/cpu_dma_latency"
 """File through which a process tells Linux how fast idle processors must wake up."""
 ZERO_CPU_LATENCY = bytes(4)
-"""Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
+"""Wake-up time of 0 us to write into ``CPU_LATENCY_FILE``, as a 32-bit integer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +85,11 @@ def keep_processors_awake() -> Iterator[bool]:
 
     Yield True if the system permits it. Otherwise an idle processor sleeps. An idle processor may
     take a millisecond to wake up, above all in a virtual machine. Idle processors stay awake as
-    long as a process keeps ``LATENCY_FILE`` open after writing a latency of 0.
+    long as a process keeps ``CPU_LATENCY_FILE`` open after writing a latency of 0.
     Source: Linux, Documentation/power/pm_qos_interface.
     """
     try:
-        descriptor = os.open(LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
+        descriptor = os.open(CPU_LATENCY_FILE, os.O_WRONLY | os.O_CLOEXEC)
     except OSError:
         yield False
         return
