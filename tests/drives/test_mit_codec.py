@@ -71,7 +71,7 @@ def test_feedback_is_decoded_to_known_values(
         (codec.register_request(0x123, codec.WRITE, 23, 0.5), "230155170000003f"),
         (codec.special_command(codec.ENABLE), "fffffffffffffffc"),
         (codec.special_command(codec.DISABLE), "fffffffffffffffd"),
-        (codec.special_command(codec.CLEAR), "fffffffffffffffb"),
+        (codec.special_command(codec.CLEAR_ERROR), "fffffffffffffffb"),
     ],
 )
 def test_requests_have_the_known_bytes(request_payload: bytes, payload_hex: str) -> None:

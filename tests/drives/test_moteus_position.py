@@ -199,12 +199,12 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(
             target_value = math.inf
         block = run.state.block.copy()
         assert len(sent_frames(block, layout, tables, torque)) == 4
-        good_sent_frame = sent_frames(block, layout, tables, torque)[1]
+        valid_sent_frame = sent_frames(block, layout, tables, torque)[1]
         layout.table(block, "servo")[target_row, 1] = target_value
         frames = sent_frames(block, layout, tables, torque)
         drive = run.controller.drives[1]
         assert isinstance(drive, MoteusDrive)
-        assert good_sent_frame[17:19] == b"\x0f\x23"
+        assert valid_sent_frame[17:19] == b"\x0f\x23"
         assert frames[1] == drive.command.pack(torque[1])
         assert layout.table(block, "servo")[s.SERVO_KP, 1] == 0.0
         assert moteus_command(frames[0])[3] > 0.0

@@ -67,7 +67,7 @@ def clock_pair(tmp_path, monkeypatch):
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
     names = (
         "CLOCK_FILE_VERSION", "GATE_INDEX", "PAUSED_INDEX", "SENT_INDEX", "ANSWERED_INDEX", "REACHED_INDEX",
-        "INTEGER_COUNT", "OPEN_GATE_NS",
+        "CLOCK_FILE_INTEGER_COUNT", "OPEN_GATE_NS",
     )  # fmt: skip
     assert [getattr(shared_clock, name) for name in names] == [
         getattr(simulated, name) for name in names

@@ -18,7 +18,7 @@ PROBE_ROUNDS = range(4)
 # Times of a scan [s]: time of listening, which is enough for several heartbeats, and time to wait
 # for answers in a round.
 SCAN_LISTEN_S = 0.7
-PROBE_ANSWER_S = 0.25
+PROBE_ANSWER_TIMEOUT_S = 0.25
 
 
 @dataclass(frozen=True)

@@ -179,7 +179,7 @@ def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
 
     The drive is enabled at ``t_ns`` [ns].
     """
-    return RecheckCursor(due_ns=_next_slot_ns(node_id, t_ns))
+    return RecheckCursor(due_ns=_next_request_time_ns(node_id, t_ns))
 
 
 def cursor_after_recheck_request(
@@ -195,7 +195,7 @@ def cursor_after_recheck_request(
         node_id: node number of the drive.
         t_ns: time of the tick [ns].
     """
-    check = check._replace(due_ns=_next_slot_ns(node_id, t_ns), tries=check.tries + 1)
+    check = check._replace(due_ns=_next_request_time_ns(node_id, t_ns), tries=check.tries + 1)
     return check, f"{name} is not answered while enabled" if check.tries >= RECHECK_TRIES else ""
 
 
@@ -222,7 +222,7 @@ def cursor_after_recheck_reply(
     return RecheckCursor(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
 
 
-def _next_slot_ns(node_id: int, t_ns: int) -> int:
+def _next_request_time_ns(node_id: int, t_ns: int) -> int:
     """Return the time of the next read-back request to a drive [ns].
 
     Each drive has its own time slots.

@@ -52,7 +52,7 @@ class SignalQuantity(enum.IntEnum):
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
     """Damping of the drive's own position loop, kd."""
-    LIMIT = 11
+    TORQUE_LIMIT = 11
     """Largest absolute torque of the drive."""
 
 
@@ -115,7 +115,7 @@ class Signal(NamedTuple):
             low = (
                 0.0
                 if self.quantity
-                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.LIMIT)
+                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.TORQUE_LIMIT)
                 else -high
             )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -183,7 +183,7 @@ class CyclicMessages(NamedTuple):
 
 POSITION_COMMAND = (
     SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
-    SignalQuantity.TORQUE, SignalQuantity.LIMIT,
+    SignalQuantity.TORQUE, SignalQuantity.TORQUE_LIMIT,
 )  # fmt: skip
 """Signals of ``CyclicMessages.position``, in order. The last one is optional.
 

@@ -52,7 +52,7 @@ The payload contains the node number of the motor.
 # Last byte of each special command.
 ENABLE = 0xFC
 DISABLE = 0xFD
-CLEAR = 0xFB
+CLEAR_ERROR = 0xFB
 # Operations in a register request. REFRESH requests a feedback frame instead of a register.
 READ = 0x33
 WRITE = 0x55
@@ -382,7 +382,7 @@ def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:
 
 
 def special_command(command_code: int) -> bytes:
-    """Return the payload of a special command: ENABLE, DISABLE, or CLEAR."""
+    """Return the payload of a special command: ENABLE, DISABLE, or CLEAR_ERROR."""
     return b"\xff" * 7 + bytes((command_code,))
 
 

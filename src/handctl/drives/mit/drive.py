@@ -361,7 +361,7 @@ class MitDrive:
         # watchdog.
         does_watchdog_need_commands = state.error_text == WATCHDOG_FIRES_WHILE_DISABLED_TEXT
         clear = (
-            (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
+            (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
             if progress.errors_to_ignore
             else ()
         )
@@ -464,7 +464,7 @@ class MitDrive:
             error_text="",
             protocol_state=MitProgress(errors_to_ignore=IGNORED_FAULT_COUNT),
         )
-        return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR)),)
+        return fresh_state, (self._frame_to_motor(codec.special_command(codec.CLEAR_ERROR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a disabled motor is not active."""

@@ -315,7 +315,7 @@ def position_message(
     # If a gain is 0, its fraction is 0, whatever the scale of the fraction.
     kp = _float_signal("kp", SignalQuantity.STIFFNESS, 19, gains.kp / math.tau or 1.0, "N m/rad")
     kd = _float_signal("kd", SignalQuantity.DAMPING, 23, gains.kd / math.tau or 1.0, "N m s/rad")
-    limit = _float_signal("limit", SignalQuantity.LIMIT, 27, 1.0, "N m")
+    limit = _float_signal("limit", SignalQuantity.TORQUE_LIMIT, 27, 1.0, "N m")
     signals = (
         position._replace(offset=-direction * zero, largest=MAX_TURNS),
         velocity._replace(largest=top_speed / math.tau),

@@ -43,12 +43,12 @@ from handctl.drives.signals import (
 
 # Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
-CONTROL = 0x01
+MOTION_CONTROL = 0x01
 FEEDBACK = 0x02
 ENABLE = 0x03
 STOP = 0x04
 SET_ZERO = 0x06
-SET_NUMBER = 0x07
+SET_NODE_NUMBER = 0x07
 READ = 0x11
 WRITE = 0x12
 FAULT_REPORT = 0x15
@@ -61,7 +61,7 @@ REQUEST_TYPES = (
     ENABLE,
     STOP,
     SET_ZERO,
-    SET_NUMBER,
+    SET_NODE_NUMBER,
     READ,
     WRITE,
     SAVE,
@@ -208,7 +208,7 @@ def command_message(
     )
     return CyclicMessage(
         "command",
-        EXTENDED_FLAG | CONTROL << 24 | node_id,
+        EXTENDED_FLAG | MOTION_CONTROL << 24 | node_id,
         8,
         (torque,),
         0,

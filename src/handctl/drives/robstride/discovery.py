@@ -22,7 +22,7 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
     codec.GET_ID,
     codec.READ,
     codec.REPORTING,
-} | {codec.CONTROL}
+} | {codec.MOTION_CONTROL}
 """Types of frames by which another host is detected."""
 
 

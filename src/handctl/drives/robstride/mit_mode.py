@@ -77,7 +77,7 @@ FACTORY_HOST_ID = 0
 """Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload of the special command to read the faults."""
-FAULT_READ_PERIOD = 8
+FAULT_READ_INTERVAL_FRAMES = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
 """Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
@@ -241,7 +241,7 @@ class RobstrideMitDrive(CubemarsDrive):
         if (
             target == DriveTarget.POLL
             and is_disabled
-            and next_state.feedback_count % FAULT_READ_PERIOD == REQUIRED_ANSWER_COUNT
+            and next_state.feedback_count % FAULT_READ_INTERVAL_FRAMES == REQUIRED_ANSWER_COUNT
         ):
             return next_state, (self._frame_to_motor(READ_FAULTS),)
         return next_state, frames
@@ -252,7 +252,7 @@ class RobstrideMitDrive(CubemarsDrive):
         The motor then starts again with stop commands.
         """
         cleared_state, stop = CubemarsDrive.clear(self, state)
-        return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
+        return cleared_state, (self._frame_to_motor(mit.special_command(mit.CLEAR_ERROR)), *stop)
 
     def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code of the drive, see ``contract.Drive``."""

@@ -58,7 +58,7 @@ TIME_STAMP_OFFSET = struct.calcsize("@Nii")
 
 The nanoseconds follow them.
 """
-STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
+TIME_STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
 
 Control messages with a loss counter but no time stamp are shorter.
@@ -176,7 +176,7 @@ class DatagramSlots:
             kinds = set(_HEADER_STRUCT.iter_unpack(raw_bytes))
             length, size = kinds.pop()
             self._last_has_counters = length >= COUNTER_CONTROL_BYTES
-            has_time_stamp = self._last_has_counters or length == STAMP_CONTROL_BYTES
+            has_time_stamp = self._last_has_counters or length == TIME_STAMP_CONTROL_BYTES
             self._last_size = size if has_time_stamp and not kinds else 0
             self._last_headers = raw_bytes
         if self._last_has_counters and (self._loss_counters[:count] != known_loss_count).any():
@@ -194,7 +194,9 @@ class DatagramSlots:
             sizes, control, strict=True
         ):
             is_timestamp = (
-                length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+                length >= TIME_STAMP_CONTROL_BYTES
+                and kind == SO_TIMESTAMPNS
+                and level == _SOL_SOCKET
             )
             is_drop_counter = (
                 length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET

@@ -37,7 +37,7 @@ from handctl.runtime.clocks.real_clock import RealClock
 CLOCK_FILE_VERSION = 1
 GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
 """Indices of the integers in the file of the shared clock."""
-INTEGER_COUNT = 6
+CLOCK_FILE_INTEGER_COUNT = 6
 OPEN_GATE_NS = 2**63 - 1
 """Value of the gate while no controller uses the clock.
 
@@ -81,7 +81,7 @@ class ClockFile:
         """
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
-            self._map = mmap.mmap(descriptor, 8 * INTEGER_COUNT)
+            self._map = mmap.mmap(descriptor, 8 * CLOCK_FILE_INTEGER_COUNT)
         finally:
             os.close(descriptor)
         self.numbers = memoryview(self._map).cast("q")

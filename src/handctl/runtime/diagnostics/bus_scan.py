@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from handctl.drives.discovery import (
-    PROBE_ANSWER_S,
+    PROBE_ANSWER_TIMEOUT_S,
     PROBE_ROUNDS,
     SCAN_LISTEN_S,
     DiscoveredNode,
@@ -95,7 +95,7 @@ def scan_bus(
         for frame in _requests_of_round(turn, seen_frames, omitted):
             if not _send_with_retries(bus, frame, seen_frames, listen_function):
                 break
-        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen_frames)
+        listen_function(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_TIMEOUT_S, seen_frames)
         if turn == 0 and not force and (foreign_frames := _foreign_frames(seen_frames)):
             break
     drives = tuple(
