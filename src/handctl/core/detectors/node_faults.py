@@ -175,8 +175,6 @@ def detect_node_faults_under_torque(
 def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: EvidenceTable) -> None:
     """Find encoders with a constant reading although their motor or joint moves.
 
-    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
-    position loop, this is a long way of the goal. A shorter way of the goal therefore proves nothing.
     In the evidence table, the row for joints follows the row for motors.
     """
     for n in range(x.tendon.shape[1]):
@@ -188,10 +186,8 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 stuck_sensors.reference_tension(x, c, n),
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
-            loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.ERROR_GAIN, n]
-            overcomes_friction = goal * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB, n]
             if (
-                goal > STUCK_SENSOR_GOAL_CHANGE_M and overcomes_friction
+                goal > STUCK_SENSOR_GOAL_CHANGE_M and _overcomes_friction(c, n, goal)
             ) or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
@@ -206,6 +202,19 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
             )
             if turned_angle > STUCK_SENSOR_JOINT_CHANGE_DEG:
                 evidence[N04 + 1, j] = turned_angle
+
+
+@kernel_helper
+def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
+    """Return True if a change of the goal [m] moves the motor against its friction.
+
+    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
+    position loop, this is a long way of the goal. Position loops in drives are stiff.
+    """
+    loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.ERROR_GAIN, n]
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or loop_stiffness == 0.0:
+        return True
+    return bool(goal_change * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB, n])
 
 
 @kernel_helper
