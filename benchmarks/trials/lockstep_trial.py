@@ -24,7 +24,7 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth_record import TruthRecord, read_truth
 from handctl.session.simulate import SimulatorSettings
-from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_name
+from trials.benchmark_hands import FREE_MOTION_SCENE, hand_by_name, hand_file_of, packaged_hand_name
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. One classical CAN bus can carry these rates."""
@@ -137,7 +137,7 @@ def run_trial(trial: LockstepTrial) -> TrialRecord:
         RuntimeError: a digit touched something in the scene of free motion.
     """
     hand = hand_by_name(trial.hand)
-    rate = trial.rate_hz or RATES_HZ[packaged_name(trial.hand)]
+    rate = trial.rate_hz or RATES_HZ[packaged_hand_name(trial.hand)]
     controller = trial.change_controller(
         make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True)
     )

@@ -337,23 +337,25 @@ def _status_while_enabled(drive: Any, protocol: str) -> int:
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
     if protocol == "moteus":
-        return int(moteus.joined_status(moteus.POSITION, 0))
+        return int(moteus.join_mode_and_fault(moteus.POSITION, 0))
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
 def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
     state: DriveState = drive.initial_state()
-    private: Any = state.private
+    protocol_state: Any = state.protocol_state
     if protocol != "odrive":
-        private = private._replace(enable_sent=True)
+        protocol_state = protocol_state._replace(is_enable_sent=True)
     if protocol in ("mit", "moteus", "robstride"):
-        private = private._replace(configured=True)
+        protocol_state = protocol_state._replace(is_configured=True)
     if protocol == "cia402":
-        cursor = private.cursor._replace(step=len(drive.steps))
-        private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
+        cursor = protocol_state.cursor._replace(step=len(drive.steps))
+        protocol_state = protocol_state._replace(
+            cursor=cursor, power_state=cia402.OPERATION_ENABLED, life_sign_ns=0
+        )
     check = readback.first_recheck(drive.node_id, 0)
-    return state._replace(phase=DrivePhase.ENABLED, recheck=check, private=private)
+    return state._replace(phase=DrivePhase.ENABLED, recheck=check, protocol_state=protocol_state)
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:

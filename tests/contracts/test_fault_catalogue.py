@@ -27,14 +27,14 @@ from handctl.safety.faults.markdown import (
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
 
 REPOSITORY = Path(__file__).parents[2]
-ROWS_BY_LETTER = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
+FAULT_COUNT_BY_LETTER = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
 CATALOGUE_IDS = [
     f"{letter}{number:02}"
-    for letter, size in ROWS_BY_LETTER.items()
+    for letter, size in FAULT_COUNT_BY_LETTER.items()
     for number in range(1, size + 1)
 ]
 """Identifiers of all faults: 68 from the first catalogue, and the later ones N17 and I11."""
-ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
+CATALOGUE_ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
 AUTOSAR_FAULTS = {
     "repetition": "B05", "loss": "B01 B02 B03", "delay": "B04", "insertion": "B06 B10", "masquerade": "B06 N13 H13",
@@ -104,17 +104,17 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
 
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in FAULT_MATRIX:
-        entry = ENTRY_BY_ID[row.id]
+        entry = CATALOGUE_ENTRY_BY_ID[row.id]
         if row.accepted_faults[:1] == ("B11b",):  # second stage of the fault B11, after ten ticks
             assert row.max_ticks == 11
             continue
         assert row.max_ticks * 2.0 + row.max_extra_ms <= entry.max_reaction_time_ms(500.0), row
-        extra_ms_by_protocol = {
+        extra_delay_ms_by_protocol = {
             p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
         }
-        assert extra_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
+        assert extra_delay_ms_by_protocol.get("odrive", 0.0) <= entry.odrive_extra_ms, row
         for protocol in ("mit", "cia402"):
-            assert row.max_ticks * 2.0 + row.max_extra_ms + extra_ms_by_protocol.get(
+            assert row.max_ticks * 2.0 + row.max_extra_ms + extra_delay_ms_by_protocol.get(
                 protocol, 0.0
             ) <= entry.max_reaction_time_ms(500.0), row
 

@@ -38,7 +38,7 @@ class SensorReadings(NamedTuple):
     Attributes:
         travel: spool travel, read by the motor encoder [m]. tension: tension, read by the load cell
             and reduced by its tare [N]. excursion: tendon excursion, read by joint encoders [m].
-        joints: (J,) joint angles, read by the joint encoders [rad]. saturated: tendons whose load
+        joints: (J,) joint angles, read by the joint encoders [rad]. saturated_tendons: tendons whose load
             cell is at an end of its range.
     """
 
@@ -46,7 +46,7 @@ class SensorReadings(NamedTuple):
     tension: np.ndarray
     excursion: np.ndarray
     joints: np.ndarray
-    saturated: tuple[int, ...] = ()
+    saturated_tendons: tuple[int, ...] = ()
 
 
 class SyntheticEstimate(NamedTuple):
@@ -76,7 +76,7 @@ class SyntheticEstimate(NamedTuple):
     grip_travel: np.ndarray
 
 
-BLOCK_FIELD_BY_ATTRIBUTE = {
+STATE_FIELD_BY_ATTRIBUTE = {
     "tension_sigma": "sigma",
     "tendon_speed": "speed", "motor_disturbance": "disturbance",
     "external_tension": "external",
@@ -121,7 +121,7 @@ def active_state(model: HandModel) -> ControllerState:
     return _active_state_template(model).copy()
 
 
-def stage_constants(model: HandModel) -> tuple[BlockArray, TableOffsets]:
+def constant_args_of(model: HandModel) -> tuple[BlockArray, TableOffsets]:
     """Return the constants of a hand, and the layout of these constants.
 
     Every stage of a tick has these two objects as its last arguments.
@@ -134,7 +134,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
 
     Functions from ``uncompiled_function`` take the constants as such tables.
     """
-    return uncompiled_function(constant_tables)(*stage_constants(model))
+    return uncompiled_function(constant_tables)(*constant_args_of(model))
 
 
 def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> ControllerState:
@@ -142,7 +142,7 @@ def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> Contro
     state = active_state(model)
     for name, value in estimate._asdict().items():
         if name not in DERIVED_ATTRIBUTES:
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[estimate.is_slack] = SLACK_REGIME
     return state
 
@@ -157,7 +157,7 @@ def estimate_of(state: ControllerState) -> SyntheticEstimate:
     return SyntheticEstimate(**{name: np.array(value) for name, value in estimate_values.items()})
 
 
-class LoadStatics(NamedTuple):
+class StaticTendonForces(NamedTuple):
     """Known forces along each tendon (N,) [N].
 
     Attributes:
@@ -185,12 +185,12 @@ def _tendon_load_forces(
     )
 
 
-def load_statics(
+def static_tendon_forces(
     model: HandModel,
     table: np.ndarray,
     tension: np.ndarray,
     friction_state: np.ndarray | None = None,
-) -> LoadStatics:
+) -> StaticTendonForces:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
     The stretch offset of each tendon is chosen so that the tendon has its given tension.
@@ -203,8 +203,8 @@ def load_statics(
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
-    return LoadStatics(
-        *_tendon_load_forces(state.block, state.layout.offsets, *stage_constants(model))
+    return StaticTendonForces(
+        *_tendon_load_forces(state.block, state.layout.offsets, *constant_args_of(model))
     )
 
 
@@ -225,12 +225,12 @@ def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """
     return np.asarray(
         _winding_efficiency(
-            *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
+            *constant_args_of(model), np.asarray(q, dtype=np.float64), model.tendon_count
         )
     )
 
 
-def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
+def estimate_from_states(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that corresponds exactly to filter states (N, 7).
 
     In this estimate, all tendons are taut and no digit touches an object.
@@ -276,7 +276,7 @@ def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
     x[:, X] = (
         x[:, S]
-        + load_statics(model, x, np.zeros(len(x))).resistance / model.tendon_constants.stiffness
+        + static_tendon_forces(model, x, np.zeros(len(x))).resistance / model.tendon_constants.stiffness
     )
     return x
 
@@ -285,7 +285,7 @@ def estimate_under_tension(
     model: HandModel, tension: float | np.ndarray, joint_angle: float = 0.0
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons have given tensions."""
-    return exact_estimate(model, balanced_state(model, joint_angle))._replace(
+    return estimate_from_states(model, balanced_state(model, joint_angle))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 
@@ -319,7 +319,7 @@ def detect_contacts(
     """
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED_ATTRIBUTES, "grown"):
-            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+            state.view(STATE_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
     state.view("regime")[...] = state.view("kind")[...] = np.where(
         estimate.is_slack, SLACK_REGIME, 0
     )
@@ -329,7 +329,7 @@ def detect_contacts(
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - elastic_tension / model.tendon_constants.stiffness
     )
-    tick_stages.conclude_estimate(state.block, state.layout.offsets, *stage_constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.offsets, *constant_args_of(model))
     hand_estimate = state.estimate
     return estimate._replace(
         contact_force=hand_estimate.contact_force.copy(),

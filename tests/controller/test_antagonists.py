@@ -58,7 +58,7 @@ def two_n_hand() -> Hand:
     base = content["tendon"][-1]
     motor = content["motor"][-1]
     arm = 0.004948
-    routes = {
+    moment_arms_by_tendon = {
         "f1": {"thumb_j1": arm},
         "e1": {"thumb_j1": -arm},
         "f2": {"thumb_j1": arm, "thumb_j2": arm},
@@ -66,7 +66,7 @@ def two_n_hand() -> Hand:
     }
     tendons = [tendon for tendon in content["tendon"] if not tendon["name"].startswith("thumb")]
     motors = [entry for entry in content["motor"] if not entry["name"].startswith("thumb")]
-    for i, (name, arms) in enumerate(routes.items()):
+    for i, (name, arms) in enumerate(moment_arms_by_tendon.items()):
         tendons.append(
             base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
         )
@@ -123,7 +123,7 @@ def logged_events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
     return run.last_output.events
 
 
-HAND_BY_KIND = {
+HAND_FACTORY_BY_KIND = {
     "n + 1": n_plus_1_hand,
     "n + 1 without joint encoders": hand_without_encoders,
     "2 n": two_n_hand,
@@ -131,7 +131,7 @@ HAND_BY_KIND = {
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
-@pytest.mark.parametrize("hand_kind", HAND_BY_KIND)
+@pytest.mark.parametrize("hand_kind", HAND_FACTORY_BY_KIND)
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     hand_kind: str, seed: int
 ) -> None:
@@ -139,7 +139,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
 
     The joints follow their goals within one degree.
     """
-    hand = HAND_BY_KIND[hand_kind]()
+    hand = HAND_FACTORY_BY_KIND[hand_kind]()
     period_ns = round(1e9 / RATE_HZ)
     with SimulatorSettings(hand, None, seed).simulated_hand(period_ns) as peer:
         plant = peer.world.plant

@@ -30,7 +30,7 @@ from tests.controller.filter_runs import (
     FilterState,
     corrected_state,
     filter_state_of,
-    run_unplanned_filter_tick,
+    run_filter_tick_without_plan,
     state_with_filter,
     write_readings,
 )
@@ -175,15 +175,15 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     After the tendon has become taut, the filter counts its evidence from zero again.
     """
     n = model.tendon_count
-    above = next(
-        above
-        for above, worth in SLACK_EVIDENCE_POINTS
+    lower_tension = next(
+        lower_tension
+        for lower_tension, worth in SLACK_EVIDENCE_POINTS
         if worth * NEARLY_TAUT_FACTOR >= TAUT_POINTS > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - slack_length_m, S=2e-3)._replace(
         is_length_known=(is_length_known,) * n
     )
-    regimes_after = regimes_after_sample(model, state, above + 1e-6)
+    regimes_after = regimes_after_sample(model, state, lower_tension + 1e-6)
     assert (
         regimes_after.regimes
         == ((TendonRegime.FREE if is_taut_afterwards else TendonRegime.SLACK),) * n
@@ -215,7 +215,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
 def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
-    _, estimate = run_unplanned_filter_tick(
+    _, estimate = run_filter_tick_without_plan(
         model, FilterState.initial_filter_state(n), empty_readings(model), np.zeros(n), no
     )
     shapes = {

@@ -103,13 +103,13 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
     for i, blocks in enumerate(model.filter_design.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
-        taut = regime != TendonRegime.SLACK
+        is_taut = regime != TendonRegime.SLACK
         tension = (
             (
                 model.tendon_constants.stiffness[i] * 1.6e-4
                 + model.tendon_constants.damping[i] * 0.008
             )
-            if taut
+            if is_taut
             else 0.0
         )
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
@@ -200,9 +200,9 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
                     err_msg=name,
                 )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
-            twice = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
+            stored_information = row[h.INFORMATION_OFFSET : h.INFORMATION_OFFSET + 3]
             np.testing.assert_allclose(
-                [information[0, 0], 4 * information[0, 1], information[1, 1]], twice
+                [information[0, 0], 4 * information[0, 1], information[1, 1]], stored_information
             )
             assert row[h.TENSION_VARIANCE_OFFSET] == block.tension_variance
             np.testing.assert_allclose(

@@ -32,12 +32,12 @@ from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_simulator
 from handctl.safety.safety_action import SafetyAction
+from tests.controller.control_law_runs import tension_limits_of
 from tests.controller.controller_bench import (
     ControllerBench,
     make_controller_bench,
     uncommissioned_controller,
 )
-from tests.controller.law_runs import tension_limits_of
 
 HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
 MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
@@ -94,9 +94,9 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     bench_with_rising_tension: ControllerBench, unsolvable_gain: tuple[str, float]
 ) -> None:
     gains_before = bench_with_rising_tension.state.decisions.gains
-    outs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
-    outs += [bench_with_rising_tension.tick() for _ in range(10)]
-    (gains_event,) = [event for out in outs for event in out.events if event.name == "gains"]
+    outputs = [bench_with_rising_tension.tick(gain_request(dict([unsolvable_gain])))]
+    outputs += [bench_with_rising_tension.tick() for _ in range(10)]
+    (gains_event,) = [event for out in outputs for event in out.events if event.name == "gains"]
     assert gains_event.text.startswith("refused: gains: ")
     assert "no controller follows" in gains_event.text
     decisions = bench_with_rising_tension.state.decisions
@@ -133,31 +133,31 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
 def test_a_change_is_taken_over_when_every_piece_is_designed(
     bench_with_rising_tension: ControllerBench, jamia: HandModel
 ) -> None:
-    outs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
-    outs += [
+    outputs = [bench_with_rising_tension.tick(gain_request({"tension.force_N": 45.0}))]
+    outputs += [
         bench_with_rising_tension.tick()
         for _ in range(control_loop_count(jamia.tendon_constants) + 2)
     ]
-    events = [[event for event in out.events if event.name == "gain"] for out in outs]
+    events = [[event for event in out.events if event.name == "gain"] for out in outputs]
     at = [i for i, event_of_tick in enumerate(events) if event_of_tick]
     assert at == [control_loop_count(jamia.tendon_constants) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
     assert bench_with_rising_tension.state.decisions.gains is not None
     assert bench_with_rising_tension.state.decisions.gains.tension.force_N == 45.0
-    hashes = {out.state_hash for out in outs}
-    assert len(hashes) == len(outs)
+    hashes = {out.state_hash for out in outputs}
+    assert len(hashes) == len(outputs)
 
 
-RecordedLawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
+RecordedControlLawCall = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
-def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedLawCall]:
+def record_control_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[RecordedControlLawCall]:
     """Return a list that records each call of the control law.
 
     An entry contains the controller, its states before and after the call, the action of the safety
     monitor, and the number of ticks.
     """
-    calls, real = list[RecordedLawCall](), Controller._compute_torques
+    calls, real = list[RecordedControlLawCall](), Controller._compute_torques
 
     def record_call(
         self: Controller, state: ControllerState, action: SafetyAction, ticks: int
@@ -194,19 +194,19 @@ def test_a_change_makes_no_step_in_torque(
         bench.tick(
             gain_request(gain_by_key)
         ) if bench.state.decisions.pending_gains is None else bench.tick()
-    calls = record_law_calls(monkeypatch)
+    calls = record_control_law_calls(monkeypatch)
     out = bench.tick()
     assert any(event.name == "gain" for event in out.events)
     assert bench.state.run_table_integer(s.TRIM_ACTIVE)
     (_, state_before, _, action, ticks), (new_controller, _, without, *_) = calls
-    with_trim = state_before.copy()
-    with_trim.view("trim")[...] = bench.state.view("trim")
-    with_trim.set_run_table_integer(s.TRIM_ACTIVE, 1)
-    new_controller._compute_torques(with_trim, action, ticks)
+    state_with_trim = state_before.copy()
+    state_with_trim.view("trim")[...] = bench.state.view("trim")
+    state_with_trim.set_run_table_integer(s.TRIM_ACTIVE, 1)
+    new_controller._compute_torques(state_with_trim, action, ticks)
     np.testing.assert_allclose(
-        with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
+        state_with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
     )
-    assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
+    assert np.abs(without.view("torque") - state_with_trim.view("torque")).max() > 1e-4
 
 
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
@@ -226,7 +226,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         "_judge_faults",
         lambda self, *words: (SafetyAction.HOLD, judge_faults(self, *words)[1]),
     )
-    calls = record_law_calls(monkeypatch)
+    calls = record_control_law_calls(monkeypatch)
     bench.tick(gain_request({"motion.force_N": 60.0}))
     while bench.state.decisions.pending_gains is not None:
         calls.clear()

@@ -80,9 +80,9 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
         z = np.exp(1j * w)
         turn = np.array([(K @ np.linalg.solve(z_value * np.eye(2) - F, G))[0, 0] for z_value in z])
         assert np.abs(1.0 + turn).min() > 0.4, "distance of the open loop from -1"
-        crossing = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
-        lag = np.degrees(np.pi - np.abs(np.angle(turn[crossing])))
-        assert len(crossing)
+        gain_crossings = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
+        lag = np.degrees(np.pi - np.abs(np.angle(turn[gain_crossings])))
+        assert len(gain_crossings)
         assert lag.min() > 30.0
 
 

@@ -47,7 +47,7 @@ GRASPS_AND_OBJECTS = [
 HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
-class PostureTick(NamedTuple):
+class GraspPostureSample(NamedTuple):
     """Values of one tick of a grasp: the phase, joint angles (J,) [rad], and the contact force on each digit [N].
 
     The joint angles are the true angles, the estimated angles with their standard deviations, and
@@ -80,7 +80,9 @@ def hand_file_with_encoders(folder: Path, joints_with_encoders: int | None = Non
     return path
 
 
-def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> Iterator[PostureTick]:
+def run_grasp(
+    hand_file: Path, task_name: str, scene_name: str, seed: int
+) -> Iterator[GraspPostureSample]:
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.from_hand(load_hand(str(hand_file)), Gains(), RATE_HZ)
     program = TaskProgram(load_task_for_hand(Path(task_name), model.hand)[0])
@@ -92,7 +94,7 @@ def run_grasp(hand_file: Path, task_name: str, scene_name: str, seed: int) -> It
             numbers, real = out.telemetry, np.array(plant.engine.q)
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
-            yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            yield GraspPostureSample(out.phase, real, numbers.q, numbers.q_sigma, free, force)
             if run.state.mode == HandMode.RELAX:
                 break
 
@@ -188,9 +190,9 @@ def angles_of_tick(
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
     model = HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
-    touched = np.full(len(model.digits), 15.0)
+    contact_forces = np.full(len(model.digits), 15.0)
     for k in range(200):
-        angles = angles_of_tick(model, state, estimate, touched, k)
+        angles = angles_of_tick(model, state, estimate, contact_forces, k)
     moment_arms = model.hand.moment_arms
     np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
     turned = np.degrees(np.abs(angles.q - estimate.q).max())
@@ -202,9 +204,9 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     zero_force = np.zeros(len(model.digits))
 
-    def angles_after_contact(touched: np.ndarray, seconds: float) -> JointAngles:
+    def angles_after_contact(contact_forces: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
-            angles = angles_of_tick(model, state, estimate, touched, k)
+            angles = angles_of_tick(model, state, estimate, contact_forces, k)
         return angles
 
     constants = constant_tables_of(model)

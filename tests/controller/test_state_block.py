@@ -264,7 +264,9 @@ def random_hand(seed: int) -> HandModel:
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
-            _varied_section(entry, rng) for entry in raw[section] if is_kept_section(entry["name"])
+            _randomised_section(entry, rng)
+            for entry in raw[section]
+            if is_kept_section(entry["name"])
         ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
@@ -275,22 +277,22 @@ def random_hand(seed: int) -> HandModel:
     )
 
 
-VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+RANDOMISED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
+def _randomised_section(section: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file in which numbers are varied at random."""
-    varied_section = dict(section)
-    for key in VARIED_KEYS:
-        if key in varied_section:
+    randomised_section = dict(section)
+    for key in RANDOMISED_KEYS:
+        if key in randomised_section:
             factor = rng.uniform(0.8, 1.25)
-            varied_section[key] = (
-                [factor * x for x in varied_section[key]]
-                if isinstance(varied_section[key], list)
-                else factor * varied_section[key]
+            randomised_section[key] = (
+                [factor * x for x in randomised_section[key]]
+                if isinstance(randomised_section[key], list)
+                else factor * randomised_section[key]
             )
-    return varied_section
+    return randomised_section
 
 
 def packed_constants(
@@ -388,7 +390,7 @@ def test_every_element_of_every_field_changes_the_digest(
         known_digests.add(digest)
 
 
-def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
+def goal_variants() -> Iterator[tuple[str, DigitGoal]]:
     move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
     tension = np.array([5.0])
     yield "limp", DigitGoal()
@@ -402,7 +404,7 @@ def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
     yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+def progress_variants(progress: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """Yield copies of a program's progress. Each copy differs in one part.
 
     The test changes the goals one by one.
@@ -414,7 +416,7 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
         "touching": [(9, *progress.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(reference_excursion=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(tension_factor=1.2), grip._replace(limited=True)],
-        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in changed_goals())],
+        "goals": [progress.goals[::-1], *((goal, *progress.goals[1:]) for _, goal in goal_variants())],
         "task": [load_task_for_hand(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
@@ -426,18 +428,18 @@ def changed_progresses(progress: ProgramProgress) -> Iterator[tuple[str, Program
 
 
 EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
-OTHER_STREAM_VALUES = {
+CHANGED_STREAM_VALUES = {
     "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
     "period": 0.02, "horizon": 0.015,
 }  # fmt: skip
 
 
-def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
+def decision_variants(decisions: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """Yield copies of a controller's decisions. Each copy differs in one part."""
     pending_gains = PendingGains(gains_with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [decisions.drives[::-1]],
-        "progress": [progress for _, progress in changed_progresses(decisions.progress)],
+        "progress": [progress for _, progress in progress_variants(decisions.progress)],
         "latched_faults": [
             (*decisions.latched_faults, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
@@ -481,7 +483,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
             EXAMPLE_STREAM,
             *(
                 replace(EXAMPLE_STREAM, **{name: value})
-                for name, value in OTHER_STREAM_VALUES.items()
+                for name, value in CHANGED_STREAM_VALUES.items()
             ),
         ],
     }
@@ -494,7 +496,7 @@ def changed_decisions(decisions: ControllerDecisions) -> Iterator[tuple[str, Con
 def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
     state = active_bench.state
     name_by_digest = {state.digest(): "unchanged"}
-    for name, changed in changed_decisions(state.decisions):
+    for name, changed in decision_variants(state.decisions):
         digest = ControllerState(state.layout, state.block, changed).digest()
         assert digest not in name_by_digest, f"{name} and {name_by_digest[digest]} have one digest"
         name_by_digest[digest] = name

@@ -20,17 +20,17 @@ def hashed_bytes(hashed_value: object) -> bytes:
 
 
 def test_values_of_same_objects_are_taken_over() -> None:
-    asked_objects = list[object]()
+    hashed_objects = list[object]()
 
     def bytes_of_recorded_item(item: object) -> bytes:
-        asked_objects.append(item)
+        hashed_objects.append(item)
         return hashed_bytes(item)
 
     cache = SequenceCache[object](bytes_of_recorded_item)
     first_list, second_list, third_list = [1], [2], [3]
     assert cache((first_list, second_list)) == [b"[1]", b"[2]"]
     assert cache((first_list, third_list)) == [b"[1]", b"[3]"]
-    assert asked_objects == [first_list, second_list, third_list]
+    assert hashed_objects == [first_list, second_list, third_list]
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -179,7 +179,7 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
 
     The hash of the state is computed from this form.
     """
-    ways = [
+    trajectories = [
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.1]), 1.0),
@@ -190,4 +190,4 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
         CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.1), 1),
         CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.0), 3),
     ]
-    assert len({serialized_bytes(distance_rad) for distance_rad in ways}) == len(ways)
+    assert len({serialized_bytes(distance_rad) for distance_rad in trajectories}) == len(trajectories)

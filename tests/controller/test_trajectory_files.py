@@ -50,8 +50,8 @@ def test_velocity_and_acceleration_are_the_derivatives() -> None:
 
 def test_peak_speed_is_the_largest_on_the_way() -> None:
     curve = CurveTrajectory.curve_through_points((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
-    sampled = max(abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
-    assert curve.peak_speed() == pytest.approx(sampled, rel=1e-6)
+    peak_sampled_speed = max(abs(curve.motion_at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
+    assert curve.peak_speed() == pytest.approx(peak_sampled_speed, rel=1e-6)
 
 
 def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:

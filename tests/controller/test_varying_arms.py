@@ -42,7 +42,7 @@ def _update_structure(
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
-def _arm_and_slope(
+def _excursion_and_derivatives(
     block: BlockArray,
     state_places: TableOffsets,
     constants: BlockArray,
@@ -136,7 +136,7 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
         values_at_angle, values_before, values_after = (
-            _arm_and_slope(*places, 2, 1, angle) for angle in (q, q - step, q + step)
+            _excursion_and_derivatives(*places, 2, 1, angle) for angle in (q, q - step, q + step)
         )
         np.testing.assert_allclose(
             (values_after - values_before)[:2] / (2 * step), values_at_angle[1:], atol=1e-8

@@ -32,7 +32,7 @@ def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     state = drive.initial_state()._replace(
         phase=DrivePhase.ENABLED,
         recheck=check,
-        private=MitProgress(configured=True, enable_sent=True),
+        protocol_state=MitProgress(is_configured=True, is_enable_sent=True),
     )
     return drive, state
 

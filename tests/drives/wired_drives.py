@@ -37,7 +37,7 @@ class WiredDrives:
     def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
-        n = len(sensors.frame_of)
+        n = len(sensors.tendon_frame_indices)
         joints = 1 + max(
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
@@ -88,7 +88,7 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.offsets, *self._constants, frames.rows, known_tables.keys, known_tables.entries,
+                self.block, self.layout.offsets, *self._load_cell_constants, frames.rows, known_tables.keys, known_tables.entries,
                 known_tables.signal_integers, known_tables.signal_scalings, known_tables.recheck_ranges,
                 known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
@@ -175,11 +175,11 @@ class WiredDrives:
 
         The filter starts as soon as every sensor has been read once.
         """
-        tick_stages.observe_tick(self.block, self.layout.offsets, *self._constants)
+        tick_stages.observe_tick(self.block, self.layout.offsets, *self._load_cell_constants)
         return self
 
     @cached_property
-    def _constants(self) -> tuple[NDArray, NDArray]:
+    def _load_cell_constants(self) -> tuple[NDArray, NDArray]:
         """Return the block of a hand's constants.
 
         Only the constants for load-cell frames have values.

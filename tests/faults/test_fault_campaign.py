@@ -31,6 +31,7 @@ from handctl.campaign.run_stages import (
     DELAY_OF_FREE_STAGE_S,
     MIN_CONTROL_RATE_HZ,
     advance_to_stage,
+    hand_with_drives,
     hand_with_protocol,
     homed_run,
     run_in_branches,
@@ -39,6 +40,7 @@ from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.safety.faults.tendon import RELAXING_TIME_S
+from handctl.safety.missing_sensors import sensing_warnings
 from handctl.safety.safety_action import SafetyAction
 from handctl.safety.safety_limits import MAX_STALL_S, MIN_STALLED_TICKS, tick_count_for_time
 from handctl.session.run_plan import default_control_rate
@@ -429,6 +431,18 @@ def test_only_missing_sensors_extend_a_time_limit():
         hand = hand_with_protocol(name, "mit")
         scenarios = [*scenarios_of_hand(hand, "mit", 2.0), *fault_pairs(hand, "mit", 2.0)]
         assert any(scenario.missing_sensor_ticks for scenario in scenarios) == some
+
+
+@pytest.mark.parametrize(("protocol", "is_judged"), [("mit", True), ("odrive", False)])
+def test_torque_after_a_cut_needs_a_load_cell_or_torque_in_each_reply(protocol, is_judged):
+    """For the fault N16, the campaign and `config check` agree.
+
+    An ODrive sends its torque in a separate frame, and sends none after a cut.
+    """
+    hand = hand_with_drives(load_hand("orca_like"), protocol)
+    rows = {scenario.row.id for scenario in scenarios_of_hand(hand, protocol, 5.0)}
+    assert ("N16" in rows) == is_judged
+    assert any("N16" in line for line in sensing_warnings(hand)) != is_judged
 
 
 def test_a_stall_of_the_host_is_a_stall_at_every_control_rate():

@@ -52,7 +52,7 @@ NOW_NS = 10_000_000_000
 All ticks have the same time, because the detectors use only the ages of readings.
 """
 PERIOD_NS = round(PERIOD_S * 1e9)
-StateRows = dict[str, Any]
+StateValues = dict[str, Any]
 """Values of the state by the name of a field: one value for all elements of the field, or values by index."""
 
 
@@ -120,7 +120,7 @@ class SyntheticMonitor:
         self.block = self.layout.initial.copy()
         self.latched: tuple[LatchedFault, ...] = ()
         self.reported_faults: tuple[ReportedFault, ...] = ()
-        self.set_rows({
+        self.set_state_values({
             "mode": int(HandMode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
             "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
@@ -144,7 +144,7 @@ class SyntheticMonitor:
         for name, value in constant_by_name.items():
             self.constants_layout.view(self.constants, name)[...] = value
 
-    def set_rows(self, value_by_field: StateRows) -> None:
+    def set_state_values(self, value_by_field: StateValues) -> None:
         """Set rows of the state by name."""
         for name, value in value_by_field.items():
             if isinstance(value, dict):
@@ -168,26 +168,26 @@ class SyntheticMonitor:
         """
         present = self.view("fault_ticks").copy()
         self.block[:] = self.block_at_rest
-        self.set_rows({"fault_ticks": present})
+        self.set_state_values({"fault_ticks": present})
 
     @property
     def state_tables(self) -> StateTables:
         """Return the tables of the state in the form that interpreted functions need."""
-        return _uncompiled(state_tables)(self.block, self.layout.offsets)
+        return _uncompiled_helper(state_tables)(self.block, self.layout.offsets)
 
     @property
     def hand_tables(self) -> ConstantTables:
         """Return the tables of the constants in the form that interpreted functions need."""
-        return _uncompiled(constant_tables)(self.constants, self.constants_layout.offsets)
+        return _uncompiled_helper(constant_tables)(self.constants, self.constants_layout.offsets)
 
     def tick(
-        self, value_by_field: StateRows | None = None, **more_values: Any
+        self, value_by_field: StateValues | None = None, **more_values: Any
     ) -> dict[str, dict[str, float]]:
         """Set values of the state, and run the fault detectors for one tick.
 
         Return the value of each finding by fault and by part of the hand.
         """
-        self.set_rows({**(value_by_field or {}), **more_values})
+        self.set_state_values({**(value_by_field or {}), **more_values})
         self.demanded_action, self.found_values = tick_stages.find_faults(
             self.block,
             self.layout.offsets,
@@ -203,12 +203,12 @@ class SyntheticMonitor:
             )
         return reported
 
-    def observe_readings(self, value_by_field: StateRows | None = None) -> None:
+    def observe_readings(self, value_by_field: StateValues | None = None) -> None:
         """Convert received values to measurements, and reject impossible positions.
 
         In a tick, this happens before the detectors run.
         """
-        self.set_rows(value_by_field or {})
+        self.set_state_values(value_by_field or {})
         tick_stages.observe_tick(
             self.block,
             self.layout.offsets,
@@ -216,9 +216,9 @@ class SyntheticMonitor:
             self.constants_layout.offsets,
         )
 
-    def store_commands(self, value_by_field: StateRows | None = None) -> None:
+    def store_commands(self, value_by_field: StateValues | None = None) -> None:
         """Store the commands of this tick. In a run, this happens at the end of each tick."""
-        self.set_rows(value_by_field or {})
+        self.set_state_values(value_by_field or {})
         tick_stages.store_commands(
             self.block,
             self.layout.offsets,
@@ -227,7 +227,7 @@ class SyntheticMonitor:
         )
 
     def judge(
-        self, value_by_field: StateRows | None = None, reports: Iterable[EventReport] = ()
+        self, value_by_field: StateValues | None = None, reports: Iterable[EventReport] = ()
     ) -> TickVerdict:
         """Return the verdict of the safety monitor on one tick.
 
@@ -269,7 +269,7 @@ class SyntheticMonitor:
         return constants
 
 
-def _uncompiled(kernel_helper: Any) -> Any:
+def _uncompiled_helper(kernel_helper: Any) -> Any:
     """Return an uncompiled copy of a function that only kernels call.
 
     The copy calls uncompiled copies of the other functions that only kernels call.
@@ -279,7 +279,7 @@ def _uncompiled(kernel_helper: Any) -> Any:
     code = kernel_helper.py_func
     global_names = dict(code.__globals__)
     global_names |= {
-        name: _uncompiled(global_names[name])
+        name: _uncompiled_helper(global_names[name])
         for name in code.__code__.co_names
         if hasattr(global_names.get(name), "py_func")
     }
@@ -293,4 +293,4 @@ def call_interpreted(kernel_helper: Any, *arguments: Any) -> Any:
     helpers of its module.
     """
     with np.errstate(all="ignore"):
-        return _uncompiled(kernel_helper)(*arguments)
+        return _uncompiled_helper(kernel_helper)(*arguments)

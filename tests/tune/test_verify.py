@@ -78,14 +78,14 @@ def test_ringing_gains_are_rolled_back(
         assert observer.rollback.k < requests[1].k <= observer.rollback.k + 2
 
 
-OPPOSED_HANDS = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", "each")]
+TOUCHING_DIGIT_CASES = [("1", "40,30", "each"), ("1", "24,16", "each"), ("1", "60,40", "each")]
 
 
 @pytest.mark.parametrize(
     ("finger_count", "link_lengths_mm", "tendon_choice"),
     [
         pytest.param(*words, marks=pytest.mark.nightly if i else ())
-        for i, words in enumerate(OPPOSED_HANDS)
+        for i, words in enumerate(TOUCHING_DIGIT_CASES)
     ],
 )
 def test_digits_that_meet_are_named_and_not_blamed_on_the_gains(

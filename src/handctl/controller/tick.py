@@ -54,13 +54,13 @@ from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
+    FIRST_PAYLOAD_WORD,
     NO_FRAMES,
-    PAYLOAD_WORD,
     WORDS_PER_RECORD,
     Frames,
     WordRows,
+    concatenate_frames,
     frames_as_records,
-    join_frames,
 )
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
@@ -453,7 +453,7 @@ class Controller:
 
         The values in these frames are not used.
         """
-        pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
+        pairs = zip(amplifiers, self.sensors.amplifier_frame_ranges, strict=True)
         return tuple(
             [
                 group
@@ -716,7 +716,7 @@ class Controller:
         if self.derived_constants.sends_sync:
             counter = self.sensors.counter(state.k)
             frame_rows[0] = self.derived_constants.sync_row
-            frame_rows[0, PAYLOAD_WORD] = counter
+            frame_rows[0, FIRST_PAYLOAD_WORD] = counter
             state.set_run_table_integer(s.SYNC_COUNTER, counter & 0xF)
             # Before the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
@@ -731,9 +731,9 @@ class Controller:
         target = hand_modes.drive_target(mode)
         sent_frames = self._write_commands(state, frame_rows, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
-            sent_frames = join_frames([sent_frames, frames_as_records(setup)])
+            sent_frames = concatenate_frames([sent_frames, frames_as_records(setup)])
         return (
-            join_frames(
+            concatenate_frames(
                 [frames_as_records(self.torque_cut_frames()), Frames.from_rows(frame_rows[start:1])]
             )
             if mode == CUT
@@ -798,7 +798,9 @@ class Controller:
             first_row += 1
         remaining_frames = Frames.from_rows(frame_words[first_unsent_row:count])
         return (
-            join_frames([*frame_batches, remaining_frames]) if frame_batches else remaining_frames
+            concatenate_frames([*frame_batches, remaining_frames])
+            if frame_batches
+            else remaining_frames
         )
 
 

@@ -52,7 +52,7 @@ class SignalQuantity(enum.IntEnum):
     """Stiffness of the drive's own position loop, kp."""
     DAMPING = 10
     """Damping of the drive's own position loop, kd."""
-    LIMIT = 11
+    TORQUE_LIMIT = 11
     """Largest absolute torque of the drive."""
 
 
@@ -66,7 +66,7 @@ class SignalCoding(enum.IntEnum):
     """IEEE 754, 32 bits."""
 
 
-FLOAT_STEPS = 1 << 16
+FLOAT_STEPS_PER_COUNT = 1 << 16
 """Steps of a float from 0 to 1 count in position commands.
 
 A float32 below 256 counts contains each of these steps exactly.
@@ -115,7 +115,7 @@ class Signal(NamedTuple):
             low = (
                 0.0
                 if self.quantity
-                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.LIMIT)
+                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.TORQUE_LIMIT)
                 else -high
             )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -125,9 +125,9 @@ class Signal(NamedTuple):
     def step(self) -> float:
         """Return the resolution of the value [unit].
 
-        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS`` of a count.
+        The resolution is one count. For a float, it is 1 / ``FLOAT_STEPS_PER_COUNT`` of a count.
         """
-        return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
+        return abs(self.scale) / (FLOAT_STEPS_PER_COUNT if self.coding == SignalCoding.FLOAT else 1)
 
 
 class CyclicMessage(NamedTuple):
@@ -139,10 +139,10 @@ class CyclicMessage(NamedTuple):
         length: length of the payload [bytes].
         signals: signals in the frame.
         flags: flags of the frame, see ``frame``.
-        base: payload of a command in which all signals are 0.
-        answers: True for feedback that answers a command.
+        base_payload: payload of a command in which all signals are 0.
+        is_reply: True for feedback that answers a command.
         limit: largest absolute value that a command may have, in the unit of its signal.
-        nearest: True for feedback that the drive sends both on request and by itself, with values
+        keeps_nearest_frame: True for feedback that the drive sends both on request and by itself, with values
             measured at different times. If several such frames arrive in a tick, the one nearest to
             the expected position is used.
     """
@@ -152,10 +152,10 @@ class CyclicMessage(NamedTuple):
     length: int
     signals: tuple[Signal, ...] = ()
     flags: int = 0
-    base: bytes = b""
-    answers: bool = True
+    base_payload: bytes = b""
+    is_reply: bool = True
     limit: float = math.inf
-    nearest: bool = False
+    keeps_nearest_frame: bool = False
 
 
 class CyclicMessages(NamedTuple):
@@ -168,7 +168,7 @@ class CyclicMessages(NamedTuple):
             for no limit.
         position: the torque command with the signals of ``POSITION_COMMAND``, with which the drive
             closes its own position loop. None if the protocol has no such frame.
-        moves_commanded_position: True if the drive moves the commanded position with the commanded velocity
+        integrates_velocity: True if the drive moves the commanded position with the commanded velocity
             until the next command. The value is False if the commanded position stays unchanged
             until the next command. After a failure of the host, a moving position would increase
             the tension more and more, so its command contains a torque limit.
@@ -178,12 +178,12 @@ class CyclicMessages(NamedTuple):
     commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
     position: CyclicMessage | None = None
-    moves_commanded_position: bool = False
+    integrates_velocity: bool = False
 
 
 POSITION_COMMAND = (
     SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
-    SignalQuantity.TORQUE, SignalQuantity.LIMIT,
+    SignalQuantity.TORQUE, SignalQuantity.TORQUE_LIMIT,
 )  # fmt: skip
 """Signals of ``CyclicMessages.position``, in order. The last one is optional.
 
@@ -390,7 +390,7 @@ class SignalTable:
         If a float is not finite, its value is NaN.
         """
         values: list[float] = unpack_rows(
-            self._words(data), self.signal_integers, self.signal_scalings
+            self._payload_words(data), self.signal_integers, self.signal_scalings
         ).tolist()
         return values
 
@@ -412,13 +412,13 @@ class SignalTable:
             # The comparison is negated, so that it refuses NaN.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"{name} {value} {unit}, expected at most {self.message.limit:g}")
-        data = self._words(self.message.base)
+        data = self._payload_words(self.message.base_payload)
         pack_rows(
             data, self.signal_integers, self.signal_scalings, np.array(values, dtype=np.float64)
         )
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
-    def _words(self, data: bytes) -> WordArray:
+    def _payload_words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
         If the payload is short, zeros are added at its end.

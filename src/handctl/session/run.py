@@ -36,13 +36,13 @@ from handctl.runtime.clocks.realtime_priority import (
 )
 from handctl.runtime.clocks.shared_clock import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend_watch import SuspendWatch
-from handctl.runtime.hold_limit import HoldLimit
+from handctl.runtime.hold_timeout import HoldTimeout
 from handctl.runtime.loop import ControlLoop, LoopBus, LoopStats, StopSignals
 from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
 from handctl.runtime.socket_paths import clock_path, faults_path, is_socket_served
 from handctl.runtime.status_line import status_of_tick
-from handctl.runtime.target_socket import TargetBox
+from handctl.runtime.target_socket import TargetReceiver
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.session.exit_codes import ExitCode
 from handctl.session.run_header import run_header
@@ -170,7 +170,7 @@ def run_live(
         clock = _open_clock(plan, stack)
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
-        targets = TargetBox(plan.buses[0], clock.run_time_of)
+        targets = TargetReceiver(plan.buses[0], clock.convert_to_run_time)
         stack.callback(targets.close)
         observations = ObservationWriter(
             plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)
@@ -180,7 +180,9 @@ def run_live(
             stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
-            opened_bus = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.run_time_of)
+            opened_bus = open_bus(
+                spec, index, bus.bitrate, bus.data_bitrate, clock.convert_to_run_time
+            )
             stack.callback(opened_bus.close)
             buses.append(opened_bus)
         priority = prepare_priority()
@@ -236,7 +238,7 @@ def run_lockstep(
         recorder, display = _start_recording(
             plan, log, replace(header, metadata=header.metadata | start_offset), cleanup_stack
         )
-        limit = HoldLimit()
+        limit = HoldTimeout()
         request_source = _merge_requests(observer, limit.poll_requests)
         show_tick = _merge_observers(
             limit, _merge_observers(observer, display.show_tick if display else _ignore_tick)
@@ -331,13 +333,13 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState],
     """
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
+    def record_snapshot(entry: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
             recorder.send_record(pack_snapshot(entry, snapshot_bytes(state)))
 
-    return keep_snapshot
+    return record_snapshot
 
 
 def _build_loop(
@@ -365,7 +367,7 @@ def _build_loop(
         take_host_events=lambda: [*recorder.take_events(), *take_suspend_events()],
         record_tick=record_tick,
         show_tick=show_tick,
-        keep_snapshot=snapshot_recorder(recorder),
+        record_snapshot=snapshot_recorder(recorder),
         disable_drives=partial(shutdown_step, controller),
         tick_priority=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
@@ -510,5 +512,5 @@ def _run_to_end(
             if display:
                 display.close()
         finally:
-            summary = recorder.close(reason, loop.clock.clock_facts())
+            summary = recorder.close(reason, loop.clock.clock_statistics())
     return RunOutcome(state, loop.stats, summary, priority, offset_ns())

@@ -107,7 +107,7 @@ class HandDrives:
         self.clock = RealClock(PERIOD_NS, time_scale)
         hand = load_hand(str(hand_path))
         self.buses = [
-            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.run_time_of)
+            open_bus(spec, i, bus.bitrate, bus.data_bitrate, self.clock.convert_to_run_time)
             for i, (spec, bus) in enumerate(zip(bus_texts, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)

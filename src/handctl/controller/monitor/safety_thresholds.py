@@ -161,7 +161,7 @@ def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, 
     return {
         "servo_kp_max": largest[0],
         "servo_kd_max": largest[1],
-        "servo_moves": [drive.cyclic_messages.moves_commanded_position for drive in drives],
+        "servo_moves": [drive.cyclic_messages.integrates_velocity for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],
         "servo_rounding": torque / model.tendon_constants.spool_radius,

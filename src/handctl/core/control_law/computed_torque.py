@@ -523,11 +523,12 @@ def _take_up_slack(
 
 @kernel_helper
 def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedback: float) -> bool:
-    """Return True if the position feedback would pay out a slack tendon that has no load cell.
+    """Return True if the position feedback would pay out a slack tendon.
 
-    Motions along streamed angles are excluded. The excursion of a slack tendon without load cell is
-    not measured. The estimated excursion may be too large, and no measurement corrects it. The
-    motor would then pay out more and more of the tendon.
+    Motions along streamed angles are excluded. The excursion of a slack tendon is not measured. The
+    estimated excursion may be too large, and no measurement corrects it. The motor would then pay
+    out more and more of the tendon. In a digit with surplus tendons, the excursion follows from the
+    other tendons.
 
     Args:
         x: state tables.
@@ -539,7 +540,6 @@ def _would_pay_out_slack_tendon(x: StateTables, c: ConstantTables, n: int, feedb
         feedback < 0.0
         and x.tendon_int[s.GOAL_KIND, n] == MOTION
         and x.tendon_int[s.REGIME, n] == SLACK_REGIME
-        and c.tendon_int[h.CELL_GROUP, n] < 0
         and not c.tendon_int[h.IS_REDUNDANT_DIGIT, n]
         and not c.tendon_int[h.IS_SPOOL_PAIR, n]
         and not follows_streamed_angles(x, c, n)

@@ -56,7 +56,7 @@ _FAULT_ROW_BY_CAUSE = {
     DriveFaultCause.DROPPED_OUT: FAULT_N01,
     DriveFaultCause.WATCHDOG: FAULT_N08,
     DriveFaultCause.VOLTAGE: FAULT_N10,
-    DriveFaultCause.HOT: FAULT_N11,
+    DriveFaultCause.OVERHEATED: FAULT_N11,
     DriveFaultCause.SETTING_MISMATCH: FAULT_N12,
     DriveFaultCause.COMMUNICATION_LOST: FAULT_N11,
     DriveFaultCause.UNKNOWN: FAULT_N11B,
@@ -189,7 +189,9 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
                 stuck_sensors.reference_tension(x, c, n),
                 x.tendon[s.REFERENCE_AT_LAST_MOTOR_CHANGE + 1, n],
             )
-            if goal > STUCK_SENSOR_GOAL_CHANGE_M or tension > STUCK_SENSOR_TENSION_CHANGE_N:
+            if (
+                goal > STUCK_SENSOR_GOAL_CHANGE_M and _overcomes_friction(c, n, goal)
+            ) or tension > STUCK_SENSOR_TENSION_CHANGE_N:
                 evidence[FAULT_N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_UNCHANGED_COUNT, j] * c.run[h.JOINT_PERIOD] > STUCK_SENSOR_TIME_S:
@@ -203,6 +205,19 @@ def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence
             )
             if turned_angle > STUCK_SENSOR_JOINT_CHANGE_DEG:
                 evidence[FAULT_N04 + 1, j] = turned_angle
+
+
+@kernel_helper
+def _overcomes_friction(c: ConstantTables, n: int, goal_change: float) -> bool:
+    """Return True if a change of the goal [m] moves the motor against its friction.
+
+    Friction c may hold a motor at rest until the feedback force has changed by 2 c. With a soft
+    position loop, this is a long way of the goal. Position loops in drives are stiff.
+    """
+    loop_stiffness = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.ERROR_GAIN, n]
+    if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or loop_stiffness == 0.0:
+        return True
+    return bool(goal_change * loop_stiffness > 2.0 * c.tendon[h.MOTOR_COULOMB, n])
 
 
 @kernel_helper

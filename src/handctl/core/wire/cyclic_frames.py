@@ -45,12 +45,12 @@ from handctl.core.wire.wire_tables import (
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.frame_records import (
-    BUS_BIT,
+    BUS_SHIFT,
     BYTE_MASK,
+    FIRST_PAYLOAD_WORD,
     ID_AND_FLAGS_WORD,
     ID_MASK,
-    LENGTH_BIT,
-    PAYLOAD_WORD,
+    LENGTH_SHIFT,
     TIME_WORD,
     WORDS_PER_RECORD,
     WordRows,
@@ -166,11 +166,11 @@ def receive_frames(
     rechecks = borrowed_array(rechecks, 0, rechecks.shape)
     for r in range(first_frame, len(frame_rows)):
         # The word ID_AND_FLAGS_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
-        # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
+        # the frame, the bus (from BUS_SHIFT) and the payload length (from LENGTH_SHIFT).
         header_word = np.int64(frame_rows[r, ID_AND_FLAGS_WORD])
         can_id = header_word & ID_MASK & ~ERROR_FLAG
-        bus = header_word >> BUS_BIT & BYTE_MASK
-        length = header_word >> LENGTH_BIT & BYTE_MASK
+        bus = header_word >> BUS_SHIFT & BYTE_MASK
+        length = header_word >> LENGTH_SHIFT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
         is_error_frame = header_word & ERROR_FLAG != 0
         if entry == NO_FRAME_ENTRY or (
@@ -182,7 +182,7 @@ def receive_frames(
             continue  # an error frame has no values, even if its identifier belongs to a node
         kind = entries[entry, FRAME_KIND_COLUMN]
         t_ns = np.int64(frame_rows[r, TIME_WORD])
-        payload = frame_rows[r, PAYLOAD_WORD]
+        payload = frame_rows[r, FIRST_PAYLOAD_WORD]
         has_expected_length = length == entries[entry, PAYLOAD_BYTES_COLUMN]
         owner = entries[entry, OWNER_COLUMN]
         if owner != SENSOR_NODE_OWNER and x.tendon_int[s.RECHECK_TRIES, owner] > 0:
@@ -441,13 +441,13 @@ def _decode_drive_frame(
     expected = x.tendon_int[s.EXPECTED_DRIVE_STATUS, n]
     position = velocity = torque = temperature = math.nan
     status = 0
-    payload = frame_row[PAYLOAD_WORD]
+    payload = frame_row[FIRST_PAYLOAD_WORD]
     reversed_payload = bytes_reversed(payload)
     for i in range(entries[entry, FIRST_SIGNAL_COLUMN], entries[entry, END_SIGNAL_COLUMN]):
         if signal_integers[i, WINDOW_COLUMN] == 0:
             window = reversed_payload if signal_integers[i, ORDER_COLUMN] else payload
         else:
-            window = read_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
+            window = read_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN])
             window = bytes_reversed(window) if signal_integers[i, ORDER_COLUMN] else window
         value = decode_signal(window, signal_integers, signal_scalings, i)
         if math.isnan(value):
@@ -530,7 +530,7 @@ def _write_position_command(
             x.servo[s.SERVO_POSITION + i - first_signal, n], signal_integers, signal_scalings, i
         )
         bits = bytes_reversed(bits) if signal_integers[i, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
+        write_window(frame_row, FIRST_PAYLOAD_WORD, signal_integers[i, WINDOW_COLUMN], bits)
 
 
 @kernel_helper
@@ -550,7 +550,9 @@ def _write_torque_command(
     if signal >= 0:
         bits = encode_signal(torque, signal_integers, signal_scalings, signal)
         ordered_bits = bytes_reversed(bits) if signal_integers[signal, ORDER_COLUMN] else bits
-        write_window(frame_row, PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits)
+        write_window(
+            frame_row, FIRST_PAYLOAD_WORD, signal_integers[signal, WINDOW_COLUMN], ordered_bits
+        )
 
 
 @kernel(

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.frame_records import (
+    FIRST_PAYLOAD_WORD,
     ID_AND_FLAGS_WORD,
-    LENGTH_BIT,
-    PAYLOAD_WORD,
+    LENGTH_SHIFT,
     WORDS_PER_RECORD,
     WordRows,
     frames_as_records,
@@ -117,7 +117,7 @@ class WireTables:
                 for can_id in drive.node_ids
             }
             for message in drive.cyclic_messages.feedback:
-                kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
+                kind = FEEDBACK_FRAMES if message.is_reply else VALUE_FRAMES
                 signals = self._add_message(message)
                 entry_by_key[_frame_key(drive.bus, message.can_id)] = [
                     n,
@@ -125,7 +125,7 @@ class WireTables:
                     *signals,
                     message.length,
                     0,
-                    message.nearest,
+                    message.keeps_nearest_frame,
                 ]
         entry_by_key |= {
             _frame_key(sensors.bus, can_id): [
@@ -257,15 +257,15 @@ def _recheck_row(recheck: SettingRecheck, frame_entry: int) -> WordRows:
     request, reply = frames_as_records((recheck.request, recheck.reply)).rows
     key_mask, mask = (
         sum(0xFF << 8 * i for i in range(first_byte, end))
-        for first_byte, end in (recheck.key_bytes, recheck.compared_bytes)
+        for first_byte, end in (recheck.key_byte_range, recheck.compared_byte_range)
     )
     row = np.empty(WORDS_PER_RECHECK, dtype=np.uint64)
     row[:WORDS_PER_RECORD] = request
-    row[REPLY_WORD] = reply[PAYLOAD_WORD]
+    row[REPLY_WORD] = reply[FIRST_PAYLOAD_WORD]
     row[REPLY_KEY_MASK_WORD] = key_mask
     row[REPLY_MASK_WORD] = mask
     row[REPLY_ENTRY_WORD] = frame_entry
-    row[REPLY_BYTES_WORD] = int(reply[ID_AND_FLAGS_WORD]) >> LENGTH_BIT
+    row[REPLY_BYTES_WORD] = int(reply[ID_AND_FLAGS_WORD]) >> LENGTH_SHIFT
     return row
 
 
@@ -293,6 +293,6 @@ def _frame_key(bus: int, can_id: int) -> int:
 
 
 def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
-    payload = message.base.ljust(message.length, b"\0")
+    payload = message.base_payload.ljust(message.length, b"\0")
     row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row

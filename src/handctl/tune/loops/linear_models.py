@@ -60,7 +60,7 @@ DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
 UNREACHABLE_LIMIT = 1e12
 """Value for the limits of motor torque [N m] and force [N]. No gains reach a limit of this size."""
-MOVING_TENSION_N = 1e4
+PLANNED_MOTION_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far outside of its friction band [N].
 
 With this value, the control law predicts the tension at the edge of the friction band.
@@ -229,13 +229,13 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSy
 def open_loop(
     model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS
 ) -> LinearSystem:
-    """Return the open loop of a tendon, see `join_to_open_loop`."""
-    return join_to_open_loop(
+    """Return the open loop of a tendon, see `connect_in_series`."""
+    return connect_in_series(
         plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind)
     )
 
 
-def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
+def connect_in_series(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     """Return the open loop of a plant P and a controller K, where the loop is cut at the motor force.
 
     The output of the open loop is the force that the controller commands, with the opposite sign.
@@ -263,14 +263,14 @@ def _without_constants(K: LinearSystem) -> LinearSystem:
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
-    changing = np.flatnonzero(
+    changing_states = np.flatnonzero(
         (np.abs(A).max(axis=1) > CONSTANT_STATE_TOLERANCE)
         | (np.abs(B).max(axis=1) > CONSTANT_STATE_TOLERANCE)
     )
     return LinearSystem(
-        K.A[np.ix_(changing, changing)],
-        K.B[changing],
-        K.C[:, changing],
+        K.A[np.ix_(changing_states, changing_states)],
+        K.B[changing_states],
+        K.C[:, changing_states],
         K.D,
         K.period,
     )
@@ -303,7 +303,7 @@ def _tick_with_reading(
     return tick(state, shifted_reading)
 
 
-STATE_ROWS = [
+FEEDBACK_STATE_ROWS = [
     *range(s.SPOOL_TRAVEL, s.STRETCH_OFFSET + 1),
     s.TENSION_SETPOINT,
     s.TENSION_INTEGRAL,
@@ -314,15 +314,15 @@ STATE_ROWS = [
 """Rows of the tendon states that are part of the feedback: first those of the filter, then those of the control law."""
 MEASUREMENT_ROWS = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
 """Rows of the state block that contain the measurements of a tendon."""
-_STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Typical sizes of the states in `STATE_ROWS`, with which the finite differences are scaled.
+_TYPICAL_STATE_SIZES = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
+"""Typical sizes of the states in `FEEDBACK_STATE_ROWS`, with which the finite differences are scaled.
 
 The sizes are powers of two. Thus the finite difference of a state that is only copied is exactly
 one.
 """
 
 
-class _LinearizationBench:
+class _LinearController:
     """Filter and linear control law of a hand.
 
     Both work on a state block.
@@ -371,38 +371,40 @@ def _operating_point(
 
     There is a small step for each state and each reading.
     """
-    bench = _LinearizationBench(model)
-    operating_point = _operating_block(bench, tendon, kind)
+    controller = _LinearController(model)
+    operating_point = _operating_point_state(controller, tendon, kind)
 
     def run_linear_tick(values: Matrix, reading: Matrix) -> Matrix:
         block = operating_point.copy()
-        table = bench.layout.table(block, "tendon")
-        table[STATE_ROWS, tendon] = values
+        table = controller.layout.table(block, "tendon")
+        table[FEEDBACK_STATE_ROWS, tendon] = values
         table[MEASUREMENT_ROWS, tendon] = reading
-        bench.run_filter(block)
-        bench.run_control_law(block)
+        controller.run_filter(block)
+        controller.run_control_law(block)
         return np.append(
-            table[STATE_ROWS, tendon],
+            table[FEEDBACK_STATE_ROWS, tendon],
             table[s.COMMANDED_TORQUE, tendon] / model.tendon_constants.spool_radius[tendon],
         )
 
-    table = bench.layout.table(operating_point, "tendon")
+    table = controller.layout.table(operating_point, "tendon")
     return (
         run_linear_tick,
-        table[STATE_ROWS, tendon].copy(),
+        table[FEEDBACK_STATE_ROWS, tendon].copy(),
         table[MEASUREMENT_ROWS, tendon].copy(),
-        _STATE_SIZE * DIFFERENCE_STEPS["state"],
+        _TYPICAL_STATE_SIZES * DIFFERENCE_STEPS["state"],
     )
 
 
-def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) -> BlockArray:
+def _operating_point_state(
+    controller: _LinearController, tendon: int, kind: LoopKind
+) -> BlockArray:
     """Return the state block at the operating point of a loop.
 
     Every digit is half closed, and every tendon is taut. For a motion loop, the tendon is being
     wound up. For a tension loop, the tendon is at rest. All errors are zero.
     """
-    model = bench.model
-    layout = bench.layout
+    model = controller.model
+    layout = controller.layout
     moving = kind == LoopKind.MOTION
     coordinates = [_half_closed_coordinates(digit) for digit in model.digits]
     rates = [
@@ -437,10 +439,10 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     layout.view(block, "planned_contact")[...] = not moving
     layout.view(block, "started")[...] = 1
     estimated = block.copy()
-    bench.run_filter(estimated)
+    controller.run_filter(estimated)
     reached_values = layout.table(estimated, "tendon")
     table[s.TENSION_SETPOINT] = reached_values[s.TENSION]
-    table[s.PLANNED_TENSION] = MOVING_TENSION_N if moving else OPERATING_TENSION_N
+    table[s.PLANNED_TENSION] = PLANNED_MOTION_TENSION_N if moving else OPERATING_TENSION_N
     goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(

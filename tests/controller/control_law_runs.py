@@ -24,13 +24,13 @@ from handctl.safety.safety_action import SafetyAction
 from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
+    constant_args_of,
     controller_of,
-    stage_constants,
     state_with_estimate,
 )
 
 
-class LawState(NamedTuple):
+class ControlLawState(NamedTuple):
     """State of the control law between two ticks. Each attribute has one value per tendon (N,).
 
     Attributes:
@@ -59,17 +59,17 @@ class LawState(NamedTuple):
     friction_slider: np.ndarray | None = None
 
     @staticmethod
-    def initial_law_state(n: int) -> "LawState":
+    def initial_state(n: int) -> "ControlLawState":
         """Return the state of the control law of N tendons before its first command."""
-        return LawState.idle_at_tensions(np.zeros(n))
+        return ControlLawState.initial_state_at_tensions(np.zeros(n))
 
     @staticmethod
-    def idle_at_tensions(tension: np.ndarray) -> "LawState":
+    def initial_state_at_tensions(tension: np.ndarray) -> "ControlLawState":
         """Return the state of the control law before its first command, with given tensions (N,) [N] as setpoints."""
-        return LawState(tension, *np.zeros((4, len(tension))))
+        return ControlLawState(tension, *np.zeros((4, len(tension))))
 
 
-class LawCommand(NamedTuple):
+class ControlLawCommand(NamedTuple):
     """Output of the control law.
 
     For each tendon (N,), a command contains a motor torque [N m] and a tension goal [N]. For each
@@ -108,15 +108,15 @@ def run_control_law(
     controller_of(model)._compute_torques(state, action, 1)
 
 
-def run_law_tick(
+def run_control_law_tick(
     model: HandModel,
-    law: LawState,
+    law: ControlLawState,
     estimate: SyntheticEstimate,
     goals: tuple[DigitGoal, ...],
     t: float,
     temperature_limit_N: np.ndarray | None = None,
     held_limit_N: np.ndarray | None = None,
-) -> tuple[LawState, LawCommand]:
+) -> tuple[ControlLawState, ControlLawCommand]:
     """Run one tick of the control law for all digits of a hand.
 
     Args:
@@ -143,25 +143,27 @@ def run_law_tick(
     run_control_law(
         model, state, goals, t, SafetyAction.PASS if held_limit_N is None else SafetyAction.HOLD
     )
-    return law_state_of(state), law_command_of(state)
+    return control_law_state_of(state), control_law_command_of(state)
 
 
-def law_state_of(state: ControllerState) -> LawState:
+def control_law_state_of(state: ControllerState) -> ControlLawState:
     """Return the state of the control law after a tick."""
     block_values = {
-        name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
+        name: state.view(name).copy()
+        for name in ControlLawState._fields
+        if name not in ("trim", "held")
     }
     trim = state.view("trim").copy() if state.run_table_integer(s.TRIM_ACTIVE) else None
     held_limits = (
         state.view("limit_held").copy() if state.run_table_integer(s.SAFETY_HOLD_ACTIVE) else None
     )
-    return LawState(**block_values, trim=trim, held=held_limits)
+    return ControlLawState(**block_values, trim=trim, held=held_limits)
 
 
-def law_command_of(state: ControllerState) -> LawCommand:
+def control_law_command_of(state: ControllerState) -> ControlLawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
-    return LawCommand(*(state.view(name).copy() for name in names))
+    return ControlLawCommand(*(state.view(name).copy() for name in names))
 
 
 @kernel("block", "layout", "constants", "layout")
@@ -182,7 +184,7 @@ def tension_limits_of(model: HandModel, state: ControllerState) -> np.ndarray:
     For a tendon without a limit, the value is infinity. Tension limits of the hand file are not
     included.
     """
-    return _tension_limits(state.block, state.layout.offsets, *stage_constants(model))
+    return _tension_limits(state.block, state.layout.offsets, *constant_args_of(model))
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
@@ -205,7 +207,7 @@ def required_tensions_of(
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     unsolved_digits = _required_tensions(
-        state.block, state.layout.offsets, *stage_constants(model), motion
+        state.block, state.layout.offsets, *constant_args_of(model), motion
     )
     allocate_bounded_tensions(
         model,
@@ -222,4 +224,4 @@ def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) ->
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, SafetyAction.PASS)
-    return tick_stages.joint_motion(state.block, state.layout.offsets, *stage_constants(model))
+    return tick_stages.joint_motion(state.block, state.layout.offsets, *constant_args_of(model))
