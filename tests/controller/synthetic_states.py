@@ -276,7 +276,8 @@ def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
     x[:, X] = (
         x[:, S]
-        + static_tendon_forces(model, x, np.zeros(len(x))).resistance / model.tendon_constants.stiffness
+        + static_tendon_forces(model, x, np.zeros(len(x))).resistance
+        / model.tendon_constants.stiffness
     )
     return x
 

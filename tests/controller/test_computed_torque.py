@@ -317,7 +317,9 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
         goals = holding_goals(
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), tension_rate=1e6
         )
-        law, command = run_control_law_tick(model, ControlLawState.initial_state(n), estimate, goals, 0.0)
+        law, command = run_control_law_tick(
+            model, ControlLawState.initial_state(n), estimate, goals, 0.0
+        )
         requested_force, v, friction_sum = (
             command.torque / space.spool_radius,
             x[:, V].copy(),

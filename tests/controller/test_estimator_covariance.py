@@ -285,7 +285,9 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     steady_state_covariances = [
         model.filter_design.blocks[n][state_after.regimes[n]].P for n in range(model.tendon_count)
     ]
-    np.testing.assert_array_equal(state_after.covariance[first_tendon], steady_state_covariances[first_tendon])
+    np.testing.assert_array_equal(
+        state_after.covariance[first_tendon], steady_state_covariances[first_tendon]
+    )
     state_after_one_tick, _ = run_filter_tick(
         model, state, readings_without_travel, force, zero_vector, digit_contact
     )

@@ -39,7 +39,9 @@ def tensions_at_speeds(
     for speed in winding_speeds:
         wound_length = speed * model.period
         present_tensions = [
-            uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound_length, stiffness, crept)
+            uncompiled_function(tension_after_period)(
+                tension, 12.0, 0.8, wound_length, stiffness, crept
+            )
             for tension, stiffness in zip(
                 present_tensions, model.tendon_constants.stiffness, strict=True
             )

@@ -190,4 +190,6 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
         CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.1), 1),
         CurveTrajectory.curve_through_points((0.0, 1.0), (0.0, 1.0), 3),
     ]
-    assert len({serialized_bytes(distance_rad) for distance_rad in trajectories}) == len(trajectories)
+    assert len({serialized_bytes(distance_rad) for distance_rad in trajectories}) == len(
+        trajectories
+    )

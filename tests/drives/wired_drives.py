@@ -88,9 +88,9 @@ class WiredDrives:
         self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = cyclic_frames.receive_frames(
-                self.block, self.layout.offsets, *self._load_cell_constants, frames.rows, known_tables.keys, known_tables.entries,
-                known_tables.signal_integers, known_tables.signal_scalings, known_tables.recheck_ranges,
-                known_tables.rechecks, at,
+                self.block, self.layout.offsets, *self._load_cell_constants, frames.rows, known_tables.keys,
+                known_tables.entries, known_tables.signal_integers, known_tables.signal_scalings,
+                known_tables.recheck_ranges, known_tables.rechecks, at,
                 self.sensors.earliest_answer_time_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
